@@ -1,0 +1,84 @@
+# Python 3.11 or later and make are all this needs. `make help` lists the targets.
+#
+# 1. The environment is made once: a stamp in it says what is installed, pyproject.toml makes it stale.
+# 2. `demo` installs the package alone; what tests and checks need is fetched when they are asked for.
+
+PYTHON ?= python3
+VENV   ?= .venv
+JOBS   ?= 2
+ARGS   ?=
+# Examples per property in `make test-long`.
+ACES_EXAMPLES ?= 2000
+
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test test-long check lint types pristine format bench golden clean
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
+
+venv: $(VENV)/.dev ## make .venv with everything that tests and checks need
+
+$(VENV)/.python:
+	@command -v $(PYTHON) >/dev/null || { echo "no '$(PYTHON)' found; name one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "aces-bus needs Python 3.11 or later; '$(PYTHON)' is $$($(PYTHON) -V 2>&1). Name one: make PYTHON=python3.12" >&2; exit 1; }
+	@echo "making $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.run: $(VENV)/.python pyproject.toml
+	@echo "installing aces-bus into $(VENV) (once)"
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.python pyproject.toml
+	@echo "installing aces-bus and its development tools into $(VENV) (once)"
+	@$(PIP) --editable '.[dev]'
+	@touch $@ $(VENV)/.run
+
+$(VENV)/.bench: $(VENV)/.python pyproject.toml
+	@echo "installing aces-bus and the libraries it is measured against into $(VENV) (once)"
+	@$(PIP) --editable '.[bench]'
+	@touch $@ $(VENV)/.run
+
+demo: $(VENV)/.run ## decode the captures in examples/captures
+	$(BIN)/aces decode examples/captures/robotis_session.dxconf.txt -p robotis
+	$(BIN)/aces decode examples/captures/hubo2plus.log -p hubo
+	$(BIN)/aces decode examples/captures/adc.bin -p minihubo_adc
+
+test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
+	$(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)
+
+test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property
+	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) \
+	  $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)
+
+check: lint types pristine ## ruff, mypy, pyright and the pristine check
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+	$(BIN)/pyright --warnings --pythonpath $(BIN)/python
+
+pristine: $(VENV)/.dev
+	$(BIN)/python tests/pristine.py
+
+format: $(VENV)/.dev ## let ruff rewrite the sources
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+bench: $(VENV)/.bench ## measure beside the peers, on this machine
+	$(BIN)/aces bench live $(ARGS)
+
+golden: $(VENV)/.dev ## write the golden files anew; read the diff before you commit it
+	$(BIN)/python -m pytest tests -q --update-golden $(ARGS)
+
+clean: ## remove what was made, .venv included
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,62 @@
+"""Everything aces-bus raises on purpose, as one tree.
+
+    AcesError
+    ├── CallerError            the call is wrong: fix the call
+    │   ├── UnknownNameError   no such protocol, message, dialect, field: lists the names that exist
+    │   ├── FieldError         a value does not fit its field: says field, value and range
+    │   └── CaptureError       a file cannot be used as a capture: says file and what would work
+    ├── SpecError              a protocol's declaration is wrong: says file:line and both places
+    ├── DeviceError            a device did not do what its protocol promises
+    └── BugError               aces-bus is wrong: please report it
+
+1. A message says who, where and what next.
+2. Bytes from a wire never raise: they are counted (see `aces_bus.protocol.scan`).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class AcesError(Exception):
+    """The root of the tree."""
+
+
+class CallerError(AcesError):
+    """The call is wrong."""
+
+
+class UnknownNameError(CallerError):
+    """A name that does not exist; the message lists those that do."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        names = sorted(known)
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        listed = ", ".join(names) if names else "none"
+        super().__init__(f"no {kind} named {name!r}{hint} (there are: {listed})")
+        self.kind, self.name, self.known = kind, name, tuple(names)
+
+
+class FieldError(CallerError):
+    """A value does not fit its field."""
+
+
+class CaptureError(CallerError):
+    """A file or stream that cannot be used as a capture."""
+
+
+class SpecError(AcesError):
+    """A protocol's declaration is wrong; the message begins with `file:line:`."""
+
+
+class DeviceError(AcesError):
+    """A device did not do what its protocol promises."""
+
+
+class BugError(AcesError):
+    """A fault of aces-bus itself."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(f"{message} (this is a bug of aces-bus, please report it)")

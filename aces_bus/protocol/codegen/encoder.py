@@ -1,0 +1,89 @@
+"""Encoders: fields in, frames or packets out.
+
+1. What is derived (identifier, length, check, stuffing) is written by the packet, never given.
+2. A value that does not fit raises, naming the message, the field, the value and what would fit.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from construct import ConstructError
+
+from ...errors import FieldError, UnknownNameError
+from ..spec.message import Message
+from ..spec.packet import EXTENDED, FD_FLAG, REMOTE
+from ..spec.protocol import Variant
+
+
+class Encoder:
+    """Builds the messages of a variant. `encode` is stateless; `next` fills in rolling counters, device by device."""
+
+    def __init__(self, variant: Variant) -> None:
+        self.variant = variant
+        self._counters: dict[tuple[Any, ...], int] = {}
+
+    def encode(self, message: str, /, **fields: Any) -> Any:
+        """A python-can message (CAN) or the packet's bytes, from values in the sheet's units.
+
+        Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that does not fit
+        or is missing.
+        """
+        return self.build(self.variant[message], fields)
+
+    def next(self, message: str, /, **fields: Any) -> Any:
+        """Like `encode`, with rolling counters one more than in the last message of the same device."""
+        found = self.variant[message]
+        who = tuple(fields.get(capture.name) for capture in found.identifier.captures)
+        for name, modulo in found.counters.items():
+            if name not in fields:
+                key = (message, name, who)
+                self._counters[key] = (self._counters.get(key, -1) + 1) % modulo
+                fields[name] = self._counters[key]
+        return self.build(found, fields)
+
+    def build(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> Any:
+        """The frame or packet of `message`."""
+        image = self.image(message, fields, raw=raw)
+        return image if message.framing is not None else to_can(image)
+
+    def image(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> bytes:
+        """The packet's bytes; on CAN, the image that `message.struct` parses."""
+        known = set(message.fields)
+        for name in fields:
+            if name not in known:
+                raise UnknownNameError(f"field of {message.name}", name, message.fields)
+        try:
+            return bytes(message.struct.build(fields, raw=raw))
+        except FieldError as error:
+            raise FieldError(f"{message.name}: {_short(str(error))}") from None
+        except (ConstructError, KeyError, TypeError, AttributeError, ValueError) as error:
+            raise FieldError(f"{message.name}: {_explain(error, message, fields)}") from None
+
+
+def _short(text: str) -> str:
+    """`(building) -> speed: …` as `speed: …`."""
+    return text.replace("(building) -> ", "").replace("(building): ", "")
+
+
+def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
+    missing = [name for name in message.fields if name not in fields and name not in message.request_fields]
+    if isinstance(error, KeyError) and missing:
+        return f"no value given for {', '.join(missing)}"
+    text = _short(str(error)).replace("Error in path ", "").strip()
+    return " ".join(text.split()) or type(error).__name__
+
+
+def to_can(image: bytes) -> Any:
+    """The python-can message of a frame's image."""
+    import can
+
+    word = int.from_bytes(image[:4], "big")
+    return can.Message(
+        arbitration_id=word & 0x1FFF_FFFF,
+        is_extended_id=bool(word & EXTENDED),
+        is_remote_frame=bool(word & REMOTE),
+        is_fd=bool(image[4] & FD_FLAG),
+        data=image[5:],
+        dlc=len(image) - 5,
+    )

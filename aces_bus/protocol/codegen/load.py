@@ -1,0 +1,171 @@
+"""Compiles printed source, so that it shows in tracebacks and steps in a debugger like any file.
+
+1. Nothing but text printed from a plan is ever compiled here.
+"""
+
+from __future__ import annotations
+
+import linecache
+import re
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+from construct import ConstructError
+
+from ...errors import AcesError
+from ..keys import EXTENDED, FD, REMOTE
+from ..scan.record import Part, Record, from_container
+from ..spec.fields import FlagSet
+from ..spec.message import Message
+from ..spec.packet import can_image
+from ..spec.protocol import Variant
+from . import plan as p
+from .flatten import flatten
+from .print_python import Decoder, print_records
+
+Decode = Callable[..., Any]
+
+
+def load(source: str, name: str, names: Mapping[str, Any]) -> dict[str, Any]:
+    """Run printed source and give its namespace; `name` is what tracebacks call it."""
+    filename = f"<{name}>"
+    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
+    # `__builtins__` comes along with exec; the text is ours, printed from a plan.
+    namespace: dict[str, Any] = {"__name__": name, **names}
+    exec(compile(source, filename, "exec"), namespace)
+    return namespace
+
+
+def degrees(text: bytes) -> float:
+    """`4807.038` as degrees: what generated decoders call for NMEA positions."""
+    number = float(text)
+    whole = number // 100
+    return whole + (number - 100 * whole) / 60
+
+
+@cache
+def flag_type(bits: tuple[tuple[str, int], ...]) -> type[FlagSet]:
+    """The value type of a flags field."""
+    return type("FlagSet", (FlagSet,), {"bits": dict(bits), "__slots__": ()})
+
+
+class Codec:
+    """Record types and decode functions of a variant, in physical units or raw."""
+
+    def __init__(self, variant: Variant, *, raw: bool) -> None:
+        self.variant = variant
+        self.raw = raw
+        self.plans = {name: flatten(message) for name, message in variant.messages.items()}
+        self.types: dict[str, type[Record]] = records_of(variant)
+        self.source = print_decoders(variant, raw=raw)
+        names: dict[str, Any] = {
+            "Struct": struct.Struct,
+            "from_bytes": int.from_bytes,
+            "re": re,
+            "degrees": degrees,
+            **_all_types(variant),
+        }
+        for plan in self.plans.values():
+            if not plan.is_flat:
+                names[f"opaque_{plan.name}"] = _opaque(variant.messages[plan.name], variant, raw=raw)
+            if plan.is_checked:
+                names[f"holds_{plan.name}"] = _holds(variant.messages[plan.name])
+            for field, node in _named_nodes(plan):
+                for step in getattr(node, "steps", ()):
+                    if isinstance(step, p.FlagBits):
+                        names[f"flags_{plan.name}_{field}"] = flag_type(step.bits)
+        space = load(self.source, f"aces {variant.label} {'raw ' if raw else ''}decoders", names)
+        self.decoders: dict[str, Decode] = {name: space[f"decode_{name}"] for name in self.plans}
+
+
+def _holds(message: Message) -> Callable[[bytes, int], bool]:
+    """Whether the message's own check holds."""
+    check = message.check
+    assert check is not None
+    start, size, order = message.check_span
+    end = start + size
+
+    def holds(data: bytes, key: int) -> bool:
+        return int.from_bytes(data[start:end], order) == check.compute(message.covered(data, key & 0x1FFF_FFFF))
+
+    return holds
+
+
+def print_decoders(variant: Variant, *, raw: bool = False) -> str:
+    """The decode functions of a variant."""
+    kind = "raw values" if raw else "physical values"
+    parts = [f'"""Decoders of {variant.label}, {kind}: generated from its spec."""', ""]
+    for message in variant.messages.values():
+        setup, lines = Decoder(flatten(message), raw=raw).print()
+        parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
+    return "\n".join(parts) + "\n"
+
+
+def _named_nodes(plan: p.MessagePlan) -> list[tuple[str, p.Node]]:
+    found: list[tuple[str, p.Node]] = []
+
+    def visit(name: str, node: p.Node) -> None:
+        if isinstance(node, p.Many):
+            for item in node.items:
+                visit(name, item)
+        elif isinstance(node, p.Group):
+            for field in node.fields:
+                visit(field.name, field.node)
+        else:
+            found.append((name, node))
+
+    for field in plan.fields:
+        visit(field.name, field.node)
+    return found
+
+
+@cache
+def _all_types(variant: Variant) -> dict[str, Any]:
+    plans = [flatten(message) for message in variant.messages.values()]
+    source = print_records(variant.label, plans)
+    space = load(source, f"aces {variant.label} records", {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any})
+    found = {k: v for k, v in space.items() if isinstance(v, type) and issubclass(v, (Record, Part)) and v not in (Record, Part)}
+    for name, message in variant.messages.items():
+        found[name]._protocol = variant.name
+        found[name]._direction = message.direction
+    return found
+
+
+def records_of(variant: Variant) -> dict[str, type[Record]]:
+    """The record types of a variant, by message."""
+    return {name: _all_types(variant)[name] for name in variant.messages}
+
+
+@cache
+def codec(variant: Variant, raw: bool = False) -> Codec:
+    """The codec of a variant, made once."""
+    return Codec(variant, raw=raw)
+
+
+def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
+    """A decode function that goes through construct."""
+    types = _all_types(variant)
+    parts = {
+        (path, names): types[f"{path}_{index}"] for index, (path, names) in enumerate(flatten(message).parts)
+    }
+    record = types[message.name]
+    framing = message.framing
+
+    def decode(data: bytes, key: int, meta: Any, request: Any = None) -> Any:
+        if framing is None:
+            image = can_image(
+                key & 0x1FFF_FFFF, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
+            )
+        else:
+            # Stuffed packets come here without stuffing; construct wants what stood on the wire.
+            image = meta[3]
+        try:
+            values = message.struct.parse(image, raw=raw, request=request)
+        except (ConstructError, AcesError):
+            return None
+        fields = {k: from_container(v, parts, f"{message.name}_{k}") for k, v in values.items()}
+        return record(**fields, _meta=meta)
+
+    return decode

@@ -1,0 +1,291 @@
+"""Prints the scanners: which message a frame is, and where packets stand in a stream.
+
+1. The text is the reference rule written out: at the lowest undecided offset the framings are tried in order; whole and
+   checked: accept; all dead: skip one byte; still incomplete: wait.
+2. Losses are appended to `lost` as (offset, size, reason); nothing else is a bin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..spec.checks import Check, Extra, Fletcher, Sum
+from ..spec.framing import Framing
+from .choose import Choice
+from .print_python import Source
+
+
+def print_choice(out: Source, name: str, choice: Choice) -> None:
+    """A function `name(data, key, meta)` that tries the messages of `choice`."""
+    if choice.offset is None:
+        out.line(f"def {name}(data, key, meta):")
+        out.depth += 1
+        calls = [f"decode_{message}(data, key, meta)" for message in choice.names]
+        if len(calls) < 3:
+            out.line(f"return {' or '.join(calls)}")
+        else:
+            out.line("return (")
+            for index, call in enumerate(calls):
+                out.line(f"    {'or ' if index else ''}{call}")
+            out.line(")")
+        out.depth -= 1
+        out.line()
+        return
+    table = []
+    for value, case in choice.cases:
+        if case.offset is None and len(case.names) == 1:
+            table.append(f"{value:#04x}: decode_{case.names[0]},")
+        else:
+            inner = f"{name}_{value:02x}"
+            print_choice(out, inner, case)
+            table.append(f"{value:#04x}: {inner},")
+    out.line(f"_{name} = {{")
+    for entry in table:
+        out.line(f"    {entry}")
+    out.line("}.get")
+    out.line()
+    out.line(f"def {name}(data, key, meta):")
+    out.line(f"    decode = _{name}(data[{choice.offset}]) if len(data) > {choice.offset} else None")
+    out.line("    return decode(data, key, meta) if decode is not None else None")
+    out.line()
+
+
+def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
+    """The scan function of a wire: `framings` with the name of the function that decodes their packets."""
+    out = Source()
+    out.line(f'"""Stream scanner of {label}: generated from its spec."""')
+    out.line()
+    out.line("def scan(buffer, base, silent, time, emit, lose, state):")
+    out.depth = 1
+    out.line('"""Decide as much of `buffer` as can be decided; `base` is its offset in the stream."""')
+    out.line("end = len(buffer)")
+    out.line("starts = buffer.startswith")
+    out.line("i = 0")
+    out.line("while i < end:")
+    out.depth = 2
+    out.line("bad = None")
+    if len(framings) > 1:
+        out.line("unclaimed = 0")
+    for number, (framing, decode) in enumerate(framings):
+        _framing(out, number, framing, decode, alone=len(framings) == 1)
+    if len(framings) > 1:
+        out.line("if unclaimed:")
+        out.line("    lose(base + i, unclaimed, 'unknown')")
+        out.line("    i += unclaimed")
+        out.line("    continue")
+    out.line("if bad is not None:")
+    out.line("    lose(base + i, 1, bad)")
+    out.line("    i += 1")
+    out.line("    continue")
+    if all(framing.sync for framing, _ in framings):
+        out.line("# nothing here: on to the next byte that may open a packet")
+        out.line("found = seek(buffer, i + 1)")
+        out.line("j = found.start() if found is not None else end")
+    else:
+        out.line("j = i + 1")
+    out.line("lose(base + i, j - i, 'skipped')")
+    out.line("i = j")
+    out.depth = 1
+    out.line("return i")
+    return out.text()
+
+
+def seek_pattern(framings: Sequence[Framing]) -> bytes:
+    """A regular expression that finds where some framing may begin, whole sync or cut off by the buffer's end."""
+    import re
+
+    parts = []
+    for framing in framings:
+        text = b""
+        for byte in reversed(framing.sync):
+            mine = re.escape(bytes([byte]))
+            text = mine + (b"(?:" + text + b"|\\Z)" if text else b"")
+        parts.append(text)
+    return b"|".join(dict.fromkeys(parts))
+
+
+def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
+    """One framing's block: falls out of its bottom when the candidate is dead or bad."""
+    if framing.affine is None and framing.fixed_size is None or not framing.sync:
+        _judged(out, number, framing, decode, alone=alone)
+        return
+    sync = framing.sync
+    at = len(sync)
+    out.line(f"# {framing.name}: {describe(framing)}")
+    out.line(f"if starts({sync!r}, i):")
+    out.depth += 1
+    depth = out.depth
+    if framing.not_next:
+        _more(out, f"end - i == {at}")
+        values = sorted(framing.not_next)
+        test = f"!= {values[0]:#04x}" if len(values) == 1 else f"not in {tuple(values)}"
+        out.line(f"elif buffer[i + {at}] {test}:")
+        out.depth += 1
+    if framing.affine is not None:
+        head = framing.affine.length
+        _more(out, f"end - i < {head.offset + head.size}")
+        out.line("else:")
+        out.depth += 1
+        length = f"buffer[i + {head.offset}]"
+        if head.size > 1:
+            length = f'from_bytes(buffer[i + {head.offset} : i + {head.offset + head.size}], "{head.order}")'
+        factor = f"{framing.affine.factor} * " if framing.affine.factor != 1 else ""
+        out.line(f"size = {factor}{length} + {framing.affine.constant}")
+        out.line(f"if not {framing.min_size} <= size <= {framing.max_size}:")
+        out.line("    bad = bad or 'malformed: length'" if not alone else "    bad = 'malformed: length'")
+        _more(out, "end - i < size", word="elif")
+        out.line("else:")
+        out.depth += 1
+        size = "size"
+    else:
+        size = str(framing.fixed_size)
+        _more(out, f"end - i < {size}")
+        out.line("else:")
+        out.depth += 1
+    out.line(f"j = i + {size}")
+    _checked(out, number, framing, decode, alone=alone)
+    out.depth = depth - 1
+    if len(sync) > 1:
+        out.line(f"elif end - i < {at} and {sync!r}.startswith(buffer[i:]):")
+        _wait(out)
+
+
+def _more(out: Source, test: str, *, word: str = "if") -> None:
+    out.line(f"{word} {test}:")
+    _wait(out)
+
+
+def _wait(out: Source) -> None:
+    out.line("    if not silent:")
+    out.line("        break")
+    out.line("    bad = bad or 'malformed: incomplete'")
+
+
+def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
+    check = framing.check
+    end = f"j - {framing.check_size}" if framing.check_size else "j"
+    failed = "bad = bad or 'malformed: checksum'"
+    if check is not None:
+        start = f"i + {len(framing.sync)}"
+        plain = _plain_cover(check, len(framing.sync), framing.check_size)
+        if plain is not None and check.kind != "crc":
+            start = f"i + {plain}" if plain else "i"
+            stored = _stored(check, "j")
+            out.line(f"if sums_{number}.active:")
+            out.line(f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}")
+            out.line("else:")
+            out.line(f"    good = {_direct(check, f'buffer[{start}:{end}]')} == {stored}")
+            out.line("    if not good:")
+            out.line(f"        sums_{number}.fail(base + {start}, {size_expr(framing, plain)})")
+            out.line("if not good:")
+        elif plain is not None and not _has_extra(check):
+            start = f"i + {plain}" if plain else "i"
+            out.line(f"if crc_{number}(buffer[{start}:{end}]) != {_stored(check, 'j')}:")
+            out.line(f"    state.work += {size_expr(framing, plain)}")
+        else:
+            out.line(f"reason = check_{number}(buffer[i:j])")
+            out.line("if reason is not None:")
+            out.line("    state.work += j - i")
+            failed = "bad = bad or reason"
+        out.line(f"    {failed}")
+        out.line("else:")
+        out.depth += 1
+    _accept(out, framing, decode, alone=alone)
+
+
+def size_expr(framing: Framing, start: int) -> str:
+    """How many bytes the check of a candidate reads."""
+    return f"j - i - {start + framing.check_size}"
+
+
+def _accept(out: Source, framing: Framing, decode: str, *, alone: bool) -> None:
+    out.line("packet = buffer[i:j]")
+    data = "packet"
+    if framing.stuffing is not None:
+        out.line(f"data = unstuff_{decode}(packet)")
+        out.line("if data is None:")
+        out.line("    bad = bad or 'malformed: stuffing'")
+        out.line("else:")
+        out.depth += 1
+        data = "data"
+    out.line(f"record = {decode}({data}, -1, (time, None, -1, packet, None, base + i))")
+    out.line("if record is not None:")
+    out.line("    emit(record)")
+    if alone:
+        out.line("else:")
+        out.line("    lose(base + i, j - i, 'unknown')")
+        out.line("i = j")
+        out.line("continue")
+    else:
+        out.line("    i = j")
+        out.line("    continue")
+        out.line("unclaimed = unclaimed or j - i")
+
+
+def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
+    """Framings without sync or size: judged by the framing itself."""
+    out.line(f"# {framing.name}: {describe(framing)}")
+    out.line(f"verdict, j, reason = judge_{number}(buffer, i, silent)")
+    out.line("if verdict == 'more':")
+    _wait(out)
+    out.line("elif verdict == 'bad':")
+    out.line("    state.work += min(end - i, %d)" % framing.max_size)
+    out.line("    bad = bad or reason")
+    out.line("elif verdict == 'whole':")
+    out.depth += 1
+    _accept(out, framing, decode, alone=alone)
+    out.depth -= 1
+
+
+def _has_extra(check: Check) -> bool:
+    return any(isinstance(part, Extra) for part in check.over or ())
+
+
+def _plain_cover(check: Check, sync: int, size: int) -> int | None:
+    """Where the covered bytes start, when they are one run up to the check."""
+    if check.over is None:
+        return sync if check.text is None else None
+    if len(check.over) != 1 or check.text is not None or not isinstance(check.over[0], slice):
+        return None
+    part = check.over[0]
+    if part.stop not in (-size,) or (part.start or 0) < 0:
+        return None
+    return part.start or 0
+
+
+def _direct(check: Check, run: str) -> str:
+    if isinstance(check, Sum):
+        return f"{'~' if check.inverted else ''}sum({run}) & {check.mask:#x}"
+    if isinstance(check, Fletcher):
+        return f"fletcher({run})"
+    return f"xor({run})"
+
+
+def _stored(check: Check, end: str) -> str:
+    if check.bytes == 1:
+        return f"buffer[{end} - 1]"
+    if check.bytes == 2:
+        low, high = (2, 1) if check.order == "little" else (1, 2)
+        return f"(buffer[{end} - {low}] | buffer[{end} - {high}] << 8)"
+    return f'from_bytes(buffer[{end} - {check.bytes}:{end}], "{check.order}")'
+
+
+def describe(framing: Framing) -> str:
+    """One line: `FF FF | id length | … | inverted sum, 8 bits`."""
+    parts = [framing.sync.hex(" ").upper()] if framing.sync else []
+    names = [head.name or "const" for head in framing.heads]
+    if names:
+        parts.append(" ".join(names))
+    parts.append("…")
+    if framing.check is not None:
+        parts.append(framing.check.describe)
+    if framing.end:
+        parts.append(framing.end.hex(" ").upper())
+    if framing.is_silent:
+        parts.append("silence")
+    if framing.stuffing is not None:
+        parts.append(f"stuffed ({type(framing.stuffing).__name__})")
+    return " | ".join(parts)
+
+
+__all__ = ["describe", "print_choice", "print_stream", "seek_pattern"]

@@ -1,0 +1,239 @@
+"""The CAN scanner: frames in, records out.
+
+1. No I/O, no clock, no thread: `feed` is given frames and returns records.
+2. The usual frame costs one table look-up and one generated call. Everything unusual (large identifier patterns, requests
+   and replies, losses) is beside that path.
+3. Each frame ends in exactly one bin of `counts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal
+
+from construct import ConstructError
+
+from ...errors import AcesError
+from ..codegen.flatten import flatten
+from ..keys import EXTENDED, FD, REMOTE, key_of
+from ..spec.message import Direction, Message
+from ..spec.packet import LengthError, WrongCheckError, can_image
+from ..spec.protocol import Variant
+from .counts import Counts
+from .decider import REMEMBERED, Decode, Decider, Needs
+from .record import Meta, Unknown
+
+#: Identifier patterns up to this many numbers are spelt out in the table; larger ones are matched and then remembered.
+SPELT_OUT = 4096
+
+
+class _Wire(Decider):
+    """One variant's part of a CAN scanner: from key to the function that decodes it."""
+
+    def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
+        super().__init__(variant, direction, raw=raw)
+        self.table: dict[int, Decode] = {}
+        self._patterns: list[Message] = []
+        by_key: dict[int, list[Message]] = {}
+        for message in self.messages:
+            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
+            if len(message.identifier) <= SPELT_OUT:
+                for identifier in message.identifier:
+                    by_key.setdefault(identifier | flags, []).append(message)
+            else:
+                self._patterns.append(message)
+        for key, messages in by_key.items():
+            self.table[key] = self.decide([*messages, *self._matching(key)])
+
+    def _matching(self, key: int) -> list[Message]:
+        identifier = key & 0x1FFF_FFFF
+        return [
+            m
+            for m in self._patterns
+            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key and m.identifier.match(identifier) is not None
+        ]
+
+    def candidates(self, key: int) -> list[Message]:
+        """The messages whose identifier and flags fit, in order."""
+        identifier = key & 0x1FFF_FFFF
+        return [
+            m
+            for m in self.messages
+            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key and m.identifier.match(identifier) is not None
+        ]
+
+    def lookup(self, key: int) -> Decode | None:
+        """The decode function of a key that is not in the table; remembers it."""
+        found = self._matching(key) if self._patterns else []
+        if not found:
+            return None
+        decode = self.decide(found)
+        if len(self.table) < REMEMBERED:
+            self.table[key] = decode
+        return decode
+
+    def reason(self, key: int, data: bytes) -> str:
+        """Why a frame is none of the messages."""
+        identifier = key & 0x1FFF_FFFF
+        image = can_image(identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD))
+        for message in self.candidates(key):
+            plan = flatten(message)
+            if any(c.offset < len(data) and data[c.offset] & c.mask != c.value for c in plan.constants):
+                continue
+            try:
+                message.struct.parse(image, raw=True)
+            except LengthError:
+                return f"malformed: length {len(data)}, {message.name} has {message.describe_lengths}"
+            except WrongCheckError:
+                return "malformed: checksum"
+            except (ConstructError, AcesError):
+                continue
+        return "unknown"
+
+
+class CanScanner:
+    """Finds the messages of one or more protocols in CAN frames; made by `make_scanner`."""
+
+    link = "can"
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        everything: bool = False,
+        raw: bool = False,
+    ) -> None:
+        self.variants = tuple(variants)
+        self.direction = direction
+        self.everything = everything
+        self._wires = [_Wire(variant, direction, raw=raw) for variant in variants]
+        self._table = dict(self._wires[0].table)
+        self._merged = len(self._wires) > 1
+        self._counts = Counts()
+        #: Keys that two protocols claim, with their names, first the one that wins.
+        self.contested: dict[int, tuple[str, str]] = {}
+        if self._merged:
+            for wire in self._wires[1:]:
+                for key in wire.table.keys() & self._table.keys():
+                    self.contested.setdefault(key, (self._wires[0].variant.label, wire.variant.label))
+            keys = {key for wire in self._wires for key in wire.table}
+            self._table = {key: self._chain(key) for key in keys}
+
+    def _chain(self, key: int) -> Decode:
+        found = [d for wire in self._wires if (d := wire.table.get(key) or wire.lookup(key)) is not None]
+        if len(found) == 1:
+            return found[0]
+
+        def decode(data: bytes, key: int, meta: Any) -> Any:
+            needs = None
+            for one in found:
+                record = one(data, key, meta)
+                if record is not None and type(record) is not Needs:
+                    return record
+                needs = needs or record
+            return needs
+
+        return decode
+
+    @property
+    def counts(self) -> Counts:
+        """Where every frame went so far."""
+        self._counts.missed = sum(wire.missed for wire in self._wires)
+        return self._counts
+
+    def feed(self, frames: Iterable[Any]) -> list[Any]:
+        """Records of `frames` (python-can messages or `Frame`s), in order; with `everything`, `Unknown` for the others.
+
+        Raises nothing for any frame that python-can or `Frame` can hold.
+        """
+        out: list[Any] = []
+        emit = out.append
+        lookup = self._table.get
+        lost = 0
+        for frame in frames:
+            key = frame.arbitration_id
+            if frame.is_extended_id or frame.is_remote_frame or frame.is_fd or frame.is_error_frame:
+                if frame.is_error_frame:
+                    lost += 1
+                    self._lose(frame, key, "error frame", emit)
+                    continue
+                key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
+            decode = lookup(key)
+            data = bytes(frame.data)
+            if decode is not None:
+                record = decode(data, key, (frame.timestamp, frame.channel, key, data, frame.is_rx, None))
+                if record is not None and type(record) is not Needs:
+                    emit(record)
+                    continue
+                lost += 1
+                self._lose(frame, key, record or self._reason(key, data), emit)
+                continue
+            record = self._rare(frame, key, data)
+            if record is not None and type(record) is not Needs:
+                emit(record)
+            else:
+                lost += 1
+                self._lose(frame, key, record or "unknown", emit)
+        counts = self._counts
+        decoded = len(out) - lost if self.everything else len(out)
+        counts.total += decoded + lost
+        counts.decoded += decoded
+        counts.records += decoded
+        return out
+
+    def _rare(self, frame: Any, key: int, data: bytes) -> Any:
+        """A key that is not in the table: identifier patterns too large to spell out."""
+        for wire in self._wires:
+            decode = wire.lookup(key)
+            if decode is not None:
+                if not self._merged and len(self._table) < REMEMBERED:
+                    self._table[key] = decode
+                record = decode(data, key, (frame.timestamp, frame.channel, key, data, frame.is_rx, None))
+                if record is not None:
+                    return record
+                return Needs(self._reason(key, data))
+        return None
+
+    def _reason(self, key: int, data: bytes) -> str:
+        reasons = [wire.reason(key, data) for wire in self._wires]
+        return next((r for r in reasons if r != "unknown"), "unknown")
+
+    def _lose(self, frame: Any, key: int, reason: str, emit: Callable[[Any], None]) -> None:
+        reason = str(reason)
+        self._counts.lose(1, reason)
+        if self.everything:
+            meta = Meta(
+                None,
+                None,
+                frame.timestamp,
+                frame.channel,
+                None,
+                bytes(frame.data),
+                key & 0x1FFF_FFFF,
+                bool(frame.is_extended_id),
+                bool(frame.is_fd),
+                bool(frame.is_remote_frame),
+                frame.is_rx,
+            )
+            emit(Unknown(reason, meta))
+
+    def sent(self, frame: Any) -> None:
+        """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
+        key = key_of(
+            frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
+        )
+        data = bytes(frame.data)
+        meta = (frame.timestamp, frame.channel, key, data, False, None)
+        for wire in self._wires:
+            for message in wire.candidates(key):
+                if message.name in wire.context.requests:
+                    wire.note(message, data, key, meta)
+
+    def idle(self, time: float | None = None) -> list[Any]:
+        """Frames are whole: silence decides nothing on CAN."""
+        return []
+
+    def close(self) -> list[Any]:
+        """Frames are whole: the end of a capture decides nothing on CAN."""
+        return []

@@ -1,0 +1,133 @@
+"""Requests that are waiting for their reply, and modes that stick: what bytes alone do not say.
+
+1. The context of a reply is the latest request that fits it: same channel, equal shared captures, not consumed, not
+   older than `within`. A mode (`after`) is the latest request of its kind, and is never consumed.
+2. Memory is bounded: the last `DEPTH` requests of a kind and device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..spec.message import Message, Request
+
+DEPTH = 8
+
+
+@dataclass
+class Entry:
+    """A request that was seen."""
+
+    number: int
+    time: float | None
+    values: Mapping[str, Any]
+    consumed: bool = False
+
+
+@dataclass(frozen=True)
+class Link:
+    """One way in which a message hangs on a request: the fields that both have must be equal."""
+
+    request: Request
+    shared: tuple[str, ...]
+    is_sticky: bool
+
+
+class Context:
+    """What has been asked on each channel."""
+
+    def __init__(self, messages: Sequence[Message], names: frozenset[str], broadcast: Mapping[str, int]) -> None:
+        self._links: dict[str, list[Link]] = {}
+        self._kinds: dict[str, set[tuple[str, ...]]] = {}
+        self._seen: dict[tuple[Any, ...], list[Entry]] = {}
+        self._count = 0
+        self._broadcast = broadcast
+        for message in messages:
+            if message.name not in names:
+                continue
+            links = self._links.setdefault(message.name, [])
+            for requests, is_sticky in ((message.reply_to, False), (message.after, True)):
+                for request in requests:
+                    shared = tuple(sorted(_outer(message) & _outer(request.message)))
+                    links.append(Link(request, shared, is_sticky))
+                    self._kinds.setdefault(request.message.name, set()).add(shared)
+
+    @property
+    def requests(self) -> frozenset[str]:
+        """Names of the messages to note."""
+        return frozenset(self._kinds)
+
+    def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
+        """A request has passed."""
+        self._count += 1
+        entry = Entry(self._count, time, values)
+        for shared in self._kinds[name]:
+            key = (name, channel, shared, tuple(values.get(field) for field in shared))
+            entries = self._seen.setdefault(key, [])
+            entries.append(entry)
+            del entries[:-DEPTH]
+
+    def of(
+        self, candidates: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
+    ) -> tuple[Message, Mapping[str, Any]] | None:
+        """Which candidate (a message and its raw fields) the context allows, with the request's values.
+
+        Uses up the request, unless it is a mode or was addressed to everyone.
+        """
+        latest: Entry | None = None
+        is_kept = False
+        for message, values in candidates:
+            for link in self._links[message.name]:
+                for wanted, to_all in self._wanted(link, values):
+                    entry = self._latest(link, channel, wanted, message.within, time)
+                    if entry is not None and (latest is None or entry.number > latest.number):
+                        latest, is_kept = entry, link.is_sticky or to_all
+        if latest is None:
+            return None
+        for message, values in candidates:
+            for link in self._links[message.name]:
+                for wanted, _ in self._wanted(link, values):
+                    entry = self._latest(link, channel, wanted, message.within, time)
+                    if entry is latest and link.request.accepts(latest.values):
+                        latest.consumed = not is_kept
+                        return message, latest.values
+        return None
+
+    def _wanted(self, link: Link, values: Mapping[str, Any]) -> list[tuple[tuple[Any, ...], bool]]:
+        own = tuple(values.get(field) for field in link.shared)
+        every = tuple(self._broadcast.get(field, value) for field, value in zip(link.shared, own, strict=True))
+        return [(own, False)] if every == own else [(own, False), (every, True)]
+
+    def _latest(self, link: Link, channel: Any, wanted: tuple[Any, ...], within: float | None, time: float | None) -> Entry | None:
+        entries = self._seen.get((link.request.message.name, channel, link.shared, wanted))
+        if not entries:
+            return None
+        while entries and entries[-1].consumed:
+            entries.pop()
+        if not entries:
+            return None
+        entry = entries[-1]
+        if within is not None and time is not None and entry.time is not None and time - entry.time > within:
+            return None
+        return entry
+
+    def needs(self, messages: Sequence[Message]) -> str:
+        """`needs request A|B`, for messages that had none."""
+        names = dict.fromkeys(link.request.message.name for m in messages for link in self._links[m.name])
+        return f"unknown: needs request {'|'.join(names)}"
+
+
+def _outer(message: Message) -> set[str]:
+    """The fields of a message outside its payload: captures and head fields."""
+    names = {capture.name for capture in message.identifier.captures}
+    for head in message.heads:
+        if head.name is not None and head.is_own:
+            names.add(head.name)
+        elif head.pattern is not None:
+            names |= {capture.name for capture in head.pattern.captures}
+    return names
+
+
+__all__ = ["Context"]

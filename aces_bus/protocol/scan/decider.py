@@ -1,0 +1,143 @@
+"""From messages to one function that decides among them: constants first, then requests, then order.
+
+1. A message that needs its request is tried before those that do not, and only with its request.
+2. Requests are noted as they are decoded, whether or not anybody looks at their records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+from ..codegen.choose import Choice, choose
+from ..codegen.flatten import flatten
+from ..codegen.load import codec, load
+from ..codegen.print_python import Source
+from ..codegen.print_scan import print_choice
+from ..spec.ambiguity import needing_context
+from ..spec.message import Direction, Message
+from ..spec.order import ordered
+from ..spec.protocol import Variant
+from .context import Context
+
+#: Devices whose rolling counters are remembered.
+REMEMBERED = 65536
+
+Decode = Callable[[bytes, int, Any], Any]
+
+
+class Needs(str):
+    """In the place of a record: the reason why a reply could not be told."""
+
+
+class Decider:
+    """One variant in one direction: its messages in order of trial, and what they hang on."""
+
+    def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
+        self.variant = variant
+        self.messages = ordered(variant.facing(direction))
+        self.decoders = codec(variant, raw).decoders
+        self.raw_decoders = codec(variant, True).decoders
+        self.contextual = needing_context(self.messages)
+        self.context = Context(self.messages, self.contextual, variant.protocol.broadcast)
+        self._chosen: dict[tuple[str, ...], Decode] = {}
+        #: The printed choices, for those who want to read them.
+        self.source = ""
+        #: Messages that rolling counters say were missed.
+        self.missed = 0
+
+    def decide(self, messages: Sequence[Message]) -> Decode:
+        messages = ordered(messages)
+        names = tuple(m.name for m in messages)
+        if names not in self._chosen:
+            self._chosen[names] = self._made(messages)
+        return self._chosen[names]
+
+    def _made(self, messages: Sequence[Message]) -> Decode:
+        plain = [m for m in messages if m.name not in self.contextual]
+        bound = [m for m in messages if m.name in self.contextual]
+        functions = {m.name: self._noting(m) for m in plain}
+        decode: Decode | None = None
+        if len(plain) == 1:
+            decode = functions[plain[0].name]
+        elif plain:
+            choice: Choice = choose([flatten(m) for m in plain])
+            out = Source()
+            name = f"choose_{len(self._chosen)}"
+            print_choice(out, name, choice)
+            self.source += out.text()
+            space = load(out.text(), f"aces {self.variant.label} {name}", {f"decode_{n}": f for n, f in functions.items()})
+            decode = space[name]
+        if bound:
+            return self._with_context(bound, decode)
+        assert decode is not None
+        return decode
+
+    def _noting(self, message: Message) -> Decode:
+        """The decode function of a message, which also notes it when replies hang on it."""
+        decode = self.decoders[message.name]
+        if message.counters:
+            decode = _counting(decode, message, self)
+        if message.name not in self.context.requests:
+            return decode
+
+        def noted(data: bytes, key: int, meta: Any) -> Any:
+            record = decode(data, key, meta)
+            if record is not None:
+                self.note(message, data, key, meta)
+            return record
+
+        return noted
+
+    def note(self, message: Message, data: bytes, key: int, meta: Any) -> bool:
+        """Note a packet that may be the request `message`; whether it is."""
+        seen = self.raw_decoders[message.name](data, key, meta)
+        if seen is None:
+            return False
+        self.context.note(message.name, meta[1], meta[0], {n: getattr(seen, n) for n in seen.__struct_fields__ if n != "_meta"})
+        return True
+
+    def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
+        """Replies that only their request tells apart; after them the messages that need none."""
+        context, raw, decoders = self.context, self.raw_decoders, self.decoders
+
+        def decode(data: bytes, key: int, meta: Any) -> Any:
+            fitting = []
+            for message in bound:
+                seen = raw[message.name](data, key, meta)
+                if seen is not None:
+                    fitting.append((message, {n: getattr(seen, n) for n in seen.__struct_fields__ if n != "_meta"}))
+            if fitting:
+                found = context.of(fitting, meta[1], meta[0])
+                if found is not None:
+                    message, request = found
+                    return decoders[message.name](data, key, meta, request)
+            record = otherwise(data, key, meta) if otherwise is not None else None
+            if record is None and fitting:
+                return Needs(context.needs([m for m, _ in fitting]))
+            return record
+
+        return decode
+
+
+def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
+    """Watches a message's rolling counters and counts what they say was missed."""
+    last: dict[Any, int] = {}
+    raw = decider.raw_decoders[message.name]
+    captures = [c.name for c in message.identifier.captures]
+
+    def counted(data: bytes, key: int, meta: Any) -> Any:
+        record = decode(data, key, meta)
+        if record is not None:
+            seen = raw(data, key, meta)
+            who = (meta[1], *(getattr(seen, n) for n in captures))
+            for name, modulo in message.counters.items():
+                value = getattr(seen, name)
+                before = last.get((name, who))
+                if before is not None:
+                    decider.missed += (value - before - 1) % modulo
+                if len(last) < REMEMBERED:
+                    last[name, who] = value
+        return record
+
+    return counted

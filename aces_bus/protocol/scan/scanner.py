@@ -1,0 +1,77 @@
+"""Scanners for any link, and the protocols that are installed.
+
+1. A protocol's name is claimed once: a second claim raises, with both packages.
+2. Nothing is imported before it is asked for by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
+from typing import Literal
+
+from ...errors import CallerError, SpecError, UnknownNameError
+from ..spec.message import Direction
+from ..spec.protocol import Protocol, Variant
+from .can import CanScanner
+from .stream import StreamScanner
+
+GROUP = "aces_bus.protocols"
+
+Scanner = CanScanner | StreamScanner
+
+
+def make_scanner(
+    variants: Sequence[Variant],
+    *,
+    direction: Direction | Literal["both"] | None = None,
+    everything: bool = False,
+    raw: bool = False,
+) -> Scanner:
+    """One scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
+
+    `direction` limits it to messages to or from the device; "both" pairs requests and replies. With `everything`, what
+    is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
+
+    Raises `CallerError` when the protocols are not of one kind of link, or when a stream's protocol needs a direction
+    and none is given.
+    """
+    if not variants:
+        raise CallerError("a scanner needs at least one protocol")
+    links = {"can" if v.link == "can" else "stream" for v in variants}
+    if len(links) > 1:
+        named = ", ".join(f"{v.name} ({v.link})" for v in variants)
+        raise CallerError(f"one wire carries one kind of link; these are of several: {named}")
+    if direction is None and links == {"stream"}:
+        for variant in variants:
+            clash = variant.needs_direction
+            if clash is not None:
+                raise CallerError(
+                    f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
+                    " say the direction: 'to device', 'from device' or 'both'"
+                )
+    if links == {"can"}:
+        return CanScanner(variants, direction=direction, everything=everything, raw=raw)
+    return StreamScanner(variants, direction=direction, everything=everything, raw=raw)
+
+
+def list_protocols() -> dict[str, EntryPoint]:
+    """The installed protocols, by name, without importing them."""
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points(group=GROUP):
+        other = found.get(point.name)
+        if other is not None and other.value != point.value:
+            raise SpecError(f"two packages claim the protocol name {point.name!r}: {other.value} and {point.value}")
+        found[point.name] = point
+    return found
+
+
+def load_protocol(name: str) -> Protocol:
+    """The installed protocol `name`; raises `UnknownNameError` with the names that exist."""
+    known = list_protocols()
+    if name not in known:
+        raise UnknownNameError("protocol", name, known)
+    protocol = known[name].load()
+    if not isinstance(protocol, Protocol):
+        raise SpecError(f"{known[name].value} is not a Protocol but {type(protocol).__name__}")
+    return protocol

@@ -1,0 +1,311 @@
+"""The stream scanner: bytes in, records out, however they are cut.
+
+1. No I/O, no clock, no thread: `feed` is given bytes and returns records; `idle` and `close` say that nothing follows.
+2. Each byte ends in exactly one bin of `counts`. A failed check costs the header's first byte only; the rest is read again.
+3. What is decided does not depend on how the stream was cut: losses are reported when their run ends.
+4. The buffer never holds more than the longest packet plus what was just fed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import reduce
+from itertools import accumulate
+from operator import xor
+from typing import Any, Literal
+
+from ..codegen.load import load
+from ..codegen.print_scan import print_stream, seek_pattern
+from ..spec.checks import Check, Sums
+from ..spec.framing import Framing, Verdict
+from ..spec.message import Direction
+from ..spec.protocol import Variant
+from ..spec.stuffing import Insert
+from .counts import Counts
+from .decider import Decider, Needs
+from .record import Meta, Unknown
+
+#: A run of lost bytes is reported in pieces of this size at most, so that garbage costs no memory.
+RUN = 4096
+
+
+class _State:
+    """What a scan function keeps between calls."""
+
+    def __init__(self) -> None:
+        self.work = 0
+
+
+class StreamScanner:
+    """Finds the packets of one or more protocols in a byte stream; made by `make_scanner`."""
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        everything: bool = False,
+        raw: bool = False,
+    ) -> None:
+        self.link = variants[0].link
+        self.variants = tuple(variants)
+        self.direction = direction
+        self.everything = everything
+        self.counts = Counts()
+        self.max_size = 0
+        self._buffer = b""
+        self._base = 0
+        self._time: float | None = None
+        #: Bytes at the end of a closed stream that began a packet.
+        self._cut_off = 0
+        self._losses: list[tuple[int, int, str, bytes]] = []
+        self._run: tuple[int, str, bytearray] | None = None
+        self._needs: str | None = None
+        self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
+        framings: list[tuple[Framing, str]] = []
+        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": _xor, "fletcher": _fletcher}
+        self._sums: list[Sums] = []
+        for decider in self._deciders:
+            for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
+                number = len(framings)
+                decode = f"packet_{number}"
+                framings.append((framing, decode))
+                messages = [m for m in decider.messages if m.framing is framing]
+                chosen = decider.decide(messages)
+                names[decode] = self._unwrapped(chosen) if decider.contextual else chosen
+                self._bind(number, framing, decider, decode, names)
+                self.max_size = max(self.max_size, framing.max_size)
+        self.framings = tuple(framing for framing, _ in framings)
+        label = " + ".join(variant.label for variant in variants)
+        self.source = print_stream(label, framings)
+        if all(framing.sync for framing in self.framings):
+            names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
+        self._scan: Callable[..., int] = load(self.source, f"aces {label} stream scanner {direction or ''}", names)["scan"]
+        self._state = _State()
+
+    def _unwrapped(self, decode: Callable[..., Any]) -> Callable[..., Any]:
+        """For replies that need their request: keeps the reason for the loss that follows."""
+
+        def unwrapped(data: bytes, key: int, meta: Any) -> Any:
+            record = decode(data, key, meta)
+            if type(record) is Needs:
+                self._needs = str(record)
+                return None
+            return record
+
+        return unwrapped
+
+    def _bind(self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]) -> None:
+        """The helpers that the printed text calls by name."""
+        check = framing.check
+        extras: dict[int, bytes] | None = None
+        for message in decider.messages:
+            if message.framing is framing and message.extras is not None:
+                extras = {**(extras or {}), **message.extras}
+        if check is not None and check.kind != "crc":
+            sums = Sums(check)
+            self._sums.append(sums)
+            names[f"sums_{number}"] = sums
+        if check is not None:
+            names[f"crc_{number}"] = check.compute
+            names[f"check_{number}"] = _checker(framing, check, extras)
+        names[f"judge_{number}"] = _judge(framing, extras)
+        if framing.stuffing is not None:
+            names[f"unstuff_{decode}"] = _unstuffer(framing)
+
+    # ------------------------------------------------------------------ feeding
+
+    def feed(self, data: bytes, time: float | None = None) -> list[Any]:
+        """Records that `data` completes, in order; with `everything`, `Unknown` for what was lost.
+
+        `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
+        """
+        self.counts.total += len(data)
+        return self._advance(bytes(data), time if time is not None else self._time, silent=False)
+
+    def idle(self, time: float | None = None) -> list[Any]:
+        """The line has been silent for longer than a packet's bytes may be apart: what is incomplete never will be."""
+        return self._advance(b"", time if time is not None else self._time, silent=True)
+
+    def close(self) -> list[Any]:
+        """The stream has ended. A packet cut off by the end stays pending; what stands behind a false one is found."""
+        return self._advance(b"", self._time, silent=True, closing=True)
+
+    def _advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
+        self._time = time
+        buffer = self._buffer + data if self._buffer else data
+        found: list[Any] = []
+        losses = self._losses
+        base = self._base
+
+        def lose(offset: int, size: int, reason: str) -> None:
+            if reason == "unknown" and self._needs is not None:
+                reason, self._needs = self._needs, None
+            losses.append((offset, size, reason, buffer[offset - base : offset - base + size]))
+
+        self._needs = None
+        reached = self._scan(buffer, base, silent, time, found.append, lose, self._state)
+        self._base += reached
+        self._buffer = buffer[reached:]
+        self.counts.decoded += reached - sum(loss[1] for loss in losses)
+        self.counts.records += len(found)
+        if closing:
+            self._leave_pending(found, buffer, base)
+        self.counts.pending = len(self._buffer) + self._cut_off
+        if losses or self._run is not None:
+            return self._settle(found, silent)
+        return found
+
+    # ------------------------------------------------------------------ losses
+
+    def _leave_pending(self, found: list[Any], buffer: bytes, base: int) -> None:
+        """At the end of the stream: what stands behind the last packet, from the first incomplete one on, is pending."""
+        last = 0
+        if found:
+            meta = found[-1]._meta
+            last = meta[5] + len(meta[3])
+        for offset, size, reason, _ in self._losses:
+            if reason.startswith("unknown"):
+                last = max(last, offset + size)
+        for index, (offset, _, reason, _) in enumerate(self._losses):
+            if offset >= last and reason == "malformed: incomplete":
+                del self._losses[index:]
+                tail = buffer[offset - base :]
+                self._cut_off = len(tail)
+                self._losses.append((offset, len(tail), "pending", tail))
+                return
+
+    def _settle(self, found: list[Any], silent: bool) -> list[Any]:
+        """Records and losses in the order of the stream; a run of equal losses is one."""
+        out: list[Any] = []
+        losses = self._losses
+        at = 0
+        for record in found:
+            offset = record._meta[5]
+            while at < len(losses) and losses[at][0] < offset:
+                self._lost(losses[at], out)
+                at += 1
+            self._end_run(out)
+            out.append(record)
+        for loss in losses[at:]:
+            self._lost(loss, out)
+        losses.clear()
+        if silent:
+            self._end_run(out)
+        return out
+
+    def _lost(self, loss: tuple[int, int, str, bytes], out: list[Any]) -> None:
+        offset, size, reason, data = loss
+        if reason != "pending":
+            self.counts.lose(size, reason)
+        if not self.everything:
+            return
+        whole = not reason.startswith(("skipped", "malformed"))
+        if self._run is not None and (whole or self._run[1] != reason):
+            self._end_run(out)
+        if whole:
+            out.append(self._unknown(offset, reason, data))
+            return
+        if self._run is None:
+            self._run = (offset, reason, bytearray())
+        run = self._run[2]
+        run += data
+        while len(run) >= RUN:
+            out.append(self._unknown(self._run[0], reason, bytes(run[:RUN])))
+            self._run = (self._run[0] + RUN, reason, run)
+            del run[:RUN]
+
+    def _end_run(self, out: list[Any]) -> None:
+        if self._run is not None:
+            if self._run[2]:
+                out.append(self._unknown(self._run[0], self._run[1], bytes(self._run[2])))
+            self._run = None
+
+    def _unknown(self, offset: int, reason: str, data: bytes) -> Unknown:
+        direction = self.direction if self.direction != "both" else None
+        return Unknown(reason, Meta(None, None, self._time, None, direction, data, offset=offset, size=len(data)))
+
+    # ------------------------------------------------------------------ requests, and what tests look at
+
+    def sent(self, data: bytes, time: float | None = None) -> None:
+        """Our own transmission, one packet: a request that replies may hang on. It is not counted and gives no record."""
+        for decider in self._deciders:
+            for message in decider.messages:
+                framing = message.framing
+                if message.name in decider.context.requests and framing is not None:
+                    try:
+                        logical = framing.logical(data)
+                    except ValueError:
+                        continue
+                    if decider.note(message, logical, -1, (time, None, -1, data, None, 0)):
+                        return
+
+    @property
+    def buffered(self) -> int:
+        """Bytes held back."""
+        return len(self._buffer)
+
+    @property
+    def check_work(self) -> int:
+        """How many bytes checks have read so far."""
+        return self.counts.decoded + self.counts.unknown + self._state.work + sum(s.work for s in self._sums)
+
+
+def _xor(data: bytes) -> int:
+    return reduce(xor, data, 0)
+
+
+def _fletcher(data: bytes) -> int:
+    return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+
+
+def _checker(framing: Framing, check: Check, extras: dict[int, bytes] | None) -> Callable[[bytes], str | None]:
+    """The check of a packet as a function that gives the reason of its failure, or None."""
+    sync, size, tail = len(framing.sync), check.size, check.size + len(framing.end)
+
+    def failure(packet: bytes) -> str | None:
+        end = len(packet) - tail
+        extra = b""
+        if extras is not None:
+            number = framing.extra_number(packet)
+            if number not in extras:
+                return f"malformed: no message {number} to check by"
+            extra = extras[number]
+        wanted = check.encode(check.covered(packet, sync, end, extra=extra))
+        return None if packet[end : end + size] == wanted else "malformed: checksum"
+
+    return failure
+
+
+def _judge(framing: Framing, extras: dict[int, bytes] | None) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
+    def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
+        judged = framing.judge(buffer, start, silent=silent, extras=extras)
+        if judged.verdict is Verdict.WHOLE:
+            return "whole", start + judged.size, ""
+        if judged.verdict is Verdict.BAD:
+            return "bad", 0, f"malformed: {judged.reason}"
+        return ("more" if judged.verdict is Verdict.MORE else "dead"), 0, ""
+
+    return judge
+
+
+def _unstuffer(framing: Framing) -> Callable[[bytes], bytes | None]:
+    if isinstance(framing.stuffing, Insert):
+        pattern = framing.stuffing.pattern
+        start, size = framing.head_end, framing.check_size
+
+        def quick(packet: bytes) -> bytes | None:
+            if packet.find(pattern, start, len(packet) - size) < 0:
+                return packet
+            return logical(packet)
+
+        return quick
+
+    def logical(packet: bytes) -> bytes | None:
+        try:
+            return framing.logical(packet)
+        except ValueError:
+            return None
+
+    return logical

@@ -1,0 +1,1 @@
+"""Declaring: fields, templates, messages, protocols, and what is wrong with them."""

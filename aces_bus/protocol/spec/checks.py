@@ -1,0 +1,279 @@
+"""Checks: the number that proves a packet whole.
+
+1. A check is a pure function of bytes; where those bytes are is said by `over`, where the number is by the message.
+2. Sums, xor and Fletcher can be answered from prefix sums (`Sums`), so that a stream full of false headers costs
+   no more than twice its length. CRCs cannot, and are bounded by the packet's size.
+
+`over` lists what is covered, in order: a `slice` of the packet's bytes (of the data, on CAN), `IdBytes` for the
+identifier, `Extra` for the message's own `check_extra` bytes. The default is everything behind the sync bytes up to the
+check itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, reduce
+from itertools import accumulate
+from operator import add, xor
+from typing import Any, Literal
+
+from ...errors import SpecError
+from .place import caller
+
+Order = Literal["little", "big"]
+
+
+@dataclass(frozen=True)
+class IdBytes:
+    """The CAN identifier as `size` bytes, for a check that covers it. `mask` picks bits of it first."""
+
+    size: int
+    order: Order = "big"
+    mask: int = 0x1FFF_FFFF
+
+    def bytes(self, identifier: int) -> bytes:
+        return (identifier & self.mask & ((1 << 8 * self.size) - 1)).to_bytes(self.size, self.order)
+
+
+@dataclass(frozen=True)
+class Extra:
+    """The message's own `check_extra` bytes (MAVLink's CRC_EXTRA, a data id of AUTOSAR E2E)."""
+
+
+Covered = slice | IdBytes | Extra | bytes
+
+
+class Check:
+    """A check of `size` bytes. `compute` gives the number, `encode` its bytes on the wire.
+
+    `field` names the field of the payload that holds it; without it the check stands at the end of the packet. `text` is
+    a format for checks written as characters, such as `"*{:02X}"` (NMEA).
+    """
+
+    #: "sum", "xor" or "fletcher" when prefix sums can answer; "crc" otherwise.
+    kind = "crc"
+
+    def __init__(
+        self,
+        size: int,
+        *,
+        over: Covered | Sequence[Covered] | None = None,
+        order: Order = "little",
+        field: str | None = None,
+        text: str | None = None,
+    ) -> None:
+        self.place = caller()
+        self.bytes = size
+        self.order: Order = order
+        self.field = field
+        self.text = text
+        self.size = size if text is None else len(text.format(0))
+        self.over: tuple[Covered, ...] | None = (
+            None if over is None else (over,) if isinstance(over, (slice, IdBytes, Extra, bytes)) else tuple(over)
+        )
+        for part in self.over or ():
+            if isinstance(part, slice) and part.step not in (None, 1):
+                raise SpecError(f"{self.place}: a check covers runs of bytes; {part} has a step")
+
+    def compute(self, data: bytes) -> int:
+        """The check's number over `data`."""
+        raise NotImplementedError
+
+    def encode(self, data: bytes) -> bytes:
+        """The bytes that stand in a packet whose covered bytes are `data`."""
+        number = self.compute(data)
+        if self.text is not None:
+            return self.text.format(number).encode("ascii")
+        return number.to_bytes(self.bytes, self.order)
+
+    def covered(self, packet: bytes, start: int, end: int, *, identifier: int = 0, extra: bytes = b"") -> bytes:
+        """The covered bytes of `packet`, whose sync ends at `start` and whose check starts at `end`."""
+        if self.over is None:
+            return packet[start:end]
+        parts: list[bytes] = []
+        for part in self.over:
+            if isinstance(part, slice):
+                parts.append(packet[part])
+            elif isinstance(part, IdBytes):
+                parts.append(part.bytes(identifier))
+            elif isinstance(part, Extra):
+                parts.append(extra)
+            else:
+                parts.append(part)
+        return b"".join(parts)
+
+    @property
+    def describe(self) -> str:
+        """What kind of check it is, for tables and pictures."""
+        raise NotImplementedError
+
+
+class Sum(Check):
+    """The sum of the covered bytes, modulo 256**size; `inverted` for its complement."""
+
+    kind = "sum"
+
+    def __init__(self, size: int = 1, *, inverted: bool = False, **more: Any) -> None:
+        super().__init__(size, **more)
+        self.inverted = inverted
+        self.mask = (1 << 8 * size) - 1
+
+    def compute(self, data: bytes) -> int:
+        total = sum(data)
+        return (~total if self.inverted else total) & self.mask
+
+    @property
+    def describe(self) -> str:
+        return f"{'inverted ' if self.inverted else ''}sum, {8 * self.bytes} bits"
+
+
+def InvertedSum(size: int = 1, **more: Any) -> Sum:
+    """The complement of the sum of the covered bytes (Dynamixel 1.0)."""
+    return Sum(size, inverted=True, **more)
+
+
+class Xor(Check):
+    """The exclusive or of the covered bytes."""
+
+    kind = "xor"
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(1, **more)
+
+    def compute(self, data: bytes) -> int:
+        return reduce(xor, data, 0)
+
+    @property
+    def describe(self) -> str:
+        return "xor, 8 bits"
+
+
+class Fletcher(Check):
+    """The 8-bit Fletcher pair of UBX and MIP: a += byte, b += a, both modulo 256; a stands first."""
+
+    kind = "fletcher"
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(2, **more)
+
+    def compute(self, data: bytes) -> int:
+        return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+
+    @property
+    def describe(self) -> str:
+        return "Fletcher pair, 2 × 8 bits"
+
+
+class Crc(Check):
+    """A CRC by its name in the catalogue of the `anycrc` package, or by its parameters.
+
+    >>> from aces_bus.protocol import Crc
+    >>> hex(Crc("CRC16-MCRF4XX").compute(b"123456789"))
+    '0x6f91'
+    >>> hex(Crc(width=8, poly=0x1D, init=0xFF, xorout=0xFF).compute(b"123456789"))
+    '0x4b'
+    """
+
+    def __init__(
+        self,
+        name: str | None = None,
+        *,
+        width: int | None = None,
+        poly: int = 0,
+        init: int = 0,
+        refin: bool = False,
+        refout: bool = False,
+        xorout: int = 0,
+        **more: Any,
+    ) -> None:
+        if name is not None:
+            width = _catalogue_width(name)
+        if width is None:
+            raise SpecError(f"{caller()}: a CRC needs a name of the catalogue or width and poly")
+        super().__init__((width + 7) // 8, **more)
+        self.name = name or f"CRC-{width} poly {poly:#x}"
+        self.parameters = (width, poly, init, refin, refout, xorout)
+        self._calc: Callable[[bytes], int] = _engine(name, self.parameters)
+
+    def compute(self, data: bytes) -> int:
+        return self._calc(data)
+
+    @property
+    def describe(self) -> str:
+        return self.name
+
+
+@cache
+def _catalogue_width(name: str) -> int:
+    import anycrc
+
+    known = anycrc.models
+    if name not in known:
+        import difflib
+
+        near = difflib.get_close_matches(name, known, n=5, cutoff=0.4)
+        raise SpecError(f"{caller()}: no CRC named {name!r} in the catalogue; near: {', '.join(near) or 'none'}")
+    return int(known[name].width)
+
+
+@cache
+def _engine(name: str | None, parameters: tuple[int, int, int, bool, bool, int]) -> Callable[[bytes], int]:
+    import anycrc
+
+    model = anycrc.Model(name) if name is not None else anycrc.CRC(*parameters)
+    calc: Callable[[bytes], int] = model.calc
+    return calc
+
+
+class Sums:
+    """Checks of overlapping candidates at bounded cost: prefix sums, kept only where a check has failed.
+
+    While checks hold, each byte is summed once, directly. A failed check starts prefix sums at its first byte; they are
+    grown on demand and answer in O(1), until a candidate begins behind them. Offsets are absolute, so that the buffer may
+    be cut. `work` counts the bytes summed for candidates that failed and for prefix sums.
+    """
+
+    def __init__(self, check: Check) -> None:
+        self.check = check
+        self.active = False
+        self.work = 0
+        self._start = self._end = 0
+        self._first: list[int] = []
+        self._second: list[int] = []
+
+    def fail(self, start: int, size: int) -> None:
+        """A direct check over `size` bytes from `start` has failed."""
+        self.work += size
+        self.active = True
+        self._start = self._end = start
+        self._first, self._second = [0], [0]
+
+    def compute(self, buffer: bytes, base: int, start: int, end: int) -> int:
+        """The check's number over [start, end) of the stream; `buffer` begins at stream offset `base`."""
+        if start > self._end:
+            self.active = False
+            return self.check.compute(buffer[start - base : end - base])
+        if end > self._end:
+            self._grow(buffer[self._end - base : end - base])
+            self._end = end
+        low, high = start - self._start, end - self._start
+        if low > 65536:
+            del self._first[:low], self._second[:low]
+            self._start, low, high = start, 0, high - low
+        if isinstance(self.check, Sum):
+            total = self._first[high] - self._first[low]
+            return (~total if self.check.inverted else total) & self.check.mask
+        if self.check.kind == "xor":
+            return self._first[high] ^ self._first[low]
+        a = self._first[high] - self._first[low]
+        b = self._second[high] - self._second[low] - (high - low) * self._first[low]
+        return a & 0xFF | (b & 0xFF) << 8
+
+    def _grow(self, fresh: bytes) -> None:
+        self.work += len(fresh)
+        fold = xor if self.check.kind == "xor" else add
+        first = list(accumulate(fresh, fold, initial=self._first[-1]))
+        self._first += first[1:]
+        if self.check.kind == "fletcher":
+            self._second += list(accumulate(first[1:], initial=self._second[-1]))[1:]

@@ -1,0 +1,360 @@
+"""Fields beyond plain construct: quantities, sign-and-magnitude integers, enumerations, flags, text, reserved bytes.
+
+1. Each one is an ordinary construct, so `struct.parse` and `struct.build` give the scanner's answer.
+2. `struct.parse(data, raw=True)` and `struct.build(values, raw=True)` leave out units and names: the numbers on the wire.
+3. A value that the wire can carry is never rejected on the way in; ranges bind only what we send.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any, ClassVar
+
+from construct import Adapter, Bytes, BytesInteger, Construct, Default, GreedyBytes, IntegerError
+
+from ...errors import FieldError, SpecError
+from .place import Place, caller
+
+
+def is_raw(context: Any) -> bool:
+    """Whether the outermost call asked for raw values."""
+    return bool(context._params.get("raw", False))
+
+
+class Field(Adapter):  # type: ignore[misc]
+    """An adapter that remembers its line and is transparent in raw mode."""
+
+    place: Place
+
+    def __init__(self, subcon: Construct) -> None:
+        super().__init__(subcon)
+        self.place = caller()
+
+    def _decode(self, obj: Any, context: Any, path: str) -> Any:
+        return obj if is_raw(context) else self.to_physical(obj)
+
+    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+        return obj if is_raw(context) else self.to_raw(obj, path)
+
+    def to_physical(self, raw: Any) -> Any:
+        """The value a record shows, from the number on the wire."""
+        raise NotImplementedError
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        """The number on the wire; raises `FieldError` when the value does not fit."""
+        raise NotImplementedError
+
+
+class Quantity(Field):
+    """A number with a unit: physical = raw × `scale` + `offset`.
+
+    `range` bounds the physical value and `raw_range` the raw one, both inclusive, when building. `unknown` lists raw
+    values that mean "not known": they decode to None. `rounding` says how a physical value becomes an integer: "nearest"
+    (ties to even) or "truncate" (toward zero), as the device's sheet has it.
+    """
+
+    def __init__(
+        self,
+        subcon: Construct,
+        *,
+        unit: str = "",
+        scale: float = 1,
+        offset: float = 0,
+        range: tuple[float, float] | None = None,
+        raw_range: tuple[int, int] | None = None,
+        unknown: Collection[float] = (),
+        rounding: str = "nearest",
+        doc: str = "",
+        source: str = "",
+    ) -> None:
+        super().__init__(subcon)
+        if scale == 0 or not math.isfinite(scale) or not math.isfinite(offset):
+            raise SpecError(f"{self.place}: a scale must be finite and not zero, and an offset finite")
+        if rounding not in ("nearest", "truncate"):
+            raise SpecError(f"{self.place}: rounding is 'nearest' or 'truncate', not {rounding!r}")
+        for bounds in (range, raw_range):
+            if bounds is not None and bounds[0] > bounds[1]:
+                raise SpecError(f"{self.place}: an empty range {bounds}")
+        self.unit, self.scale, self.offset = unit, scale, offset
+        self.range, self.raw_range = range, raw_range
+        self.unknown = tuple(unknown)
+        self.rounding = rounding
+        self.docs = doc
+        self.source = source
+        # The subcon tells whether the wire carries a float; found once, when the spec is read.
+        self.is_float = _is_float(subcon)
+
+    @classmethod
+    def span(cls, subcon: Construct, low: float, high: float, *, bits: int, **more: Any) -> Quantity:
+        """An unsigned `bits`-wide number that spans [`low`, `high`] in 2**bits − 1 steps (MIT motor frames)."""
+        return cls(subcon, scale=(high - low) / (2**bits - 1), offset=low, range=(low, high), **more)
+
+    def to_physical(self, raw: Any) -> Any:
+        if self.unknown and raw in self.unknown:
+            return None
+        if self.offset:
+            return raw * self.scale + self.offset
+        return raw * self.scale if self.scale != 1 else raw
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        if value is None:
+            if self.unknown:
+                return self.unknown[0]
+            raise FieldError(f"{path}: no value given")
+        if not isinstance(value, (int, float)):
+            raise FieldError(f"{path}: {value!r} is not a number")
+        if self.range is not None and not self.range[0] <= value <= self.range[1]:
+            if self.scale == 1 or not self._at_edge(value):
+                raise FieldError(
+                    f"{path}: {value!r} {self.unit} is outside {self.range[0]}…{self.range[1]} {self.unit}".replace("  ", " ")
+                )
+        if not self.is_float and isinstance(value, float) and not math.isfinite(value):
+            raise FieldError(f"{path}: {value!r} cannot be sent as an integer")
+        if self.scale == 1 and not self.offset:
+            number: Any = value
+        else:
+            number = (value - self.offset) / self.scale
+        if not self.is_float and isinstance(number, float):
+            number = round(number) if self.rounding == "nearest" else int(number)
+        if self.raw_range is not None and not self.raw_range[0] <= number <= self.raw_range[1]:
+            low, high = (self.to_physical(edge) for edge in self.raw_range)
+            raise FieldError(f"{path}: {value!r} {self.unit} is outside {low:g}…{high:g} {self.unit}".replace("  ", " "))
+        return number
+
+    def _at_edge(self, value: float) -> bool:
+        """Whether `value` is out of range by less than half a step, as a decoded edge may be by rounding."""
+        assert self.range is not None
+        half = abs(self.scale) / 2
+        return self.range[0] - half <= value <= self.range[1] + half
+
+
+def _is_float(subcon: Construct) -> bool:
+    fmt = getattr(innermost(subcon), "fmtstr", "")
+    return fmt[-1:] in ("e", "f", "d")
+
+
+def innermost(subcon: Construct) -> Construct:
+    """The construct that touches the bytes, below all names and adapters."""
+    while hasattr(subcon, "subcon"):
+        subcon = subcon.subcon
+    return subcon
+
+
+class SignMagnitude(Field):
+    """A sign-and-magnitude integer of `width` bits: the top bit is the sign, the others the magnitude.
+
+    `SignMagnitude(24, "little")` reads three bytes; `SignMagnitude(bits(5))` goes into a `BitLayout`. Negative zero reads
+    as 0 and is built as positive zero: the one bit pattern in 2**width that does not survive a round trip.
+    """
+
+    def __init__(self, subcon: Construct | int, order: str = "little") -> None:
+        if isinstance(subcon, int):
+            if subcon % 8:
+                raise SpecError(f"{caller()}: {subcon} bits are not whole bytes; put SignMagnitude(bits({subcon})) in a BitLayout")
+            self.width = subcon
+            subcon = BytesInteger(subcon // 8, swapped=order == "little")
+        else:
+            self.width = width_of(subcon)
+        super().__init__(subcon)
+        self.limit = (1 << self.width - 1) - 1
+
+    def _decode(self, obj: Any, context: Any, path: str) -> Any:
+        return self.to_physical(obj)
+
+    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+        return self.to_raw(obj, path)
+
+    def to_physical(self, raw: Any) -> Any:
+        magnitude = raw & self.limit
+        return -magnitude if raw > self.limit else magnitude
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        if not isinstance(value, int):
+            raise IntegerError(f"{value!r} is not an integer", path=path)
+        if abs(value) > self.limit:
+            raise IntegerError(f"{value} is outside ±{self.limit}", path=path)
+        return value if value >= 0 else (self.limit + 1) | -value
+
+
+def width_of(subcon: Construct) -> int:
+    """Width in bits of an integer construct."""
+    inner = innermost(subcon)
+    width = getattr(inner, "width", None)
+    if isinstance(width, int):
+        return width
+    return int(inner.sizeof()) * 8
+
+
+class Enumeration(Field):
+    """A number with names. A record shows the name, or the number itself when it has none."""
+
+    def __init__(self, subcon: Construct, names: Mapping[str, int] | None = None, /, **more: int) -> None:
+        super().__init__(subcon)
+        self.names: dict[str, int] = {**(names or {}), **more}
+        self.values: dict[int, str] = {}
+        for name, value in self.names.items():
+            if value in self.values:
+                raise SpecError(f"{self.place}: enumeration value {value} has two names, {self.values[value]!r} and {name!r}")
+            self.values[value] = name
+
+    def to_physical(self, raw: Any) -> Any:
+        return self.values.get(raw, raw)
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        if isinstance(value, str):
+            if value not in self.names:
+                raise FieldError(f"{path}: no value named {value!r} (there are: {', '.join(self.names)})")
+            return self.names[value]
+        return value
+
+
+class FlagSet(int):
+    """The value of a `Flags` field: an int whose bits have names.
+
+    Iterating gives the names of the set bits; each name is a bool attribute; `unknown` are the set bits without a name.
+    """
+
+    bits: ClassVar[dict[str, int]] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name, bit in self.bits.items() if self >> bit & 1)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self.bits and bool(self >> self.bits[name] & 1)
+
+    def __getattr__(self, name: str) -> bool:
+        try:
+            return bool(self >> type(self).bits[name] & 1)
+        except KeyError:
+            raise AttributeError(f"no flag named {name!r} (there are: {', '.join(self.bits)})") from None
+
+    @property
+    def unknown(self) -> int:
+        """The set bits that have no name."""
+        named = 0
+        for bit in self.bits.values():
+            named |= 1 << bit
+        return int(self) & ~named
+
+    def __repr__(self) -> str:
+        names = list(self)
+        if self.unknown:
+            names.append(f"{self.unknown:#x}")
+        return "{" + ", ".join(names) + "}"
+
+
+class Flags(Field):
+    """Named bits, by bit number: `Flags(Byte, overheat=2, overload=5)`. Bits without a name are kept."""
+
+    def __init__(self, subcon: Construct, names: Mapping[str, int] | None = None, /, **more: int) -> None:
+        super().__init__(subcon)
+        self.names: dict[str, int] = {**(names or {}), **more}
+        seen: dict[int, str] = {}
+        width = width_of(subcon)
+        for name, bit in self.names.items():
+            if bit in seen:
+                raise SpecError(f"{self.place}: flags {seen[bit]!r} and {name!r} share bit {bit}")
+            if not 0 <= bit < width:
+                raise SpecError(f"{self.place}: flag {name!r} is bit {bit} of a {width}-bit field")
+            if hasattr(int, name) or name in ("bits", "unknown"):
+                raise SpecError(f"{self.place}: flag {name!r} hides a method of the value; choose another name")
+            seen[bit] = name
+        self.type: type[FlagSet] = type("FlagSet", (FlagSet,), {"bits": self.names, "__slots__": ()})
+
+    def to_physical(self, raw: Any) -> Any:
+        return self.type(raw)
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        if isinstance(value, int):
+            return int(value)
+        if isinstance(value, str):
+            value = [value] if value else []
+        number = 0
+        for name in value:
+            if name not in self.names:
+                raise FieldError(f"{path}: no flag named {name!r} (there are: {', '.join(self.names)})")
+            number |= 1 << self.names[name]
+        return number
+
+
+class Counter(Field):
+    """A rolling counter: each packet of a device is `modulo` arithmetic one more than the last.
+
+    Scanners count what it says was missed (`counts.missed`); a stateful encoder fills it in, a plain one takes 0.
+    """
+
+    def __init__(self, subcon: Construct, modulo: int | None = None) -> None:
+        super().__init__(subcon)
+        self.modulo = modulo if modulo is not None else 1 << width_of(subcon)
+        self.flagbuildnone = True
+
+    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+        return self.to_raw(obj, path)
+
+    def to_physical(self, raw: Any) -> Any:
+        return raw
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        return 0 if value is None else value
+
+
+class Text(Field):
+    """A text of `size` bytes, or of what is left, padded with NUL. Each byte is one character (Latin-1), so all survive."""
+
+    def __init__(self, size: int | None = None) -> None:
+        super().__init__(GreedyBytes if size is None else Bytes(size))
+        self.size = size
+
+    def to_physical(self, raw: Any) -> Any:
+        text = raw.decode("latin-1")
+        return text.rstrip("\0") if self.size is not None else text
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        try:
+            data = value.encode("latin-1")
+        except (AttributeError, UnicodeEncodeError):
+            raise FieldError(f"{path}: {value!r} is not Latin-1 text") from None
+        if self.size is None:
+            return data
+        if len(data) > self.size:
+            raise FieldError(f"{path}: {value!r} is longer than {self.size} bytes")
+        return data.ljust(self.size, b"\0")
+
+
+def Reserved(size: int) -> Construct:
+    """`size` bytes that mean nothing: zero when we send, kept as they are when we receive."""
+    return Default(Bytes(size), bytes(size))
+
+
+class Multiplexed(Construct):  # type: ignore[misc]
+    """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes."""
+
+    def __init__(self, selector: str, when: int | Collection[int], subcon: Construct) -> None:
+        super().__init__()
+        self.selector = selector
+        self.when = frozenset((when,) if isinstance(when, int) else when)
+        self.body = subcon
+        self.place = caller()
+        self.flagbuildnone = True
+        self.enumeration: Enumeration | None = None
+
+    def is_present(self, context: Any) -> bool:
+        value = context[self.selector]
+        if isinstance(value, str) and self.enumeration is not None:
+            value = self.enumeration.names.get(value)
+        return value in self.when
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        return self.body._parsereport(stream, context, path) if self.is_present(context) else None
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        if self.is_present(context):
+            return self.body._build(obj, stream, context, path)
+        if obj is not None:
+            wanted = ", ".join(map(str, sorted(self.when)))
+            raise FieldError(f"{path}: only there while {self.selector} is {wanted}")
+        return None
+
+    def _sizeof(self, context: Any, path: str) -> Any:
+        return self.body._sizeof(context, path) if self.is_present(context) else 0

@@ -1,0 +1,144 @@
+"""What a spec wrote, brought into the few shapes that everything else handles.
+
+1. construct's own `Enum`, `FlagsEnum` and `Flag` become ours, which know raw mode; nothing else changes meaning.
+2. Whatever would lose bytes (unnamed padding, seeking, ignored tails) or hide them is refused here, with its line.
+"""
+
+from __future__ import annotations
+
+import keyword
+from typing import Any
+
+import construct as c
+
+from ...errors import SpecError
+from .bits import BitLayout
+from .delimited import Delimited
+from .fields import Enumeration, Flags, Multiplexed, innermost
+from .head import enumeration_of
+from .place import Place
+
+_REFUSED = (c.Padded, c.Aligned, c.Pointer, c.Peek, c.Seek, c.Tell.__class__, c.RawCopy, c.Union, c.Select, c.Computed, c.Probe)
+#: Names that records use themselves.
+TAKEN = frozenset({"meta"})
+
+
+def normalised(payload: c.Construct | None, place: Place) -> c.Construct:
+    """The payload as `Struct`, `BitLayout` or `Delimited`, ready to be flattened."""
+    if payload is None:
+        return c.Struct()
+    if isinstance(payload, c.Renamed):
+        payload = payload.subcon
+    if not isinstance(payload, (c.Struct, BitLayout, Delimited)):
+        raise SpecError(f"{place}: a payload is a Struct, a BitLayout or a Delimited, not {payload!r}")
+    return _walk(payload, place, "payload")
+
+
+def check_name(name: str, place: Place) -> None:
+    """Raise `SpecError` when `name` cannot be an attribute of a record."""
+    if not name.isidentifier() or keyword.iskeyword(name) or keyword.issoftkeyword(name) and name != "type":
+        raise SpecError(f"{place.of_field(name)}: {name!r} cannot be a field name: it is not a plain Python name")
+    if name.startswith("_") or name in TAKEN:
+        raise SpecError(f"{place.of_field(name)}: field name {name!r} is taken by the record itself")
+
+
+def _walk(con: c.Construct, place: Place, path: str) -> Any:
+    if isinstance(con, c.Renamed):
+        if con.name is None:
+            return _walk(con.subcon, place, path)
+        check_name(con.name, place)
+        return c.Renamed(_walk(con.subcon, place, f"{path}.{con.name}"), newname=con.name, newdocs=con.docs)
+    if isinstance(con, c.Enum):
+        return Enumeration(_walk(con.subcon, place, path), {str(k): int(v) for k, v in con.encmapping.items()})
+    if isinstance(con, c.FlagsEnum):
+        masks = {str(k): int(v) for k, v in con.flags.items()}
+        wide = [k for k, v in masks.items() if v.bit_count() != 1]
+        if wide:
+            raise SpecError(f"{place}: {path}: flag {wide[0]!r} is not a single bit")
+        return Flags(_walk(con.subcon, place, path), {k: v.bit_length() - 1 for k, v in masks.items()})
+    if con is c.Flag:
+        raise SpecError(f"{place}: {path}: Flag loses bits 1…7; use BitLayout(1, … bits(1)) or Enumeration(Byte, off=0, on=1)")
+    if isinstance(con, _REFUSED):
+        raise SpecError(f"{place}: {path}: {type(con).__name__} would skip or repeat bytes; name them, for instance as Reserved(n)")
+    if isinstance(con, c.Struct):
+        items = []
+        seen: dict[str, None] = {}
+        enumerations: dict[str, Enumeration] = {}
+        for item in con.subcons:
+            name = item.name
+            inner = item.subcon if isinstance(item, c.Renamed) else item
+            if name is None and not isinstance(inner, (c.Const, c.Terminated.__class__)):
+                raise SpecError(f"{place}: {path}: {inner!r} has no name, so its bytes would be lost; only a Const may go without")
+            if name is not None and name in seen:
+                raise SpecError(f"{place.of_field(name)}: field {name!r} is there twice")
+            made = _walk(item, place, path)
+            body = made.subcon if isinstance(made, c.Renamed) else made
+            if name is not None:
+                seen[name] = None
+                found = enumeration_of(body)
+                if found is not None:
+                    enumerations[name] = found
+            if isinstance(body, Multiplexed):
+                if body.selector not in seen:
+                    raise SpecError(f"{place.of_field(name or '')}: field {name!r} is multiplexed by {body.selector!r}, which is not before it")
+                body.enumeration = enumerations.get(body.selector)
+            items.append(made)
+        return c.Struct(*items)
+    if isinstance(con, BitLayout):
+        names: dict[str, Enumeration] = {}
+        for slot in con.slots:
+            check_name(slot.name, place)
+            found = enumeration_of(slot.field)
+            if found is not None:
+                names[slot.name] = found
+            if slot.mux is not None:
+                if slot.mux.selector not in con.names[: con.names.index(slot.name)]:
+                    raise SpecError(
+                        f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r}, which is not before it"
+                    )
+                slot.mux.enumeration = names.get(slot.mux.selector)
+        return con
+    if isinstance(con, Multiplexed):
+        made = Multiplexed(con.selector, con.when, _walk(con.body, place, path))
+        made.place = con.place
+        return made
+    if isinstance(con, (c.Array, c.GreedyRange)):
+        inner = _walk(con.subcon, place, path)
+        return c.Array(con.count, inner) if isinstance(con, c.Array) else c.GreedyRange(inner)
+    return con
+
+
+def sizes(con: c.Construct) -> tuple[int, int | None]:
+    """The least and the greatest number of bytes of a construct; None for no bound."""
+    if isinstance(con, c.Struct):
+        low, high = 0, 0
+        for item in con.subcons:
+            one, most = sizes(item)
+            low += one
+            high = None if high is None or most is None else high + most  # type: ignore[assignment]
+        # Fields that exclude each other overlay; what the selector allows is decided when parsing.
+        return low, high
+    if isinstance(con, Multiplexed):
+        return 0, sizes(con.body)[1]
+    if isinstance(con, c.Array):
+        low, most = sizes(con.subcon)
+        if isinstance(con.count, int):
+            return low * con.count, None if most is None else most * con.count
+        return 0, None
+    if isinstance(con, c.IfThenElse):
+        one, other = sizes(con.thensubcon), sizes(con.elsesubcon)
+        return min(one[0], other[0]), None if one[1] is None or other[1] is None else max(one[1], other[1])
+    if isinstance(con, c.Switch):
+        all_sizes = [sizes(case) for case in [*con.cases.values(), con.default]]
+        tops = [s[1] for s in all_sizes]
+        return min(s[0] for s in all_sizes), None if None in tops else max(t for t in tops if t is not None)
+    if isinstance(con, Delimited):
+        return con.least_size, None
+    inner = innermost(con) if not isinstance(con, c.GreedyRange) else con
+    if isinstance(inner, (c.Struct, c.Array, BitLayout)) and inner is not con:
+        return sizes(inner)
+    try:
+        size = int(con.sizeof())
+    except c.SizeofError:
+        return 0, None
+    return size, size

@@ -1,0 +1,329 @@
+"""A protocol: a list of messages on one kind of link, with its dialects and configurations.
+
+1. A message is checked, alone and against the others, when it is declared: a wrong spec fails at import.
+2. A `Variant` is a protocol with everything decided: one dialect, one configuration. Plans, scanners and encoders are
+   made from variants only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import construct as c
+
+from ...errors import CallerError, SpecError, UnknownNameError
+from .checks import Check
+from .framing import Framing
+from .message import DIRECTIONS, Condition, Direction, Message, Request, as_requests
+from .pattern import as_pattern
+from .place import caller
+
+if TYPE_CHECKING:
+    from ..codegen.encoder import Encoder
+    from ..scan.scanner import Scanner
+    from .registers import RegisterMap
+
+Link = Literal["can", "serial", "datagram"]
+Configuration = Mapping[str, Mapping[int, Any]]
+
+
+class Protocol:
+    """A protocol's declaration; see the tutorial in the README.
+
+    `dialects` maps names to what they are; `dialect` is the default one. `configurations` maps a name to its tables, each
+    from a captured number to an entry (`{"hubo2": {"channels": {0x00: 2, …}}}`); `configuration` is the default one.
+    `broadcast` gives the value of a captured field that addresses every device. `bitrate` (CAN) and `baud` (serial) are in bit/s and baud. `source` says where the facts come from.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        link: Link,
+        bitrate: int | None = None,
+        baud: int | None = None,
+        dialects: Mapping[str, str] | None = None,
+        dialect: str | None = None,
+        configurations: Mapping[str, Configuration] | None = None,
+        configuration: str | None = None,
+        broadcast: Mapping[str, int] | None = None,
+        doc: str = "",
+        source: str = "",
+    ) -> None:
+        self.place = caller()
+        self.broadcast = dict(broadcast or {})
+        self.name = name
+        if link not in ("can", "serial", "datagram"):
+            raise SpecError(f"{self.place}: a link is 'can', 'serial' or 'datagram', not {link!r}")
+        self.link: Link = link
+        self.bitrate, self.baud = bitrate, baud
+        self.dialects = dict(dialects or {})
+        self.dialect = dialect if dialect is not None else next(iter(self.dialects), None)
+        if self.dialect is not None and self.dialect not in self.dialects:
+            raise SpecError(f"{self.place}: default dialect {self.dialect!r} is not among {', '.join(self.dialects)}")
+        self.configurations = dict(configurations or {})
+        self.configuration = configuration if configuration is not None else next(iter(self.configurations), None)
+        if self.configuration is not None and self.configuration not in self.configurations:
+            raise SpecError(f"{self.place}: default configuration {self.configuration!r} is not declared")
+        self.doc, self.source = doc, source
+        self.messages: dict[str, Message] = {}
+        self.declared: list[Message] = []
+        self.framings: list[Framing] = []
+        self.register_map: RegisterMap | None = None
+        self._variants: dict[Any, Variant] = {}
+
+    # ------------------------------------------------------------------ declaring
+
+    def configured(self, key: str, by: str) -> Any:
+        """A function that makes conditions: `channels = p.configured("channels", by="board")`, then `when=channels(1, 2)`."""
+        for name, tables in self.configurations.items():
+            if key not in tables:
+                raise SpecError(f"{caller()}: configuration {name!r} has no table {key!r}")
+
+        def condition(*values: Any) -> Condition:
+            return Condition(key, by, frozenset(values))
+
+        return condition
+
+    def framing(self, **declared: Any) -> Framing:
+        """Declare how packets stand in the stream; see `Framing` for the keywords."""
+        if self.link == "can":
+            raise SpecError(f"{caller()}: CAN frames need no framing")
+        made = Framing(self, **declared)
+        self.framings.append(made)
+        return made
+
+    def message(
+        self,
+        name: str,
+        *,
+        payload: c.Construct | None = None,
+        id: Any = None,
+        framing: Framing | None = None,
+        prefix: c.Struct | None = None,
+        match: Mapping[str, Any] | None = None,
+        length: int | Collection[int] | None = None,
+        extended: bool = False,
+        remote: bool = False,
+        fd: bool = False,
+        direction: Direction | None = None,
+        dialect: str | Collection[str] | None = None,
+        when: Condition | Collection[Condition] | None = None,
+        reply_to: Any = None,
+        after: Any = None,
+        within: float | None = None,
+        over: str | Collection[str] = (),
+        check: Check | None = None,
+        check_extra: bytes = b"",
+        doc: str = "",
+        source: str = "",
+    ) -> Message:
+        """Declare a message; raises `SpecError` with file and line when it cannot be right.
+
+        `id` is the CAN identifier (a number or a pattern with captures), `match` gives head fields their value or
+        pattern, `length` the data lengths that occur when the fields leave a choice. `direction`, `dialect`, `when`,
+        `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `over` names
+        messages that this one takes precedence over.
+        """
+        place = caller()
+        if self._variants:
+            raise SpecError(f"{place}: {self.name} is in use; declare its messages before its first scanner")
+        if (self.link == "can") != (id is not None):
+            raise SpecError(f"{place}: a message on CAN needs id=…, one on a stream a framing")
+        if self.link != "can" and framing is None:
+            raise SpecError(f"{place}: {name} needs a framing; declare it by calling one")
+        if direction is not None and direction not in DIRECTIONS:
+            raise SpecError(f"{place}: direction is {' or '.join(map(repr, DIRECTIONS))}, not {direction!r}")
+        dialects = None if dialect is None else frozenset([dialect] if isinstance(dialect, str) else dialect)
+        for one in dialects or ():
+            if one not in self.dialects:
+                raise SpecError(f"{place}: no dialect {one!r} (there are: {', '.join(self.dialects) or 'none'})")
+        made = Message(
+            self,
+            name,
+            place=place,
+            identifier=as_pattern(id, "identifier") if id is not None else None,
+            framing=framing,
+            prefix=prefix,
+            payload=payload,
+            match=match or {},
+            length=length,
+            extended=extended,
+            remote=remote,
+            fd=fd,
+            direction=direction,
+            dialects=dialects,
+            when=() if when is None else (when,) if isinstance(when, Condition) else tuple(when),
+            reply_to=as_requests(reply_to, self, place),
+            after=as_requests(after, self, place),
+            within=within,
+            over=(over,) if isinstance(over, str) else tuple(over),
+            check=check,
+            check_extra=check_extra,
+            doc=doc,
+            source=source,
+        )
+        for other in self.declared:
+            if other.name == name and may_coexist(made, other):
+                raise SpecError(f"{place}: message {name!r} is there twice; the other is at {other.place}")
+        from .ambiguity import check_against
+
+        check_against(made, self.declared)
+        self.declared.append(made)
+        self.messages.setdefault(name, made)
+        return made
+
+    def family(self, prefix: c.Struct, **shared: Any) -> Any:
+        """Messages with the same first fields: `Command("Stop", opcode=0x0F, payload=…)`.
+
+        Keywords named like a prefix field say what it must be; all others are those of `message`.
+        """
+        names = {item.name for item in prefix.subcons if item.name}
+
+        def declare(name: str, **declared: Any) -> Message:
+            match = {**declared.pop("match", {}), **{k: declared.pop(k) for k in list(declared) if k in names}}
+            return self.message(name, prefix=prefix, match=match, **{**shared, **declared})
+
+        return declare
+
+    def registers(self, **declared: Any) -> RegisterMap:
+        """Declare a register map; see `RegisterMap`."""
+        from .registers import RegisterMap
+
+        self.register_map = RegisterMap(self, **declared)
+        return self.register_map
+
+    def __getitem__(self, name: str) -> Message:
+        try:
+            return self.messages[name]
+        except KeyError:
+            raise UnknownNameError(f"message of {self.name}", name, self.messages) from None
+
+    # ------------------------------------------------------------------ using
+
+    def variant(self, dialect: str | None = None, configuration: str | Configuration | None = None) -> Variant:
+        """The protocol with dialect and configuration decided (the defaults when not given)."""
+        dialect = dialect if dialect is not None else self.dialect
+        if dialect is not None and dialect not in self.dialects:
+            raise UnknownNameError(f"dialect of {self.name}", dialect, self.dialects)
+        name: str | None
+        if configuration is None or isinstance(configuration, str):
+            name = configuration if configuration is not None else self.configuration
+            if name is not None and name not in self.configurations:
+                raise UnknownNameError(f"configuration of {self.name}", name, self.configurations)
+            tables = self.configurations[name] if name is not None else {}
+        else:
+            name, tables = "custom", configuration
+            needed = {c.key for m in self.declared for c in m.when}
+            for key in needed - set(tables):
+                raise CallerError(f"the configuration of {self.name} needs a table {key!r} (it has: {', '.join(tables) or 'none'})")
+        key = (dialect, name, repr(sorted((k, sorted(t.items())) for k, t in tables.items())))
+        if key not in self._variants:
+            self._variants[key] = Variant(self, dialect, name, tables)
+        return self._variants[key]
+
+    def variants(self) -> list[Variant]:
+        """Every shipped dialect with every shipped configuration."""
+        return [self.variant(d, n) for d in (self.dialects or [None]) for n in (self.configurations or [None])]  # type: ignore[list-item]
+
+    def scanner(
+        self,
+        *,
+        dialect: str | None = None,
+        configuration: str | Configuration | None = None,
+        direction: Direction | Literal["both"] | None = None,
+        everything: bool = False,
+    ) -> Scanner:
+        """A scanner of this protocol alone; see `make_scanner` for several on one wire."""
+        from ..scan.scanner import make_scanner
+
+        return make_scanner([self.variant(dialect, configuration)], direction=direction, everything=everything)
+
+    def encode(
+        self,
+        message: str,
+        *,
+        dialect: str | None = None,
+        configuration: str | Configuration | None = None,
+        **fields: Any,
+    ) -> Any:
+        """A frame (a python-can message) or a packet (bytes) from field values in the sheet's units.
+
+        Raises `UnknownNameError` for names that do not exist and `FieldError` for values that do not fit.
+        """
+        return self.variant(dialect, configuration).encoder.encode(message, **fields)
+
+    def __repr__(self) -> str:
+        return f"<protocol {self.name}: {len(self.declared)} messages on {self.link}>"
+
+
+class Variant:
+    """A protocol in one dialect and one configuration: the messages that can occur, narrowed to where they can."""
+
+    def __init__(self, protocol: Protocol, dialect: str | None, configuration: str | None, tables: Configuration) -> None:
+        self.protocol = protocol
+        self.name = protocol.name
+        self.link = protocol.link
+        self.dialect, self.configuration, self.tables = dialect, configuration, tables
+        messages = []
+        for message in protocol.declared:
+            if message.dialects is not None and dialect not in message.dialects:
+                continue
+            allowed: dict[str, Collection[int]] = {}
+            for condition in message.when:
+                numbers = condition.allowed(tables.get(condition.key, {}))
+                known = allowed.get(condition.capture)
+                allowed[condition.capture] = numbers if known is None else frozenset(known) & numbers
+            narrow = message.narrowed(allowed) if allowed else message
+            if narrow is not None:
+                messages.append(narrow)
+        self.messages: dict[str, Message] = {m.name: m for m in messages}
+
+    @property
+    def label(self) -> str:
+        """`hubo:D12@hubo2plus`, as the command line takes it."""
+        text = self.name
+        if self.dialect is not None:
+            text += f":{self.dialect}"
+        return f"{text}@{self.configuration}" if self.configuration is not None else text
+
+    def facing(self, direction: Direction | Literal["both"] | None) -> list[Message]:
+        """The messages that can occur in `direction`, in declared order."""
+        if direction is None or direction == "both":
+            return list(self.messages.values())
+        return [m for m in self.messages.values() if m.direction in (None, direction)]
+
+    def __getitem__(self, name: str) -> Message:
+        try:
+            return self.messages[name]
+        except KeyError:
+            raise UnknownNameError(f"message of {self.label}", name, self.messages) from None
+
+    @cached_property
+    def encoder(self) -> Encoder:
+        """The stateless encoder of this variant."""
+        from ..codegen.encoder import Encoder
+
+        return Encoder(self)
+
+    @cached_property
+    def needs_direction(self) -> tuple[Message, Message] | None:
+        """Two messages of opposite direction that bytes alone cannot tell apart, or None."""
+        from .ambiguity import opposite_conflict
+
+        return opposite_conflict(list(self.messages.values()))
+
+    def __repr__(self) -> str:
+        return f"<{self.label}: {len(self.messages)} messages>"
+
+
+def may_coexist(one: Message, other: Message) -> bool:
+    """Whether some dialect and configuration has both messages for one device."""
+    if one.dialects is not None and other.dialects is not None and not one.dialects & other.dialects:
+        return False
+    return not any(a.excludes(b) for a in one.when for b in other.when)
+
+
+__all__ = ["Configuration", "Link", "Protocol", "Request", "Variant", "may_coexist"]

@@ -1,0 +1,99 @@
+"""Byte stuffing: how a framing keeps its marks out of the data.
+
+1. `stuff` and `unstuff` are inverse; `unstuff` raises `ValueError` for bytes that `stuff` cannot have made, so that a
+   packet has one form on the wire and survives a round trip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class Stuffing:
+    """Turns data into what stands on the wire, and back."""
+
+    def stuff(self, data: bytes) -> bytes:
+        raise NotImplementedError
+
+    def unstuff(self, wire: bytes) -> bytes:
+        """The data; raises `ValueError` when no data gives these bytes."""
+        raise NotImplementedError
+
+    def largest(self, size: int) -> int:
+        """How many bytes `size` bytes of data may become."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Insert(Stuffing):
+    """After each `pattern` in the data one byte `byte` is inserted (Dynamixel 2: FF FF FD → FF FF FD FD)."""
+
+    pattern: bytes
+    byte: bytes
+
+    def stuff(self, data: bytes) -> bytes:
+        return data.replace(self.pattern, self.pattern + self.byte)
+
+    def unstuff(self, wire: bytes) -> bytes:
+        data = wire.replace(self.pattern + self.byte, self.pattern)
+        if self.pattern in wire and self.stuff(data) != wire:
+            raise ValueError("stuffing")
+        return data
+
+    def largest(self, size: int) -> int:
+        return size + size // len(self.pattern)
+
+
+@dataclass(frozen=True)
+class Slip(Stuffing):
+    """SLIP (RFC 1055): C0 ends a packet; C0 in the data is DB DC, DB is DB DD."""
+
+    def stuff(self, data: bytes) -> bytes:
+        return data.replace(b"\xdb", b"\xdb\xdd").replace(b"\xc0", b"\xdb\xdc")
+
+    def unstuff(self, wire: bytes) -> bytes:
+        data = wire.replace(b"\xdb\xdc", b"\xc0").replace(b"\xdb\xdd", b"\xdb")
+        if b"\xdb" in wire and self.stuff(data) != wire:
+            raise ValueError("SLIP escape")
+        return data
+
+    def largest(self, size: int) -> int:
+        return 2 * size
+
+
+@dataclass(frozen=True)
+class Cobs(Stuffing):
+    """COBS: no zero byte inside; each block is led by 1 + its length, 255 meaning 254 bytes and no zero behind them."""
+
+    def stuff(self, data: bytes) -> bytes:
+        out = bytearray()
+        blocks = data.split(b"\0")
+        for number, block in enumerate(blocks):
+            last = number == len(blocks) - 1
+            while len(block) >= 254:
+                out += b"\xff" + block[:254]
+                block = block[254:]
+                if not block and last:
+                    return bytes(out)
+            out += bytes([len(block) + 1]) + block
+        return bytes(out)
+
+    def unstuff(self, wire: bytes) -> bytes:
+        out = bytearray()
+        at = 0
+        while at < len(wire):
+            code = wire[at]
+            block = wire[at + 1 : at + code]
+            if code == 0 or len(block) != code - 1:
+                raise ValueError("COBS block")
+            out += block
+            at += code
+            if code < 255 and at < len(wire):
+                out.append(0)
+        data = bytes(out)
+        if self.stuff(data) != wire:
+            raise ValueError("COBS block")
+        return data
+
+    def largest(self, size: int) -> int:
+        return size + size // 254 + 1

@@ -1,0 +1,1 @@
+"""The analogue-to-digital converter board of MiniHubo."""

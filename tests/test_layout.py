@@ -1,0 +1,222 @@
+"""The shape of the house: who may import whom, what is a package, what no file may say.
+
+1. Imports are read from the syntax tree: one inside a function or under TYPE_CHECKING counts like any other.
+2. The table below is the design's; change both together.
+
+A new floor or package fails here until the table has its line.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+#: Import package → its folder, and the packages of ours that it may import.
+PACKAGES: dict[str, tuple[Path, set[str]]] = {
+    "aces_bus": (ROOT / "aces_bus", set()),
+    "aces_protocols": (ROOT / "protocols" / "aces_protocols", {"aces_bus"}),
+    "aces_devices": (ROOT / "devices" / "aces_devices", {"aces_bus", "aces_protocols"}),
+    "aces_tools": (ROOT / "tools" / "aces_tools", {"aces_bus", "aces_protocols", "aces_devices"}),
+}
+
+#: What a floor of the core may import of the core, beside itself and the two that everyone may: errors and frame.
+FLOORS: dict[str, set[str]] = {
+    "errors": set(),
+    "frame": set(),
+    "runtime": set(),
+    "protocol": set(),  # no I/O, no clock, no device
+    "capture": {"protocol"},
+    "hardware": {"runtime", "capture"},  # replays captures; knows no protocol
+    "device": {"runtime", "protocol"},  # one node, whatever the bus
+    "state": {"runtime", "device"},
+    "controller": {"runtime", "device", "state", "capture"},  # touches no frame and no byte
+    "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller"},
+}
+EVERYONE = {"errors", "frame"}
+
+
+def module_name(path: Path) -> tuple[str, bool]:
+    """The dotted name of a source file, and whether it is a package's `__init__`."""
+    for package, (folder, _) in PACKAGES.items():
+        if path.is_relative_to(folder):
+            parts = [package, *path.relative_to(folder).with_suffix("").parts]
+            return (".".join(parts[:-1]), True) if parts[-1] == "__init__" else (".".join(parts), False)
+    raise ValueError(path)
+
+
+def imports_of(source: str, module: str, is_package: bool = False) -> Iterator[tuple[int, str]]:
+    """Line and dotted name of all that a module imports; `from a import b` gives `a.b`, as `b` may be a module."""
+    package = module.split(".") if is_package else module.split(".")[:-1]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            start = package[: len(package) - node.level + 1] if node.level else []
+            base = [*start, node.module] if node.module else start
+            for alias in node.names:
+                yield node.lineno, ".".join([*base, alias.name])
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in {"import_module", "__import__"} and isinstance(node.args[0].value, str):
+                name = node.args[0].value
+                if name.startswith("."):
+                    level = len(name) - len(name.lstrip("."))
+                    name = ".".join([*package[: len(package) - level + 1], name.lstrip(".")])
+                yield node.lineno, name
+
+
+def faults_of(source: str, module: str, is_package: bool = False) -> list[str]:
+    """What the module imports against the tables, one line each."""
+    faults: list[str] = []
+    package, *rest = module.split(".")
+    floor = rest[0] if rest else None
+    if package == "aces_bus" and floor is not None and floor not in FLOORS:
+        return [f"{module}: aces_bus.{floor} has no line in FLOORS"]
+    for line, name in imports_of(source, module, is_package):
+        target, *inner = name.split(".")
+        if target not in PACKAGES or (target == package != "aces_bus"):
+            continue
+        if target != package:
+            if target not in PACKAGES[package][1]:
+                faults.append(f"{module}:{line}: {package} must not import {name}")
+        elif floor is not None and inner and inner[0] in FLOORS:
+            if inner[0] not in {floor, *EVERYONE, *FLOORS[floor]}:
+                faults.append(f"{module}:{line}: aces_bus.{floor} must not import aces_bus.{inner[0]}")
+    return faults
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_point_one_way(package: str) -> None:
+    """No package imports one above it, and no floor of the core a higher floor."""
+    folder, _ = PACKAGES[package]
+    files = sorted(folder.rglob("*.py")) + sorted(folder.rglob("*.pyi"))
+    assert files, f"no sources in {folder}"
+    faults: list[str] = []
+    for path in files:
+        faults += faults_of(path.read_text(encoding="utf-8"), *module_name(path))
+    assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("aces_bus.frame", "import aces_protocols"),
+        ("aces_bus.protocol.scan.can", "from aces_bus.hardware import can"),
+        ("aces_bus.protocol.scan.can", "from ...hardware.can import Bus"),
+        ("aces_bus.protocol.scan.can", "from ... import capture"),
+        ("aces_bus.protocol.scan.can", "def f():\n    from aces_bus import state"),
+        ("aces_bus.protocol.scan.can", "if TYPE_CHECKING:\n    import aces_bus.controller"),
+        ("aces_bus.protocol.scan.can", "import_module('aces_bus.device')"),
+        ("aces_bus.protocol.scan.can", "importlib.import_module('...device', __package__)"),
+        ("aces_bus.novelty.thing", "import os"),
+        ("aces_protocols.hubo.spec", "from aces_devices import hubo"),
+        ("aces_devices.hubo.driver", "import aces_tools.main"),
+    ],
+)
+def test_a_wrong_import_is_seen(module: str, source: str) -> None:
+    """However an import is written, one against the tables is found."""
+    assert len(faults_of(source, module)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        (
+            "aces_bus.protocol.scan.can",
+            "from ..spec import fields\nfrom ...frame import Frame\nimport aces_bus.errors",
+        ),
+        ("aces_bus.capture.table", "from ..protocol import Protocol"),
+        ("aces_protocols.hubo.spec", "from aces_bus import Protocol\nfrom .boards import BOARDS"),
+        ("aces_tools.decode", "import aces_bus.capture, aces_protocols.hubo.spec"),
+    ],
+)
+def test_a_right_import_passes(module: str, source: str) -> None:
+    """What the tables allow is not reported."""
+    assert faults_of(source, module) == []
+
+
+def test_a_package_may_import_its_own_modules() -> None:
+    """In an `__init__` one dot is the package itself."""
+    assert [name for _, name in imports_of("from .frame import Frame", "aces_bus", True)] == [
+        "aces_bus.frame.Frame"
+    ]
+    assert faults_of("from .frame import Frame\nfrom .protocol import Protocol", "aces_bus", True) == []
+
+
+def test_source_roots_are_folders_not_packages() -> None:
+    """No `__init__.py` directly inside a source root; each import package carries `py.typed`."""
+    roots = ["protocols", "devices", "tools", "tests", "examples"]
+    assert [root for root in roots if (ROOT / root / "__init__.py").exists()] == []
+    assert [name for name, (folder, _) in PACKAGES.items() if not (folder / "py.typed").exists()] == []
+
+
+# ---- what no file may say -----------------------------------------------------------------------------------------
+
+#: The first folder of a checkout's path is nobody's business either, unless every system has one of that name.
+COMMON = {"bin", "dev", "etc", "lib", "media", "mnt", "opt", "proc", "run", "srv", "sys", "usr", "var"}
+BEFORE = r"(?<![\w.~$)}/-])"
+PRIVATE = [
+    BEFORE + r"/(?:home|Users|root|tmp)/\w",
+    r"\b[A-Z]:\\Users\\",
+    r"--(?:extra-)?index-url\b",
+]
+
+
+def private(root: Path) -> re.Pattern[str]:
+    """Paths that mean something on one machine only, the checkout's own among them."""
+    patterns = list(PRIVATE)
+    if len(root.parts) > 1 and root.parts[1] not in COMMON:
+        patterns.append(BEFORE + re.escape(f"{root.anchor}{root.parts[1]}/") + r"\w")
+    return re.compile("|".join(patterns))
+
+
+def tracked_files() -> list[Path]:
+    """The files that git tracks; outside of a repository (an sdist) this cannot be told."""
+    try:
+        listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("not a git checkout")
+    if not listed.stdout:
+        pytest.skip("git tracks nothing here yet")
+    return [ROOT / name for name in listed.stdout.decode().split("\0") if name]
+
+
+def test_no_file_names_a_path_of_one_machine() -> None:
+    """No tracked text file contains a path of somebody's machine or the address of a package index."""
+    pattern, seen, faults = private(ROOT), 0, list[str]()
+    for path in tracked_files():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (UnicodeDecodeError, FileNotFoundError, IsADirectoryError):
+            continue  # binary, or deleted and not yet committed
+        seen += 1
+        for number, line in enumerate(text.splitlines(), 1):
+            if found := pattern.search(line):
+                faults.append(f"{path.relative_to(ROOT).as_posix()}:{number}: {found[0]}…")
+    assert seen > 10
+    assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("open('{}')".format("/".join(["", "home", "ann", "x.log"])), True),
+        ("see {}".format("/".join(["", "tmp", "x"])), True),
+        ("at {}".format("/".join(["", "elsewhere", "checkout"])), True),
+        ("at {}".format("\\".join(["C:", "Users", "ann"])), True),
+        ("#!/usr/bin/env bash", False),
+        ("candump can0 > walk.log; cat /dev/ttyUSB0", False),
+        ("https://example.org/home/page and docs/home/page", False),
+    ],
+)
+def test_private_paths_are_told_from_others(line: str, wrong: bool) -> None:
+    """Home and temporary folders and the checkout's own place are found; addresses and system files are not."""
+    assert bool(private(Path("/elsewhere/aces-bus")).search(line)) is wrong
