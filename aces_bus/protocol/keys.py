@@ -6,8 +6,6 @@ Bits 0–28 are the identifier; the flags stand above it, so that a standard dat
 from __future__ import annotations
 
 FD, REMOTE, EXTENDED = 1 << 29, 1 << 30, 1 << 31
-#: In the place of a key, for a packet of a stream.
-STREAM = -1
 
 
 def key_of(identifier: int, *, extended: bool = False, remote: bool = False, fd: bool = False) -> int:

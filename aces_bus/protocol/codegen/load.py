@@ -51,15 +51,33 @@ def flag_type(bits: tuple[tuple[str, int], ...]) -> type[FlagSet]:
     return type("FlagSet", (FlagSet,), {"bits": dict(bits), "__slots__": ()})
 
 
-class Codec:
-    """Record types and decode functions of a variant, in physical units or raw."""
+class _FlagValues(dict[int, FlagSet]):
+    """The values of a flags field, made when first seen; a few thousand are kept."""
 
-    def __init__(self, variant: Variant, *, raw: bool) -> None:
+    def __init__(self, kind: type[FlagSet]) -> None:
+        super().__init__()
+        self._kind = kind
+
+    def __missing__(self, raw: int) -> FlagSet:
+        made = self._kind(raw)
+        if len(self) < 4096:
+            self[raw] = made
+        return made
+
+
+class Codec:
+    """Record types and decode functions of a variant, in physical units or raw.
+
+    Without `guard` a function may raise `struct.error` for data of the wrong length, where it would give None.
+    """
+
+    def __init__(self, variant: Variant, *, raw: bool, guard: bool) -> None:
         self.variant = variant
         self.raw = raw
         self.plans = {name: flatten(message) for name, message in variant.messages.items()}
         self.types: dict[str, type[Record]] = records_of(variant)
-        self.source = print_decoders(variant, raw=raw)
+        #: Decoders without guard leave a wrong length to `struct.error`; see `Decoder`.
+        self.source = print_decoders(variant, raw=raw, guard=guard)
         names: dict[str, Any] = {
             "Struct": struct.Struct,
             "from_bytes": int.from_bytes,
@@ -75,8 +93,8 @@ class Codec:
             for field, node in _named_nodes(plan):
                 for step in getattr(node, "steps", ()):
                     if isinstance(step, p.FlagBits):
-                        names[f"flags_{plan.name}_{field}"] = flag_type(step.bits)
-        space = load(self.source, f"aces {variant.label} {'raw ' if raw else ''}decoders", names)
+                        names[f"flags_{plan.name}_{field}"] = _FlagValues(flag_type(step.bits))
+        space = load(self.source, f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders", names)
         self.decoders: dict[str, Decode] = {name: space[f"decode_{name}"] for name in self.plans}
 
 
@@ -93,12 +111,12 @@ def _holds(message: Message) -> Callable[[bytes, int], bool]:
     return holds
 
 
-def print_decoders(variant: Variant, *, raw: bool = False) -> str:
+def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -> str:
     """The decode functions of a variant."""
     kind = "raw values" if raw else "physical values"
     parts = [f'"""Decoders of {variant.label}, {kind}: generated from its spec."""', ""]
     for message in variant.messages.values():
-        setup, lines = Decoder(flatten(message), raw=raw).print()
+        setup, lines = Decoder(flatten(message), raw=raw, guard=guard).print()
         parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
     return "\n".join(parts) + "\n"
 
@@ -130,6 +148,7 @@ def _all_types(variant: Variant) -> dict[str, Any]:
     for name, message in variant.messages.items():
         found[name]._protocol = variant.name
         found[name]._direction = message.direction
+        found[name]._is_stream = message.framing is not None
     return found
 
 
@@ -139,9 +158,9 @@ def records_of(variant: Variant) -> dict[str, type[Record]]:
 
 
 @cache
-def codec(variant: Variant, raw: bool = False) -> Codec:
+def codec(variant: Variant, raw: bool = False, guard: bool = True) -> Codec:
     """The codec of a variant, made once."""
-    return Codec(variant, raw=raw)
+    return Codec(variant, raw=raw, guard=guard)
 
 
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
@@ -153,19 +172,21 @@ def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     record = types[message.name]
     framing = message.framing
 
-    def decode(data: bytes, key: int, meta: Any, request: Any = None) -> Any:
+    def decode(
+        data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
+    ) -> Any:
         if framing is None:
             image = can_image(
                 key & 0x1FFF_FFFF, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
             )
         else:
             # Stuffed packets come here without stuffing; construct wants what stood on the wire.
-            image = meta[3]
+            image = raw_bytes
         try:
             values = message.struct.parse(image, raw=raw, request=request)
         except (ConstructError, AcesError):
             return None
         fields = {k: from_container(v, parts, f"{message.name}_{k}") for k, v in values.items()}
-        return record(**fields, _meta=meta)
+        return record(**fields, _time=time, _channel=channel, _key=key, _raw=raw_bytes, _rx=rx)
 
     return decode

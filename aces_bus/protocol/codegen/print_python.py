@@ -8,11 +8,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from . import plan as p
 
 _FORMATS = {("uint", 1): "B", ("uint", 2): "H", ("uint", 4): "I", ("uint", 8): "Q", ("int", 1): "b", ("int", 2): "h"}
 _FORMATS |= {("int", 4): "i", ("int", 8): "q", ("float", 2): "e", ("float", 4): "f", ("float", 8): "d"}
+
+
+#: What every record keeps of the transport (see `aces_bus.protocol.scan.record`).
+PRIVATE = (
+    ("_time", "float | None"),
+    ("_channel", "str | None"),
+    ("_key", "int"),
+    ("_raw", "bytes"),
+    ("_rx", "bool | None"),
+)
+TRANSPORT = "time, channel, key, raw, rx"
 
 
 class Source:
@@ -119,7 +131,8 @@ def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
         out.line()
         for field in plan.fields:
             _annotate(out, field)
-        out.line("_meta: tuple[Any, ...]")
+        for private, kind in PRIVATE:
+            out.line(f"{private}: {kind}")
         out.depth -= 1
         out.line()
     return out.text()
@@ -139,59 +152,77 @@ def _first_line(doc: str) -> str:
 # ---------------------------------------------------------------------- decoders
 
 
+@dataclass(frozen=True)
+class Cell:
+    """Bytes [start, end) fetched as one unsigned integer (or as the value itself) under a local name."""
+
+    name: str
+    start: int
+    end: int
+    order: str
+
+
 class Decoder:
     """Prints the decode function of one message.
 
-    The function is `decode_Name(data, key, meta, request=None)`: `data` are the frame's data bytes or the packet without
-    stuffing; it gives the record, or None when the data is not this message.
+    The function is `decode_Name(data, key, time, channel, raw, rx, request=None)`: `data` are the frame's data bytes or
+    the packet without stuffing, the rest is the transport's. It gives the record, or None when the data is not this
+    message. Without `guard` the length check is left to `struct.unpack`, which raises `struct.error`.
     """
 
-    def __init__(self, plan: p.MessagePlan, *, raw: bool) -> None:
+    def __init__(self, plan: p.MessagePlan, *, raw: bool, guard: bool = True) -> None:
         self.plan = plan
         self.raw = raw
+        self.guard = guard
         self.setup: list[str] = []
         self.body = Source()
         self.atoms: dict[p.Scalar, str] = {}
-        self.words: dict[tuple[int, int, str], str] = {}
+        self.cells: list[Cell] = []
         self.present: dict[str, str] = {}
+        self.unpacks: list[str] = []
+        self.is_exact = False
 
     def print(self) -> tuple[list[str], list[str]]:
         """(module-level lines, function lines)."""
         plan, out = self.plan, self.body
-        out.line(f"def decode_{plan.name}(data, key, meta, request=None):")
+        out.line(f"def decode_{plan.name}(data, key, time, channel, raw, rx, request=None):")
         out.depth = 1
         out.line(f'"""{_first_line(plan.doc) or plan.name} ({plan.place})"""')
         if not plan.is_flat:
             out.line(f"# through construct: {plan.opaque}")
-            out.line(f"return opaque_{plan.name}(data, key, meta, request)")
+            out.line(f"return opaque_{plan.name}(data, key, time, channel, raw, rx, request)")
             return self.setup, out.lines
-        self._lengths()
+        self._fetch()
+        tests = plan.constants or plan.one_of or plan.is_checked or plan.lengths_by
+        if self.guard or tests or not self.is_exact:
+            self._lengths()
         self._constants()
         if plan.is_checked:
             out.line(f"if not holds_{plan.name}(data, key):")
             out.line("    return None")
         if plan.split is not None:
             self._split(plan.split)
-        self._unpack()
-        self._words()
+        for line in self.unpacks:
+            out.line(line)
         for name, scalar in plan.selectors:
-            if scalar not in self.atoms:
-                out.line(f"select_{name} = {self._integer(scalar)}")
-                self.atoms[scalar] = f"select_{name}"
-            self.present[name] = self.atoms[scalar]
+            number = self._integer(scalar)
+            if not number.isidentifier():
+                out.line(f"select_{name} = {number}")
+                number = self.atoms[scalar] = f"select_{name}"
+            self.present[name] = number
         if plan.lengths_by is not None:
             name, table, other = plan.lengths_by
             self.setup.append(f"_lengths_{plan.name} = {dict(table)!r}")
             out.line(f"if len(data) != _lengths_{plan.name}.get({self.present[name]}, {other}):")
             out.line("    return None")
         arguments = [self._value(field) for field in plan.fields]
-        if sum(map(len, arguments)) + len(plan.name) < 90:
-            out.line(f"return {plan.name}({', '.join([*arguments, 'meta'])})")
+        if sum(map(len, arguments)) + len(plan.name) < 60:
+            out.line(f"return {plan.name}({', '.join([*arguments, TRANSPORT])})")
         else:
             out.line(f"return {plan.name}(")
             for field, argument in zip(plan.fields, arguments, strict=True):
                 out.line(f"    {argument},  # {field.name}")
-            out.line("    meta,")
+            out.line(f"    {TRANSPORT},")
             out.line(")")
         return self.setup, out.lines
 
@@ -243,63 +274,78 @@ class Decoder:
             visit(field.node, field.when is None)
         return found
 
-    def _unpack(self) -> None:
-        """One `struct` call for each byte order fetches all whole numbers of usual size."""
-        plan = self.plan
-        usual = [
-            s
-            for s, always in self._scalars()
-            if always and s.size is not None and (s.kind, s.size) in _FORMATS and (s.kind == "float" or s.is_whole)
+    def _fetch(self) -> None:
+        """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
+        present = [s for s, always in self._scalars() if always]
+        whole = [s for s in dict.fromkeys(present) if s.size is not None and _format(s)]
+        taken = [(s.offset, s.offset + (s.size or 0)) for s in whole]
+        chunks: list[tuple[int, int, str, p.Scalar | None]] = [
+            (s.offset, s.offset + (s.size or 0), s.order if s.size != 1 else "", s) for s in whole
         ]
-        wide = [s for s in usual if not (s.kind == "uint" and s.size == 1)]
-        if not wide and len(usual) < 4:
-            return
-        for order, mark in (("little", "<"), ("big", ">")):
-            mine = [s for s in usual if s in wide and (s.order == order and s.size != 1)]
-            if not mine:
-                if order == "little" and not any(s.size != 1 for s in wide):
-                    mine = usual
-                else:
-                    continue
-            else:
-                mine = sorted({*mine, *(s for s in usual if s.size == 1 and s not in self.atoms)}, key=lambda s: s.offset)
-            mine = sorted(set(mine), key=lambda s: s.offset)
-            picked: list[p.Scalar] = []
-            at = mine[0].offset
-            text = mark
-            for scalar in mine:
-                if scalar.offset < at or scalar in self.atoms:
-                    continue
-                if scalar.offset > at:
-                    text += f"{scalar.offset - at}x"
-                text += _FORMATS[scalar.kind, scalar.size or 0]
-                at = scalar.offset + (scalar.size or 0)
-                picked.append(scalar)
-            names = [f"v{len(self.atoms) + i}" for i in range(len(picked))]
-            self.atoms.update(zip(picked, names, strict=True))
-            start = picked[0].offset
-            whole = start == 0 and plan.lengths == (at,)
-            helper = f"_unpack_{plan.name}" + ("" if order == "little" else "_be")
-            self.setup.append(f'{helper} = Struct("{_compact(text)}").{"unpack" if whole else "unpack_from"}')
-            call = f"{helper}(data)" if whole or start == 0 else f"{helper}(data, {start})"
-            self.body.line(f"{', '.join(names)}{',' if len(names) == 1 else ''} = {call}")
-
-    def _words(self) -> None:
-        """Bit fields that share bytes are cut from one integer."""
-        todo: dict[tuple[int, int, str], int] = {}
-        for scalar, _ in self._scalars():
-            if scalar.kind in ("uint", "int") and scalar not in self.atoms and not _one_byte(scalar):
-                order = _run_order(scalar)
-                key = (scalar.offset, scalar.size or 0, order)
-                todo[key] = todo.get(key, 0) + 1
+        loose = [s for s in dict.fromkeys(present) if s.kind in ("uint", "int") and s not in whole]
+        for start, end, order in _clusters(loose):
+            size = end - start
+            if size > 4 and size < 8 or size > 8 or any(a < end and start < b for a, b in taken):
+                continue
+            chunks.append((start, end, order if size > 1 else "", None))
+            taken.append((start, end))
+        if sum(end - start == 1 for start, end, _, _ in chunks) == len(chunks) and len(chunks) < 4:
+            chunks = [c for c in chunks if c[3] is not None and c[3].kind == "int"]
+        orders = {order for _, _, order, _ in chunks} - {""}
+        for order in sorted(orders, reverse=True) or ([""] if chunks else []):
+            mine = [c for c in chunks if c[2] == order or (c[2] == "" and order == max(orders, default=""))]
+            self._unpack_call(sorted(mine, key=lambda c: c[0]), order)
+        for start, end, order in _clusters([s for s in loose if self._cell_of(s) is None and not _one_byte(s)]):
+            if sum(start <= s.bits[0] // 8 < end for s in loose) > 1:
+                name = f"word{len(self.cells)}"
+                self.cells.append(Cell(name, start, end, order or "little"))
+                self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
         for field in self._all_fields():
             if isinstance(field.node, p.Rest):
-                todo[field.node.offset, field.node.size, "little"] = 2
-        for (offset, size, order), count in todo.items():
-            if count > 1:
-                name = f"word{len(self.words)}"
-                self.words[offset, size, order] = name
-                self.body.line(f'{name} = from_bytes({self._slice(offset, offset + size)}, "{order}")')
+                node = field.node
+                cell = Cell(f"all{node.offset}", node.offset, node.offset + node.size, "little")
+                self.cells.append(cell)
+                self.unpacks.append(f'{cell.name} = from_bytes({self._slice(cell.start, cell.end)}, "little")')
+
+    def _unpack_call(self, chunks: Sequence[tuple[int, int, str, p.Scalar | None]], order: str) -> None:
+        text = ">" if order == "big" else "<"
+        at = chunks[0][0]
+        names: list[str] = []
+        after: list[str] = []
+        for start, end, _, scalar in chunks:
+            if start > at:
+                text += f"{start - at}x"
+            at = end
+            name = f"v{len(self.cells)}"
+            size = end - start
+            if scalar is not None:
+                text += _format(scalar)
+                names.append(name)
+                self.atoms[scalar] = name
+            elif size == 3:
+                text += "BH" if order == "big" else "HB"
+                names += [f"{name}a", f"{name}b"]
+                after.append(f"{name} = {name}a << 16 | {name}b" if order == "big" else f"{name} = {name}a | {name}b << 16")
+            else:
+                text += _FORMATS["uint", size]
+                names.append(name)
+            self.cells.append(Cell(name, start, end, order or "little"))
+        start = chunks[0][0]
+        whole = start == 0 and self.plan.lengths == (at,)
+        self.is_exact = self.is_exact or whole
+        helper = f"_unpack_{self.plan.name}" + ("_be" if order == "big" else "")
+        self.setup.append(f'{helper} = Struct("{_compact(text)}").{"unpack" if whole else "unpack_from"}')
+        call = f"{helper}(data)" if start == 0 else f"{helper}(data, {start})"
+        self.unpacks.append(f"{', '.join(names)}{',' if len(names) == 1 else ''} = {call}")
+        self.unpacks += after
+
+    def _cell_of(self, scalar: p.Scalar) -> Cell | None:
+        first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
+        order = _run_order(scalar)
+        for cell in self.cells:
+            if cell.start <= first and last < cell.end and (cell.order == order or cell.end - cell.start == 1):
+                return cell
+        return None
 
     def _all_fields(self) -> list[p.PlanField]:
         return [*self.plan.fields, *(f for g in groups_of(self.plan.fields) for f in g.fields)]
@@ -310,36 +356,25 @@ class Decoder:
         return f"data[{start or ''}:{end}]"
 
     def _integer(self, scalar: p.Scalar) -> str:
-        """The unsigned number, as an expression."""
+        """The unsigned number (the signed one, of whole signed numbers), as an expression."""
         if scalar in self.atoms:
             return self.atoms[scalar]
         assert scalar.size is not None
-        if _one_byte(scalar):
-            byte = scalar.bits[0] // 8
-            shift, width = scalar.bits[0] % 8, len(scalar.bits)
-            text = f"data[{byte}]"
-            if width == 8:
-                return text
-            if shift:
-                text += f" >> {shift}"
-            return text if shift + width == 8 else f"{text} & {(1 << width) - 1:#x}"
+        cell = self._cell_of(scalar)
         order = _run_order(scalar)
-        word = self.words.get((scalar.offset, scalar.size, order))
-        offset, size = scalar.offset, scalar.size
-        if word is None:
-            # Read only the bytes that the field touches.
+        if cell is None:
             first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
-            offset, size = first, last - first + 1
-            word = f'from_bytes({self._slice(offset, offset + size)}, "{order}")'
-        if order == "little":
-            positions = [b - 8 * offset for b in scalar.bits]
+            text = f"data[{first}]" if first == last else f'from_bytes({self._slice(first, last + 1)}, "{order}")'
+            cell = Cell(text, first, last + 1, order)
+        if cell.order == "little" or cell.end - cell.start == 1:
+            positions = [b - 8 * cell.start for b in scalar.bits]
         else:
-            positions = [(offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]
+            positions = [(cell.end - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]
         pieces = []
         for at, to, width in _runs(positions):
-            piece = f"{word} >> {at}" if at else word
-            if at + width < 8 * size:
-                piece = f"{piece} & {(1 << width) - 1:#x}" if at or to else f"{piece} & {(1 << width) - 1:#x}"
+            piece = f"{cell.name} >> {at}" if at else cell.name
+            if at + width < 8 * (cell.end - cell.start):
+                piece = f"{piece} & {(1 << width) - 1:#x}"
             if to:
                 piece = f"({piece}) << {to}"
             pieces.append(piece)
@@ -393,7 +428,7 @@ class Decoder:
             if scalar.kind == "int":
                 top = 1 << len(scalar.bits) - 1
                 number = f"(({number}) ^ {top:#x}) - {top:#x}"
-        return self._steps(number, scalar.steps, name)
+        return self._steps(number, scalar.steps, name, len(scalar.bits) if scalar.kind == "uint" else 0)
 
     def _lone(self, scalar: p.Scalar, name: str) -> str:
         """A float that is not always there."""
@@ -402,7 +437,7 @@ class Decoder:
         self.setup.append(f'{helper} = Struct("{mark}{_FORMATS["float", scalar.size or 0]}").unpack_from')
         return f"{helper}(data, {scalar.offset})[0]"
 
-    def _steps(self, number: str, steps: Sequence[p.Step], name: str) -> str:
+    def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
         for step in steps:
             if isinstance(step, p.Magnitude):
                 half = 1 << step.width - 1
@@ -416,12 +451,18 @@ class Decoder:
                 number = self._scaled(number, step)
             elif isinstance(step, p.Names):
                 table = f"_names_{self.plan.name}_{name}"
+                small = 0 < width <= 8
                 line = f"{table} = {dict(step.values)!r}.get"
+                if small:
+                    line = f"{table} = [{dict(step.values)!r}.get(n, n) for n in range({1 << width})]"
                 if line not in self.setup:
                     self.setup.append(line)
-                number = f"{table}({number}, {number})" if number.isidentifier() else f"{table}((n := {number}), n)"
+                if small:
+                    number = f"{table}[{number}]"
+                else:
+                    number = f"{table}({number}, {number})" if number.isidentifier() else f"{table}((n := {number}), n)"
             else:
-                number = f"flags_{self.plan.name}_{name}({number})"
+                number = f"flags_{self.plan.name}_{name}[{number}]"
         return number
 
     def _scaled(self, number: str, step: p.Scale) -> str:
@@ -430,7 +471,8 @@ class Decoder:
             before = "q"
         text = before if before.isidentifier() or before.startswith("(") and before.endswith(")") and _balanced(before) else f"({before})"
         if step.offset:
-            text = f"{text} * {step.scale!r} + {step.offset!r}"
+            text = f"{text} * {step.scale!r}" if step.scale != 1 else text
+            text += f" - {-step.offset!r}" if step.offset < 0 else f" + {step.offset!r}"
         elif step.scale != 1:
             text = f"{text} * {step.scale!r}"
         else:
@@ -455,7 +497,7 @@ class Decoder:
         return self._steps(text, node.steps, name)
 
     def _rest(self, node: p.Rest) -> str:
-        word = self.words[node.offset, node.size, "little"]
+        word = f"all{node.offset}"
         full = (1 << 8 * node.size) - 1
         masks = {value: full & ~claimed for value, claimed in node.claimed}
         if node.selector is None:
@@ -506,6 +548,32 @@ class Decoder:
         if cell.optional:
             value = f"({value}) if count > {cell.index} else None"
         return f"({value})" if " if " in value or " or " in value else value
+
+
+def _format(scalar: p.Scalar) -> str:
+    """The `struct` format of a whole number of usual size, else empty."""
+    if scalar.size is None or (scalar.kind, scalar.size) not in _FORMATS:
+        return ""
+    if scalar.kind != "float" and not scalar.is_whole:
+        return ""
+    return _FORMATS[scalar.kind, scalar.size]
+
+
+def _clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:
+    """Byte ranges that the scalars cover, merged where they overlap, with the byte order that suits all in it."""
+    spans = sorted((min(s.bits) // 8, max(s.bits) // 8 + 1, "" if _one_byte(s) else _run_order(s)) for s in scalars)
+    found: list[tuple[int, int, str]] = []
+    for start, end, order in spans:
+        if found and start < found[-1][1]:
+            first, last, other = found[-1]
+            if order and other and order != other:
+                # Two orders over the same bytes: each reads for itself.
+                found.append((start, end, order))
+                continue
+            found[-1] = (first, max(last, end), other or order)
+        else:
+            found.append((start, end, order))
+    return found
 
 
 def _one_byte(scalar: p.Scalar) -> bool:

@@ -15,20 +15,17 @@ from .choose import Choice
 from .print_python import Source
 
 
+ARGUMENTS = "data, key, time, channel, raw, rx"
+
+
 def print_choice(out: Source, name: str, choice: Choice) -> None:
-    """A function `name(data, key, meta)` that tries the messages of `choice`."""
+    """A function `name(data, key, time, channel, raw, rx)` that tries the messages of `choice`."""
     if choice.offset is None:
-        out.line(f"def {name}(data, key, meta):")
-        out.depth += 1
-        calls = [f"decode_{message}(data, key, meta)" for message in choice.names]
-        if len(calls) < 3:
-            out.line(f"return {' or '.join(calls)}")
-        else:
-            out.line("return (")
-            for index, call in enumerate(calls):
-                out.line(f"    {'or ' if index else ''}{call}")
-            out.line(")")
-        out.depth -= 1
+        out.line(f"def {name}({ARGUMENTS}):")
+        out.line("    return (")
+        for index, message in enumerate(choice.names):
+            out.line(f"        {'or ' if index else ''}decode_{message}({ARGUMENTS})")
+        out.line("    )")
         out.line()
         return
     table = []
@@ -44,9 +41,9 @@ def print_choice(out: Source, name: str, choice: Choice) -> None:
         out.line(f"    {entry}")
     out.line("}.get")
     out.line()
-    out.line(f"def {name}(data, key, meta):")
+    out.line(f"def {name}({ARGUMENTS}):")
     out.line(f"    decode = _{name}(data[{choice.offset}]) if len(data) > {choice.offset} else None")
-    out.line("    return decode(data, key, meta) if decode is not None else None")
+    out.line(f"    return decode({ARGUMENTS}) if decode is not None else None")
     out.line()
 
 
@@ -208,7 +205,7 @@ def _accept(out: Source, framing: Framing, decode: str, *, alone: bool) -> None:
         out.line("else:")
         out.depth += 1
         data = "data"
-    out.line(f"record = {decode}({data}, -1, (time, None, -1, packet, None, base + i))")
+    out.line(f"record = {decode}({data}, base + i, time, None, packet, None)")
     out.line("if record is not None:")
     out.line("    emit(record)")
     if alone:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..spec.message import Message, Request
@@ -24,6 +24,8 @@ class Entry:
     time: float | None
     values: Mapping[str, Any]
     consumed: bool = False
+    #: Of a request to everyone: who has answered it.
+    answered: set[tuple[Any, ...]] = field(default_factory=set)
 
 
 @dataclass(frozen=True)
@@ -74,33 +76,43 @@ class Context:
     ) -> tuple[Message, Mapping[str, Any]] | None:
         """Which candidate (a message and its raw fields) the context allows, with the request's values.
 
-        Uses up the request, unless it is a mode or was addressed to everyone.
+        Uses up the request, unless it is a mode; one that was addressed to everyone, for the device that answers.
         """
         latest: Entry | None = None
-        is_kept = False
         for message, values in candidates:
             for link in self._links[message.name]:
-                for wanted, to_all in self._wanted(link, values):
-                    entry = self._latest(link, channel, wanted, message.within, time)
+                for wanted, _ in self._wanted(link, values):
+                    entry = self._latest(link, channel, wanted, values, message.within, time)
                     if entry is not None and (latest is None or entry.number > latest.number):
-                        latest, is_kept = entry, link.is_sticky or to_all
+                        latest = entry
         if latest is None:
             return None
         for message, values in candidates:
             for link in self._links[message.name]:
-                for wanted, _ in self._wanted(link, values):
-                    entry = self._latest(link, channel, wanted, message.within, time)
+                for wanted, to_all in self._wanted(link, values):
+                    entry = self._latest(link, channel, wanted, values, message.within, time)
                     if entry is latest and link.request.accepts(latest.values):
-                        latest.consumed = not is_kept
+                        if to_all and not link.is_sticky:
+                            latest.answered.add(_who(link, values))
+                        else:
+                            latest.consumed = not link.is_sticky
                         return message, latest.values
         return None
 
     def _wanted(self, link: Link, values: Mapping[str, Any]) -> list[tuple[tuple[Any, ...], bool]]:
-        own = tuple(values.get(field) for field in link.shared)
-        every = tuple(self._broadcast.get(field, value) for field, value in zip(link.shared, own, strict=True))
+        own = _who(link, values)
+        every = tuple(self._broadcast.get(name, value) for name, value in zip(link.shared, own, strict=True))
         return [(own, False)] if every == own else [(own, False), (every, True)]
 
-    def _latest(self, link: Link, channel: Any, wanted: tuple[Any, ...], within: float | None, time: float | None) -> Entry | None:
+    def _latest(
+        self,
+        link: Link,
+        channel: Any,
+        wanted: tuple[Any, ...],
+        values: Mapping[str, Any],
+        within: float | None,
+        time: float | None,
+    ) -> Entry | None:
         entries = self._seen.get((link.request.message.name, channel, link.shared, wanted))
         if not entries:
             return None
@@ -109,6 +121,8 @@ class Context:
         if not entries:
             return None
         entry = entries[-1]
+        if entry.answered and _who(link, values) in entry.answered:
+            return None
         if within is not None and time is not None and entry.time is not None and time - entry.time > within:
             return None
         return entry
@@ -117,6 +131,11 @@ class Context:
         """`needs request A|B`, for messages that had none."""
         names = dict.fromkeys(link.request.message.name for m in messages for link in self._links[m.name])
         return f"unknown: needs request {'|'.join(names)}"
+
+
+def _who(link: Link, values: Mapping[str, Any]) -> tuple[Any, ...]:
+    """The device that `values` are of."""
+    return tuple(values.get(name) for name in link.shared)
 
 
 def _outer(message: Message) -> set[str]:

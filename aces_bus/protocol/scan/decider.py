@@ -19,15 +19,13 @@ from ..spec.message import Direction, Message
 from ..spec.order import ordered
 from ..spec.protocol import Variant
 from .context import Context
+from .record import names_of
 
 #: Devices whose rolling counters are remembered.
 REMEMBERED = 65536
 
-Decode = Callable[[bytes, int, Any], Any]
-
-
-class Needs(str):
-    """In the place of a record: the reason why a reply could not be told."""
+#: (data, key, time, channel, raw, rx[, request]) to a record, or None.
+Decode = Callable[..., Any]
 
 
 class Decider:
@@ -37,6 +35,7 @@ class Decider:
         self.variant = variant
         self.messages = ordered(variant.facing(direction))
         self.decoders = codec(variant, raw).decoders
+        self._quick = codec(variant, raw, False).decoders
         self.raw_decoders = codec(variant, True).decoders
         self.contextual = needing_context(self.messages)
         self.context = Context(self.messages, self.contextual, variant.protocol.broadcast)
@@ -45,13 +44,29 @@ class Decider:
         self.source = ""
         #: Messages that rolling counters say were missed.
         self.missed = 0
+        #: Why the last packet that was not decoded needs a request; taken by `take_need`.
+        self._need = ""
 
-    def decide(self, messages: Sequence[Message]) -> Decode:
+    def take_need(self) -> str:
+        """The reason when the packet just refused was a reply without its request, else empty."""
+        need, self._need = self._need, ""
+        return need
+
+    def decide(self, messages: Sequence[Message], *, alone: bool = False) -> Decode:
+        """The function that decides among `messages`.
+
+        `alone` says that the caller takes `struct.error` for None, which saves the usual frame a length check.
+        """
         messages = ordered(messages)
         names = tuple(m.name for m in messages)
+        if alone and len(messages) == 1 and self._is_simple(messages[0]):
+            return self._quick[names[0]]
         if names not in self._chosen:
             self._chosen[names] = self._made(messages)
         return self._chosen[names]
+
+    def _is_simple(self, message: Message) -> bool:
+        return not message.counters and message.name not in self.context.requests and message.name not in self.contextual
 
     def _made(self, messages: Sequence[Message]) -> Decode:
         plain = [m for m in messages if m.name not in self.contextual]
@@ -81,43 +96,47 @@ class Decider:
         if message.name not in self.context.requests:
             return decode
 
-        def noted(data: bytes, key: int, meta: Any) -> Any:
-            record = decode(data, key, meta)
+        def noted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+            record = decode(data, key, time, channel, packet, rx)
             if record is not None:
-                self.note(message, data, key, meta)
+                self.note(message, data, key, time, channel, packet)
             return record
 
         return noted
 
-    def note(self, message: Message, data: bytes, key: int, meta: Any) -> bool:
+    def note(self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes) -> bool:
         """Note a packet that may be the request `message`; whether it is."""
-        seen = self.raw_decoders[message.name](data, key, meta)
-        if seen is None:
-            return False
-        self.context.note(message.name, meta[1], meta[0], {n: getattr(seen, n) for n in seen.__struct_fields__ if n != "_meta"})
-        return True
+        seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
+        if seen is not None:
+            self.context.note(message.name, channel, time, _values(seen))
+        return seen is not None
 
     def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
         """Replies that only their request tells apart; after them the messages that need none."""
         context, raw, decoders = self.context, self.raw_decoders, self.decoders
 
-        def decode(data: bytes, key: int, meta: Any) -> Any:
+        def decode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
             fitting = []
             for message in bound:
-                seen = raw[message.name](data, key, meta)
+                seen = raw[message.name](data, key, time, channel, packet, rx)
                 if seen is not None:
-                    fitting.append((message, {n: getattr(seen, n) for n in seen.__struct_fields__ if n != "_meta"}))
+                    fitting.append((message, _values(seen)))
             if fitting:
-                found = context.of(fitting, meta[1], meta[0])
+                found = context.of(fitting, channel, time)
                 if found is not None:
                     message, request = found
-                    return decoders[message.name](data, key, meta, request)
-            record = otherwise(data, key, meta) if otherwise is not None else None
+                    return decoders[message.name](data, key, time, channel, packet, rx, request)
+            record = otherwise(data, key, time, channel, packet, rx) if otherwise is not None else None
             if record is None and fitting:
-                return Needs(context.needs([m for m, _ in fitting]))
+                self._need = context.needs([m for m, _ in fitting])
             return record
 
         return decode
+
+
+def _values(record: Any) -> dict[str, Any]:
+    """The fields of a raw record, for the memory of requests."""
+    return {name: getattr(record, name) for name in names_of(type(record))}
 
 
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
@@ -126,17 +145,17 @@ def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
     raw = decider.raw_decoders[message.name]
     captures = [c.name for c in message.identifier.captures]
 
-    def counted(data: bytes, key: int, meta: Any) -> Any:
-        record = decode(data, key, meta)
+    def counted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+        record = decode(data, key, time, channel, packet, rx)
         if record is not None:
-            seen = raw(data, key, meta)
-            who = (meta[1], *(getattr(seen, n) for n in captures))
+            seen = raw(data, key, time, channel, packet, rx)
+            who = (channel, *(getattr(seen, n) for n in captures))
             for name, modulo in message.counters.items():
                 value = getattr(seen, name)
                 before = last.get((name, who))
                 if before is not None:
                     decider.missed += (value - before - 1) % modulo
-                if len(last) < REMEMBERED:
+                if before is not None or len(last) < REMEMBERED:
                     last[name, who] = value
         return record
 

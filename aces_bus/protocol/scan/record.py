@@ -1,10 +1,10 @@
 """What scanners give: records, and `Unknown` for what is no message.
 
 1. A record is immutable. Its fields are attributes; everything of the transport is under `meta`.
-2. Making one costs as little as Python allows: the transport's part is kept as a bare tuple until somebody asks.
+2. Making one costs as little as Python allows: `meta` is put together when somebody asks.
 
-The tuple is (time, channel, key, raw, is_rx, framing offset): `key` is the CAN identifier with the flags of
-`aces_bus.protocol.keys`, or -1 for a stream.
+Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN identifier with the flags of
+`aces_bus.protocol.keys`; of a stream the packet's offset), `_raw` and `_rx`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from ..keys import EXTENDED, FD, REMOTE, STREAM
+from ..keys import EXTENDED, FD, REMOTE
 from ..spec.fields import FlagSet
 
 
@@ -52,29 +52,18 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 
     _protocol: ClassVar[str] = ""
     _direction: ClassVar[str | None] = None
+    _is_stream: ClassVar[bool] = False
 
     @property
     def meta(self) -> Meta:
         """Time, channel, identifier or offset, raw bytes: see `Meta`."""
-        time, channel, key, raw, is_rx, offset = self._meta  # type: ignore[attr-defined]
         kind = type(self)
-        if key == STREAM:
-            return Meta(
-                kind._protocol, kind.__name__, time, channel, kind._direction, raw, is_rx=is_rx, offset=offset, size=len(raw)
-            )
-        return Meta(
-            kind._protocol,
-            kind.__name__,
-            time,
-            channel,
-            kind._direction,
-            raw,
-            key & 0x1FFF_FFFF,
-            bool(key & EXTENDED),
-            bool(key & FD),
-            bool(key & REMOTE),
-            is_rx,
-        )
+        head = (kind._protocol, kind.__name__, self._time, self._channel, kind._direction, self._raw)  # type: ignore[attr-defined]
+        key: int = self._key  # type: ignore[attr-defined]
+        is_rx: bool | None = self._rx  # type: ignore[attr-defined]
+        if kind._is_stream:
+            return Meta(*head, is_rx=is_rx, offset=key, size=len(head[-1]))
+        return Meta(*head, key & 0x1FFF_FFFF, bool(key & EXTENDED), bool(key & FD), bool(key & REMOTE), is_rx)
 
     def __repr__(self) -> str:
         inside = ", ".join(f"{name}={getattr(self, name)!r}" for name in names_of(type(self)))
@@ -102,7 +91,7 @@ class Unknown(msgspec.Struct, frozen=True, gc=False):
 
 def names_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """The names of a record type's fields."""
-    return tuple(name for name in kind.__struct_fields__ if name != "_meta")
+    return tuple(name for name in kind.__struct_fields__ if not name.startswith("_"))
 
 
 def as_dict(record: msgspec.Struct) -> dict[str, Any]:

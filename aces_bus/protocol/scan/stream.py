@@ -23,7 +23,7 @@ from ..spec.message import Direction
 from ..spec.protocol import Variant
 from ..spec.stuffing import Insert
 from .counts import Counts
-from .decider import Decider, Needs
+from .decider import Decider
 from .record import Meta, Unknown
 
 #: A run of lost bytes is reported in pieces of this size at most, so that garbage costs no memory.
@@ -61,7 +61,6 @@ class StreamScanner:
         self._cut_off = 0
         self._losses: list[tuple[int, int, str, bytes]] = []
         self._run: tuple[int, str, bytearray] | None = None
-        self._needs: str | None = None
         self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
         framings: list[tuple[Framing, str]] = []
         names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": _xor, "fletcher": _fletcher}
@@ -73,7 +72,7 @@ class StreamScanner:
                 framings.append((framing, decode))
                 messages = [m for m in decider.messages if m.framing is framing]
                 chosen = decider.decide(messages)
-                names[decode] = self._unwrapped(chosen) if decider.contextual else chosen
+                names[decode] = chosen
                 self._bind(number, framing, decider, decode, names)
                 self.max_size = max(self.max_size, framing.max_size)
         self.framings = tuple(framing for framing, _ in framings)
@@ -83,18 +82,6 @@ class StreamScanner:
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         self._scan: Callable[..., int] = load(self.source, f"aces {label} stream scanner {direction or ''}", names)["scan"]
         self._state = _State()
-
-    def _unwrapped(self, decode: Callable[..., Any]) -> Callable[..., Any]:
-        """For replies that need their request: keeps the reason for the loss that follows."""
-
-        def unwrapped(data: bytes, key: int, meta: Any) -> Any:
-            record = decode(data, key, meta)
-            if type(record) is Needs:
-                self._needs = str(record)
-                return None
-            return record
-
-        return unwrapped
 
     def _bind(self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]) -> None:
         """The helpers that the printed text calls by name."""
@@ -138,13 +125,13 @@ class StreamScanner:
         found: list[Any] = []
         losses = self._losses
         base = self._base
+        deciders = self._deciders
 
         def lose(offset: int, size: int, reason: str) -> None:
-            if reason == "unknown" and self._needs is not None:
-                reason, self._needs = self._needs, None
+            if reason == "unknown":
+                reason = next((need for decider in deciders if (need := decider.take_need())), reason)
             losses.append((offset, size, reason, buffer[offset - base : offset - base + size]))
 
-        self._needs = None
         reached = self._scan(buffer, base, silent, time, found.append, lose, self._state)
         self._base += reached
         self._buffer = buffer[reached:]
@@ -163,8 +150,7 @@ class StreamScanner:
         """At the end of the stream: what stands behind the last packet, from the first incomplete one on, is pending."""
         last = 0
         if found:
-            meta = found[-1]._meta
-            last = meta[5] + len(meta[3])
+            last = found[-1]._key + len(found[-1]._raw)
         for offset, size, reason, _ in self._losses:
             if reason.startswith("unknown"):
                 last = max(last, offset + size)
@@ -182,7 +168,7 @@ class StreamScanner:
         losses = self._losses
         at = 0
         for record in found:
-            offset = record._meta[5]
+            offset = record._key
             while at < len(losses) and losses[at][0] < offset:
                 self._lost(losses[at], out)
                 at += 1
@@ -238,7 +224,7 @@ class StreamScanner:
                         logical = framing.logical(data)
                     except ValueError:
                         continue
-                    if decider.note(message, logical, -1, (time, None, -1, data, None, 0)):
+                    if decider.note(message, logical, 0, time, None, data):
                         return
 
     @property

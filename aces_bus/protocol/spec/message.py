@@ -146,10 +146,15 @@ class Message:
         return tuple(found)
 
     def _request_fields(self) -> tuple[str, ...]:
+        """The request's constrained fields that the message does not carry itself: its record has them too."""
+        own = {capture.name for capture in self.identifier.captures}
+        for head in self.heads:
+            own |= {head.name} if head.pattern is None else {capture.name for capture in head.pattern.captures}
         names: dict[str, None] = {}
         for request in (*self.reply_to, *self.after):
             for name, _ in request.values:
-                names[name] = None
+                if name not in own:
+                    names[name] = None
         return tuple(names)
 
     def _lengths(self, length: int | Collection[int] | None) -> Collection[int] | None:
