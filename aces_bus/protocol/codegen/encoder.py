@@ -56,7 +56,7 @@ class Encoder:
         try:
             return bytes(message.struct.build(fields, raw=raw))
         except FieldError as error:
-            raise FieldError(f"{message.name}: {_short(str(error))}") from None
+            raise FieldError(f"{message.name}: {_short(str(error)).removeprefix(f'{message.name}: ')}") from None
         except (ConstructError, KeyError, TypeError, AttributeError, ValueError) as error:
             raise FieldError(f"{message.name}: {_explain(error, message, fields)}") from None
 

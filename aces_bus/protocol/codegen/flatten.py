@@ -17,6 +17,7 @@ from ..spec.bits import Tuple as BitTuple
 from ..spec.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, SignMagnitude, Text
 from ..spec.head import Head
 from ..spec.message import Message
+from ..spec.normalise import sizes
 from ..spec.pattern import Capture
 from . import plan as p
 
@@ -46,11 +47,13 @@ def flatten(message: Message) -> p.MessagePlan:
     except NotFlat as reason:
         opaque = str(reason)
         names = message.fields[len(fields) :]
+        read = builder.constants  # what was read before it stopped is true all the same
         builder = _Builder(message, tail)
+        builder.constants = read
         builder.fields = [p.PlanField(name, p.Opaque(opaque)) for name in names]
     check = message.check.field if message.check is not None else None
     fields += [f for f in builder.fields if f.name != check]
-    least = message.payload_start + builder.least + tail
+    least = message.payload_start + (sizes(message.payload)[0] if opaque else builder.least) + tail
     lengths: tuple[int, ...] | None
     if framing is None:
         assert message.lengths is not None
@@ -66,6 +69,8 @@ def flatten(message: Message) -> p.MessagePlan:
         one_of=tuple(one_of),
         lengths=lengths if builder.lengths_by is None else None,
         least=least,
+        sync=len(framing.sync) if framing is not None else 0,
+        framed=framing.min_size if framing is not None else 0,
         tail=tail,
         lengths_by=builder.lengths_by,
         selectors=tuple(builder.selectors.items()),
@@ -122,7 +127,9 @@ def _head(head: Head, is_shown: bool, fields: list[p.PlanField], constants: list
 
 def _capture_field(capture: Capture, constant: int, captures: tuple[Capture, ...], number: p.Scalar | None) -> p.PlanField:
     steps: tuple[p.Step, ...] = ()
-    if capture.quantity is not None:
+    if isinstance(capture.quantity, Enumeration):
+        steps = (p.Names(tuple((v, k) for k, v in capture.quantity.names.items())),)
+    elif capture.quantity is not None:
         steps = (p.Scale(capture.quantity.scale, capture.quantity.offset, capture.quantity.unknown),)
     node = p.FromIdentifier(constant, capture.shift, capture.width, len(captures) == 1, steps, capture.unit, number)
     return p.PlanField(capture.name, node, doc=capture.doc)
@@ -251,7 +258,11 @@ class _Builder:
                     raise NotFlat(f"{name} stands at several places")
                 start = starts.pop()
                 self.offset = base + start
+                known = len(self.constants)
                 node = self._node(body.body, f"{path}_{name}")
+                if len(self.constants) > known:
+                    del self.constants[known:]
+                    raise NotFlat(f"{name} is multiplexed and has a constant")
                 if self.is_open:
                     raise NotFlat(f"{name} is multiplexed and of open size")
                 for value in body.when:

@@ -204,6 +204,10 @@ class MessagePlan:
     #: Lengths of the data (CAN) or the packet (streams); None: any from `least` up.
     lengths: tuple[int, ...] | None
     least: int
+    #: Bytes of sync at the packet's start: the framing has seen them.
+    sync: int = 0
+    #: The least size that the framing lets through.
+    framed: int = 0
     #: Bytes at the packet's end that are not payload (check and end of a framing).
     tail: int = 0
     #: selector → total length, where multiplexed fields make the length.

@@ -165,9 +165,9 @@ class Cell:
 class Decoder:
     """Prints the decode function of one message.
 
-    The function is `decode_Name(data, key, time, channel, raw, rx, request=None)`: `data` are the frame's data bytes or
-    the packet without stuffing, the rest is the transport's. It gives the record, or None when the data is not this
-    message. Without `guard` the length check is left to `struct.unpack`, which raises `struct.error`.
+    The function is `decode_Name(data, key, time, channel, raw, rx)`: `data` are the frame's data bytes or the packet
+    without stuffing, the rest is the transport's; messages that show fields of their request take it last. It gives the
+    record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`, which raises `struct.error`.
     """
 
     def __init__(self, plan: p.MessagePlan, *, raw: bool, guard: bool = True) -> None:
@@ -185,7 +185,8 @@ class Decoder:
     def print(self) -> tuple[list[str], list[str]]:
         """(module-level lines, function lines)."""
         plan, out = self.plan, self.body
-        out.line(f"def decode_{plan.name}(data, key, time, channel, raw, rx, request=None):")
+        needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
+        out.line(f"def decode_{plan.name}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):")
         out.depth = 1
         out.line(f'"""{_first_line(plan.doc) or plan.name} ({plan.place})"""')
         if not plan.is_flat:
@@ -193,7 +194,7 @@ class Decoder:
             out.line(f"return opaque_{plan.name}(data, key, time, channel, raw, rx, request)")
             return self.setup, out.lines
         self._fetch()
-        tests = plan.constants or plan.one_of or plan.is_checked or plan.lengths_by
+        tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by
         if self.guard or tests or not self.is_exact:
             self._lengths()
         self._constants()
@@ -229,6 +230,8 @@ class Decoder:
     def _lengths(self) -> None:
         plan, out = self.plan, self.body
         if plan.lengths is None:
+            if plan.least <= plan.framed:
+                return
             out.line(f"if len(data) < {plan.least}:")
         elif len(plan.lengths) == 1:
             out.line(f"if len(data) != {plan.lengths[0]}:")
@@ -240,7 +243,7 @@ class Decoder:
 
     def _constants(self) -> None:
         tests = []
-        for constant in self.plan.constants:
+        for constant in self.plan.constants[self.plan.sync :]:
             if constant.mask == 0xFF:
                 tests.append(f"data[{constant.offset}] != {constant.value:#04x}")
             else:
@@ -248,8 +251,11 @@ class Decoder:
         for one in self.plan.one_of:
             values = one.values
             run = len(values) > 2 and values == tuple(range(values[0], values[-1] + 1))
-            number = self._integer(one.number)
-            tests.append(f"not {values[0]} <= {number} <= {values[-1]}" if run else f"{number} not in {_members(values)}")
+            number = self._integer(one.number, fetched=False)  # the test stands before the fetching
+            if run and values[0] == 0 and number.startswith("data["):
+                tests.append(f"{number} > {values[-1]}")
+            else:
+                tests.append(f"not {values[0]} <= {number} <= {values[-1]}" if run else f"{number} not in {_members(values)}")
         for test in tests:
             self.body.line(f"if {test}:")
             self.body.line("    return None")
@@ -355,12 +361,12 @@ class Decoder:
             return "data"
         return f"data[{start or ''}:{end}]"
 
-    def _integer(self, scalar: p.Scalar) -> str:
-        """The unsigned number (the signed one, of whole signed numbers), as an expression."""
-        if scalar in self.atoms:
+    def _integer(self, scalar: p.Scalar, *, fetched: bool = True) -> str:
+        """The unsigned number (the signed one, of whole signed numbers), as an expression; from `data`, unless `fetched`."""
+        if fetched and scalar in self.atoms:
             return self.atoms[scalar]
         assert scalar.size is not None
-        cell = self._cell_of(scalar)
+        cell = self._cell_of(scalar) if fetched else None
         order = _run_order(scalar)
         if cell is None:
             first, last = min(scalar.bits) // 8, max(scalar.bits) // 8

@@ -52,13 +52,12 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     out = Source()
     out.line(f'"""Stream scanner of {label}: generated from its spec."""')
     out.line()
-    out.line("def scan(buffer, base, silent, time, emit, lose, state):")
+    out.line("def scan(buffer, base, i, stop, silent, time, emit, lose, state):")
     out.depth = 1
-    out.line('"""Decide as much of `buffer` as can be decided; `base` is its offset in the stream."""')
+    out.line('"""Decide `buffer` from `i` to `stop`, or as far as can be; `base` is its offset in the stream."""')
     out.line("end = len(buffer)")
     out.line("starts = buffer.startswith")
-    out.line("i = 0")
-    out.line("while i < end:")
+    out.line("while i < stop:")
     out.depth = 2
     out.line("bad = None")
     if len(framings) > 1:
@@ -78,6 +77,8 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
         out.line("# nothing here: on to the next byte that may open a packet")
         out.line("found = seek(buffer, i + 1)")
         out.line("j = found.start() if found is not None else end")
+        out.line("if j > stop:")
+        out.line("    j = stop")
     else:
         out.line("j = i + 1")
     out.line("lose(base + i, j - i, 'skipped')")
@@ -164,7 +165,7 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
     failed = "bad = bad or 'malformed: checksum'"
     if check is not None:
         start = f"i + {len(framing.sync)}"
-        plain = _plain_cover(check, len(framing.sync), framing.check_size)
+        plain = plain_cover(check, len(framing.sync), framing.check_size)
         if plain is not None and check.kind != "crc":
             start = f"i + {plain}" if plain else "i"
             stored = _stored(check, "j")
@@ -238,7 +239,7 @@ def _has_extra(check: Check) -> bool:
     return any(isinstance(part, Extra) for part in check.over or ())
 
 
-def _plain_cover(check: Check, sync: int, size: int) -> int | None:
+def plain_cover(check: Check, sync: int, size: int) -> int | None:
     """Where the covered bytes start, when they are one run up to the check."""
     if check.over is None:
         return sync if check.text is None else None

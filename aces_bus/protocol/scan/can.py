@@ -242,6 +242,13 @@ class CanScanner:
         )
         return Unknown(reason, meta)
 
+    def reset(self) -> None:
+        """Forget everything seen, counts included: as if just made."""
+        self._counts = Counts()
+        self._given[:] = 0, 0
+        for wire in self._wires:
+            wire.reset()
+
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
         key = key_of(

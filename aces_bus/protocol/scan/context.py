@@ -56,6 +56,11 @@ class Context:
                     links.append(Link(request, shared, is_sticky))
                     self._kinds.setdefault(request.message.name, set()).add(shared)
 
+    def reset(self) -> None:
+        """Forget what has been asked."""
+        self._seen.clear()
+        self._count = 0
+
     @property
     def requests(self) -> frozenset[str]:
         """Names of the messages to note."""
@@ -66,7 +71,7 @@ class Context:
         self._count += 1
         entry = Entry(self._count, time, values)
         for shared in self._kinds[name]:
-            key = (name, channel, shared, tuple(values.get(field) for field in shared))
+            key = (name, channel, shared, tuple(values.get(n) for n in shared))
             entries = self._seen.setdefault(key, [])
             entries.append(entry)
             del entries[:-DEPTH]

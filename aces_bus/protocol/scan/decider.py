@@ -46,6 +46,14 @@ class Decider:
         self.missed = 0
         #: Why the last packet that was not decoded needs a request; taken by `take_need`.
         self._need = ""
+        self._counters: list[dict[Any, int]] = []
+
+    def reset(self) -> None:
+        """Forget requests and rolling counters."""
+        self.context.reset()
+        for last in self._counters:
+            last.clear()
+        self.missed, self._need = 0, ""
 
     def take_need(self) -> str:
         """The reason when the packet just refused was a reply without its request, else empty."""
@@ -125,7 +133,8 @@ class Decider:
                 found = context.of(fitting, channel, time)
                 if found is not None:
                     message, request = found
-                    return decoders[message.name](data, key, time, channel, packet, rx, request)
+                    more = (request,) if message.request_fields else ()
+                    return decoders[message.name](data, key, time, channel, packet, rx, *more)
             record = otherwise(data, key, time, channel, packet, rx) if otherwise is not None else None
             if record is None and fitting:
                 self._need = context.needs([m for m, _ in fitting])
@@ -142,6 +151,7 @@ def _values(record: Any) -> dict[str, Any]:
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
     """Watches a message's rolling counters and counts what they say was missed."""
     last: dict[Any, int] = {}
+    decider._counters.append(last)
     raw = decider.raw_decoders[message.name]
     captures = [c.name for c in message.identifier.captures]
 

@@ -16,12 +16,13 @@ from operator import xor
 from typing import Any, Literal
 
 from ..codegen.load import load
-from ..codegen.print_scan import print_stream, seek_pattern
+from ..codegen.print_scan import plain_cover, print_stream, seek_pattern
 from ..spec.checks import Check, Sums
 from ..spec.framing import Framing, Verdict
 from ..spec.message import Direction
 from ..spec.protocol import Variant
 from ..spec.stuffing import Insert
+from . import find
 from .counts import Counts
 from .decider import Decider
 from .record import Meta, Unknown
@@ -82,6 +83,16 @@ class StreamScanner:
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         self._scan: Callable[..., int] = load(self.source, f"aces {label} stream scanner {direction or ''}", names)["scan"]
         self._state = _State()
+        # One framing alone on the wire: large chunks are searched at once.
+        self._finder: find.Finder | None = None
+        self._holds: Callable[[bytes], bool] | None = None
+        if len(framings) == 1 and find.Finder.fits(self.framings[0]) and self.framings[0].stuffing is None:
+            framing = self.framings[0]
+            cover = plain_cover(framing.check, len(framing.sync), framing.check_size) if framing.check is not None else None
+            self._finder = find.Finder(framing, cover)
+            self._decode: Callable[..., Any] = names["packet_0"]
+            failure = names.get("check_0")
+            self._holds = (lambda packet: failure(packet) is None) if failure is not None else None
 
     def _bind(self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]) -> None:
         """The helpers that the printed text calls by name."""
@@ -127,22 +138,74 @@ class StreamScanner:
         base = self._base
         deciders = self._deciders
 
-        def lose(offset: int, size: int, reason: str) -> None:
+        lost = 0
+        reasons = self.counts.reasons
+
+        def keep(offset: int, size: int, reason: str) -> None:
+            nonlocal lost
+            lost += size
             if reason == "unknown":
                 reason = next((need for decider in deciders if (need := decider.take_need())), reason)
             losses.append((offset, size, reason, buffer[offset - base : offset - base + size]))
 
-        reached = self._scan(buffer, base, silent, time, found.append, lose, self._state)
+        def count(offset: int, size: int, reason: str) -> None:
+            nonlocal lost
+            lost += size
+            if reason == "unknown":
+                reason = next((need for decider in deciders if (need := decider.take_need())), reason)
+            reasons[reason] = reasons.get(reason, 0) + size
+
+        lose = keep if self.everything or closing else count
+        reached = 0
+        if self._finder is not None and len(buffer) >= find.WORTH:
+            reached = self._stride(buffer, base, time, found, lose)
+        if reached < len(buffer):
+            reached = self._scan(buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state)
         self._base += reached
         self._buffer = buffer[reached:]
-        self.counts.decoded += reached - sum(loss[1] for loss in losses)
+        self.counts.decoded += reached - lost
         self.counts.records += len(found)
         if closing:
             self._leave_pending(found, buffer, base)
         self.counts.pending = len(self._buffer) + self._cut_off
+        if closing and not self.everything:
+            for _, size, reason, _ in losses:
+                if reason != "pending":
+                    self.counts.lose(size, reason)
+            losses.clear()
+            return found
         if losses or self._run is not None:
             return self._settle(found, silent)
         return found
+
+    def _stride(
+        self, buffer: bytes, base: int, time: float | None, found: list[Any], lose: Callable[[int, int, str], None]
+    ) -> int:
+        """Accept what `Finder` proposes, in order; the bytes between are left to the scan function. Gives what is done."""
+        assert self._finder is not None
+        starts, ends, stop = self._finder.find(buffer, self._holds)
+        self._state.work += stop
+        decode, scan, emit, state = self._decode, self._scan, found.append, self._state
+        mark = self.framings[0].sync[:1]
+        at = 0
+        for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
+            if start != at:
+                if start < at:
+                    continue
+                if buffer.find(mark, at, start) < 0:
+                    lose(base + at, start - at, "skipped")
+                else:
+                    scan(buffer, base, at, start, False, time, emit, lose, state)
+            record = decode(packet := buffer[start:end], base + start, time, None, packet, None)
+            if record is None:
+                lose(base + start, end - start, "unknown")
+            else:
+                emit(record)
+            at = end
+        if at < stop:
+            scan(buffer, base, at, stop, False, time, emit, lose, self._state)
+            at = stop
+        return at
 
     # ------------------------------------------------------------------ losses
 
@@ -185,8 +248,6 @@ class StreamScanner:
         offset, size, reason, data = loss
         if reason != "pending":
             self.counts.lose(size, reason)
-        if not self.everything:
-            return
         whole = not reason.startswith(("skipped", "malformed"))
         if self._run is not None and (whole or self._run[1] != reason):
             self._end_run(out)

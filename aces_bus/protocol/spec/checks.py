@@ -236,6 +236,10 @@ class Sums:
 
     def __init__(self, check: Check) -> None:
         self.check = check
+        self.reset()
+
+    def reset(self) -> None:
+        """As if nothing had been summed."""
         self.active = False
         self.work = 0
         self._start = self._end = 0

@@ -14,7 +14,7 @@ import construct as c
 from ...errors import SpecError
 from .bits import BitLayout
 from .delimited import Delimited
-from .fields import Enumeration, Flags, Multiplexed, innermost
+from .fields import Enumeration, Field, Flags, Multiplexed
 from .head import enumeration_of
 from .place import Place
 
@@ -110,6 +110,8 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
 
 def sizes(con: c.Construct) -> tuple[int, int | None]:
     """The least and the greatest number of bytes of a construct; None for no bound."""
+    while isinstance(con, c.Renamed):
+        con = con.subcon
     if isinstance(con, c.Struct):
         low, high = 0, 0
         for item in con.subcons:
@@ -134,11 +136,10 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
         return min(s[0] for s in all_sizes), None if None in tops else max(t for t in tops if t is not None)
     if isinstance(con, Delimited):
         return con.least_size, None
-    inner = innermost(con) if not isinstance(con, c.GreedyRange) else con
-    if isinstance(inner, (c.Struct, c.Array, BitLayout)) and inner is not con:
-        return sizes(inner)
+    if isinstance(con, (c.Default, Field)):
+        return sizes(con.subcon)
     try:
         size = int(con.sizeof())
-    except c.SizeofError:
+    except (c.SizeofError, LookupError, AttributeError, TypeError):  # it depends on a field
         return 0, None
     return size, size

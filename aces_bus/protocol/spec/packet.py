@@ -20,6 +20,7 @@ from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
 from .head import Head
+from .pattern import describe_values
 
 if TYPE_CHECKING:
     from .message import Message
@@ -178,7 +179,11 @@ class Packet(Construct):  # type: ignore[misc]
         head.field._build(value, out, context, path)
         written = out.getvalue()
         if head.pattern is not None and head.pattern.match(int.from_bytes(written, "big" if head.order == "big" else "little")) is None:
-            raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({head.pattern.describe(2)})")
+            pattern = head.pattern
+            wanted = pattern.describe(2)
+            if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
+                wanted = describe_values(pattern.captures[0].values)
+            raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
         return written
 
     def _framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
@@ -205,6 +210,9 @@ class Packet(Construct):  # type: ignore[misc]
             if framing.end in packet[len(framing.sync) :]:
                 raise FieldError(f"{self.message.name}: the bytes that end a packet occur inside it")
             packet += framing.end
+        if framing.not_next and packet[len(framing.sync)] in framing.not_next:
+            followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"
+            raise FieldError(f"{self.message.name}: {followed} would not be read as a packet; choose other values")
         if len(packet) > framing.max_size:
             raise FieldError(f"{self.message.name}: a packet of {len(packet)} bytes is longer than {framing.max_size}")
         return packet

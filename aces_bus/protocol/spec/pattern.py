@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ...errors import FieldError, SpecError
-from .fields import Quantity
+from .fields import Enumeration, Quantity
 from .place import caller
 
 
@@ -44,7 +44,7 @@ class Arithmetic:
 class Capture(Arithmetic):
     """A part of a number that becomes the field `name`, with the raw values that it may take.
 
-    `quantity` gives a captured number a unit and a scale (a torque inside an identifier): any `Quantity` keyword.
+    `unit`, `scale` and `offset` make it a quantity (a torque inside an identifier), `names` an enumeration (a status).
     """
 
     name: str
@@ -52,9 +52,10 @@ class Capture(Arithmetic):
     unit: str = ""
     scale: float = 1
     offset: float = 0
+    names: Mapping[str, int] | None = None
     doc: str = ""
     shift: int = 0
-    quantity: Quantity | None = field(default=None, compare=False)
+    quantity: Quantity | Enumeration | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if not self.values or min(self.values) < 0:
@@ -64,6 +65,10 @@ class Capture(Arithmetic):
 
             made = Quantity(Int64ub, unit=self.unit, scale=self.scale, offset=self.offset)
             object.__setattr__(self, "quantity", made)
+        if self.quantity is None and self.names is not None:
+            from construct import Int64ub
+
+            object.__setattr__(self, "quantity", Enumeration(Int64ub, self.names))
 
     @property
     def width(self) -> int:
