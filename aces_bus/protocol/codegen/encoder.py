@@ -6,14 +6,24 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from construct import ConstructError
 
-from ...errors import FieldError, UnknownNameError
+from ...errors import AcesError, FieldError, UnknownNameError
 from ..spec.message import Message
 from ..spec.packet import EXTENDED, FD_FLAG, REMOTE
 from ..spec.protocol import Variant
+from .flatten import flatten
+from .load import load
+from .print_encode import NoEncoder, head_writer, print_encoder
+
+
+class Unusual(Exception):
+    """A value that a printed encoder leaves to construct."""
 
 
 class Encoder:
@@ -22,6 +32,7 @@ class Encoder:
     def __init__(self, variant: Variant) -> None:
         self.variant = variant
         self._counters: dict[tuple[Any, ...], int] = {}
+        self._quick, self.source, self.through_construct = quick_encoders(variant)
 
     def encode(self, message: str, /, **fields: Any) -> Any:
         """A python-can message (CAN) or the packet's bytes, from values in the sheet's units.
@@ -44,6 +55,15 @@ class Encoder:
 
     def build(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> Any:
         """The frame or packet of `message`."""
+        quick = self._quick.get(message.name) if not raw else None
+        if quick is not None:
+            try:
+                identifier, head, body = quick(fields)
+                if message.framing is not None:
+                    return message.struct.framed(message.framing, head, body)
+                return new_can(identifier, head + body, message)
+            except USUAL_FAILURES:
+                pass  # construct decides, and explains
         image = self.image(message, fields, raw=raw)
         return image if message.framing is not None else to_can(image)
 
@@ -72,6 +92,45 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
         return f"no value given for {', '.join(missing)}"
     text = _short(str(error)).replace("Error in path ", "").strip()
     return " ".join(text.split()) or type(error).__name__
+
+
+#: What printed encoders raise for a value that they leave to construct.
+USUAL_FAILURES = (Unusual, struct.error, AcesError, ConstructError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
+
+
+def quick_encoders(variant: Variant) -> tuple[dict[str, Callable[[dict[str, Any]], Any]], str, dict[str, str]]:
+    """The printed encoders of a variant, their source, and why the other messages go through construct."""
+    lines = [f'"""Encoders of {variant.label}: generated from its spec."""', ""]
+    names: dict[str, Any] = {"Struct": struct.Struct, "Unusual": Unusual}
+    others: dict[str, str] = {}
+    for message in variant.messages.values():
+        try:
+            lines += ["", *print_encoder(message, flatten(message)), ""]
+        except NoEncoder as reason:
+            others[message.name] = str(reason)
+            continue
+        for capture in message.identifier.captures:
+            names[f"capture_{message.name}_{capture.name}"] = partial(capture.to_raw, path=capture.name)
+        for head in message.heads_written:
+            if head.name is not None and not head.is_constant:
+                names[f"head_{message.name}_{head.name}"] = head_writer(head)
+    source = "\n".join(lines) + "\n"
+    space = load(source, f"aces {variant.label} encoders", names)
+    return {name: space[f"encode_{name}"] for name in variant.messages if name not in others}, source, others
+
+
+def new_can(identifier: int, data: bytes, message: Message) -> Any:
+    """The python-can message of a frame."""
+    import can
+
+    return can.Message(
+        arbitration_id=identifier,
+        is_extended_id=message.extended,
+        is_remote_frame=message.remote,
+        is_fd=message.fd,
+        data=data,
+        dlc=len(data),
+    )
 
 
 def to_can(image: bytes) -> Any:

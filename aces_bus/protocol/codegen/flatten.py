@@ -130,9 +130,15 @@ def _capture_field(capture: Capture, constant: int, captures: tuple[Capture, ...
     if isinstance(capture.quantity, Enumeration):
         steps = (p.Names(tuple((v, k) for k, v in capture.quantity.names.items())),)
     elif capture.quantity is not None:
-        steps = (p.Scale(capture.quantity.scale, capture.quantity.offset, capture.quantity.unknown),)
+        steps = (_scale(capture.quantity),)
     node = p.FromIdentifier(constant, capture.shift, capture.width, len(captures) == 1, steps, capture.unit, number)
     return p.PlanField(capture.name, node, doc=capture.doc)
+
+
+def _scale(quantity: Quantity) -> p.Scale:
+    return p.Scale(
+        quantity.scale, quantity.offset, quantity.unknown, quantity.range, quantity.raw_range, quantity.rounding
+    )
 
 
 def _order(order: str) -> Any:
@@ -156,7 +162,7 @@ def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
         elif isinstance(con, Quantity):
             doc = doc or con.docs or ""
             unit = unit or con.unit
-            steps.append(p.Scale(con.scale, con.offset, con.unknown))
+            steps.append(_scale(con))
             con = con.subcon
         elif isinstance(con, SignMagnitude):
             steps.append(p.Magnitude(con.width))

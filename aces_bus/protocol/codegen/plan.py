@@ -14,11 +14,17 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Scale:
-    """physical = raw × scale + offset; raw values in `unknown` are None."""
+    """physical = raw × scale + offset; raw values in `unknown` are None.
+
+    `bounds` (physical) and `raw_bounds` are what may be sent; `rounding` is how a physical value becomes an integer.
+    """
 
     scale: float
     offset: float
     unknown: tuple[float, ...] = ()
+    bounds: tuple[float, float] | None = None
+    raw_bounds: tuple[int, int] | None = None
+    rounding: str = "nearest"
 
 
 @dataclass(frozen=True)

@@ -283,7 +283,7 @@ class Decoder:
     def _fetch(self) -> None:
         """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
         present = [s for s, always in self._scalars() if always]
-        whole = [s for s in dict.fromkeys(present) if s.size is not None and _format(s)]
+        whole = [s for s in dict.fromkeys(present) if s.size is not None and format_of(s)]
         taken = [(s.offset, s.offset + (s.size or 0)) for s in whole]
         chunks: list[tuple[int, int, str, p.Scalar | None]] = [
             (s.offset, s.offset + (s.size or 0), s.order if s.size != 1 else "", s) for s in whole
@@ -306,12 +306,10 @@ class Decoder:
                 name = f"word{len(self.cells)}"
                 self.cells.append(Cell(name, start, end, order or "little"))
                 self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
-        for field in self._all_fields():
-            if isinstance(field.node, p.Rest):
-                node = field.node
-                cell = Cell(f"all{node.offset}", node.offset, node.offset + node.size, "little")
-                self.cells.append(cell)
-                self.unpacks.append(f'{cell.name} = from_bytes({self._slice(cell.start, cell.end)}, "little")')
+        for node in self._rests():
+            cell = Cell(f"all{node.offset}", node.offset, node.offset + node.size, "little")
+            self.cells.append(cell)
+            self.unpacks.append(f'{cell.name} = from_bytes({self._slice(cell.start, cell.end)}, "little")')
 
     def _unpack_call(self, chunks: Sequence[tuple[int, int, str, p.Scalar | None]], order: str) -> None:
         text = ">" if order == "big" else "<"
@@ -325,7 +323,7 @@ class Decoder:
             name = f"v{len(self.cells)}"
             size = end - start
             if scalar is not None:
-                text += _format(scalar)
+                text += format_of(scalar)
                 names.append(name)
                 self.atoms[scalar] = name
             elif size == 3:
@@ -340,7 +338,7 @@ class Decoder:
         whole = start == 0 and self.plan.lengths == (at,)
         self.is_exact = self.is_exact or whole
         helper = f"_unpack_{self.plan.name}" + ("_be" if order == "big" else "")
-        self.setup.append(f'{helper} = Struct("{_compact(text)}").{"unpack" if whole else "unpack_from"}')
+        self.setup.append(f'{helper} = Struct("{compact(text)}").{"unpack" if whole else "unpack_from"}')
         call = f"{helper}(data)" if start == 0 else f"{helper}(data, {start})"
         self.unpacks.append(f"{', '.join(names)}{',' if len(names) == 1 else ''} = {call}")
         self.unpacks += after
@@ -353,8 +351,23 @@ class Decoder:
                 return cell
         return None
 
-    def _all_fields(self) -> list[p.PlanField]:
-        return [*self.plan.fields, *(f for g in groups_of(self.plan.fields) for f in g.fields)]
+    def _rests(self) -> list[p.Rest]:
+        """Every rest, also those of each nested record in an array."""
+        found: list[p.Rest] = []
+
+        def visit(node: p.Node) -> None:
+            if isinstance(node, p.Rest):
+                found.append(node)
+            elif isinstance(node, p.Many):
+                for item in node.items:
+                    visit(item)
+            elif isinstance(node, p.Group):
+                for field in node.fields:
+                    visit(field.node)
+
+        for field in self.plan.fields:
+            visit(field.node)
+        return found
 
     def _slice(self, start: int, end: int) -> str:
         if start == 0 and self.plan.lengths == (end,):
@@ -377,7 +390,7 @@ class Decoder:
         else:
             positions = [(cell.end - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]
         pieces = []
-        for at, to, width in _runs(positions):
+        for at, to, width in runs_of(positions):
             piece = f"{cell.name} >> {at}" if at else cell.name
             if at + width < 8 * (cell.end - cell.start):
                 piece = f"{piece} & {(1 << width) - 1:#x}"
@@ -458,11 +471,10 @@ class Decoder:
             elif isinstance(step, p.Names):
                 table = f"_names_{self.plan.name}_{name}"
                 small = 0 < width <= 8
-                line = f"{table} = {dict(step.values)!r}.get"
+                value = f"{dict(step.values)!r}.get"
                 if small:
-                    line = f"{table} = [{dict(step.values)!r}.get(n, n) for n in range({1 << width})]"
-                if line not in self.setup:
-                    self.setup.append(line)
+                    value = f"[{value}(n, n) for n in range({1 << width})]"
+                table = self._table(table, value)
                 if small:
                     number = f"{table}[{number}]"
                 else:
@@ -470,6 +482,17 @@ class Decoder:
             else:
                 number = f"flags_{self.plan.name}_{name}[{number}]"
         return number
+
+    def _table(self, name: str, value: str) -> str:
+        """The name of a table with this value: `name`, or with a number behind it where that is another table."""
+        found, count = name, 1
+        while f"{found} = {value}" not in self.setup:
+            if not any(line.startswith(f"{found} = ") for line in self.setup):
+                self.setup.append(f"{found} = {value}")
+                break
+            count += 1
+            found = f"{name}_{count}"
+        return found
 
     def _scaled(self, number: str, step: p.Scale) -> str:
         before = number
@@ -556,7 +579,7 @@ class Decoder:
         return f"({value})" if " if " in value or " or " in value else value
 
 
-def _format(scalar: p.Scalar) -> str:
+def format_of(scalar: p.Scalar) -> str:
     """The `struct` format of a whole number of usual size, else empty."""
     if scalar.size is None or (scalar.kind, scalar.size) not in _FORMATS:
         return ""
@@ -589,13 +612,13 @@ def _one_byte(scalar: p.Scalar) -> bool:
 
 def _run_order(scalar: p.Scalar) -> str:
     """The byte order in which the field falls into fewer pieces."""
-    little = len(_runs(list(scalar.bits)))
+    little = len(runs_of(list(scalar.bits)))
     size = scalar.size or 0
-    big = len(_runs([(scalar.offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]))
+    big = len(runs_of([(scalar.offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]))
     return "big" if big < little else "little"
 
 
-def _runs(positions: Sequence[int]) -> list[tuple[int, int, int]]:
+def runs_of(positions: Sequence[int]) -> list[tuple[int, int, int]]:
     """Contiguous runs: (position of the lowest bit, its place in the number, width)."""
     runs: list[tuple[int, int, int]] = []
     for to, at in enumerate(positions):
@@ -622,7 +645,7 @@ def _balanced(text: str) -> bool:
     return True
 
 
-def _compact(text: str) -> str:
+def compact(text: str) -> str:
     """`<hhh` as `<3h`."""
     out, last, count = text[0], "", 0
     for char in text[1:] + "\0":

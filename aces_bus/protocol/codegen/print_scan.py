@@ -169,12 +169,12 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
         if plain is not None and check.kind != "crc":
             start = f"i + {plain}" if plain else "i"
             stored = _stored(check, "j")
-            out.line(f"if sums_{number}.active:")
+            out.line(f"if base + {start} <= sums_{number}.end:")
             out.line(f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}")
             out.line("else:")
             out.line(f"    good = {_direct(check, f'buffer[{start}:{end}]')} == {stored}")
             out.line("    if not good:")
-            out.line(f"        sums_{number}.fail(base + {start}, {size_expr(framing, plain)})")
+            out.line(f"        sums_{number}.fail(buffer[{start}:{end}], base + {start})")
             out.line("if not good:")
         elif plain is not None and not _has_extra(check):
             start = f"i + {plain}" if plain else "i"

@@ -47,19 +47,19 @@ class _Wire(Decider):
             self.table[key] = self.decide([*messages, *self._matching(key)], alone=True)
 
     def _matching(self, key: int) -> list[Message]:
-        identifier = key & 0x1FFF_FFFF
-        return [
-            m
-            for m in self._patterns
-            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key and m.identifier.match(identifier) is not None
-        ]
+        return self.matching(key, self._patterns)
 
     def candidates(self, key: int) -> list[Message]:
         """The messages whose identifier and flags fit, in order."""
+        return self.matching(key, self.messages)
+
+    @staticmethod
+    def matching(key: int, messages: Iterable[Message]) -> list[Message]:
+        """Those of `messages` whose identifier and flags fit."""
         identifier = key & 0x1FFF_FFFF
         return [
             m
-            for m in self.messages
+            for m in messages
             if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key and m.identifier.match(identifier) is not None
         ]
 
@@ -256,9 +256,9 @@ class CanScanner:
         )
         data = bytes(frame.data)
         for wire in self._wires:
-            for message in wire.candidates(key):
-                if message.name in wire.context.requests:
-                    wire.note(message, data, key, frame.timestamp, frame.channel, data)
+            for message in wire.matching(key, wire.asked):
+                if wire.note(message, data, key, frame.timestamp, frame.channel, data):
+                    return
 
     def idle(self, time: float | None = None) -> list[Any]:
         """Frames are whole: silence decides nothing on CAN."""

@@ -104,6 +104,17 @@ class Context:
                         return message, latest.values
         return None
 
+    def pending(self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None) -> Mapping[str, Any] | None:
+        """The request that a reply with these outer fields would answer: for payloads whose layout is in their request."""
+        latest: Entry | None = None
+        for link in self._links[message.name]:
+            for wanted, _ in self._wanted(link, values):
+                entry = self._latest(link, channel, wanted, values, message.within, time)
+                if entry is not None and link.request.accepts(entry.values):
+                    if latest is None or entry.number > latest.number:
+                        latest = entry
+        return latest.values if latest is not None else None
+
     def _wanted(self, link: Link, values: Mapping[str, Any]) -> list[tuple[tuple[Any, ...], bool]]:
         own = _who(link, values)
         every = tuple(self._broadcast.get(name, value) for name, value in zip(link.shared, own, strict=True))

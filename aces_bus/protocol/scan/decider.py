@@ -39,6 +39,8 @@ class Decider:
         self.raw_decoders = codec(variant, True).decoders
         self.contextual = needing_context(self.messages)
         self.context = Context(self.messages, self.contextual, variant.protocol.broadcast)
+        #: What `sent` looks for: requests, whichever way this scanner faces.
+        self.asked = [m for m in ordered(variant.messages.values()) if m.name in self.context.requests]
         self._chosen: dict[tuple[str, ...], Decode] = {}
         #: The printed choices, for those who want to read them.
         self.source = ""
@@ -127,6 +129,10 @@ class Decider:
             fitting = []
             for message in bound:
                 seen = raw[message.name](data, key, time, channel, packet, rx)
+                if seen is None and message.request_fields and (outer := message.outer(data, key & 0x1FFF_FFFF)) is not None:
+                    # The layout may be in the request.
+                    request = context.pending(message, outer, channel, time)
+                    seen = raw[message.name](data, key, time, channel, packet, rx, request) if request is not None else None
                 if seen is not None:
                     fitting.append((message, _values(seen)))
             if fitting:

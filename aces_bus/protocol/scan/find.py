@@ -1,13 +1,12 @@
 """Finds whole packets in a large chunk at once, with NumPy.
 
-1. It proposes, the rule disposes: what it gives are exactly the candidates that are whole and whose check holds, in
-   order; which of them are accepted, and what becomes of the bytes between, is decided by the scanner as ever.
+1. It proposes, the rule disposes: what it gives are exactly the candidates that are whole (and whose check holds, where
+   running sums tell), in order; which are accepted, and what becomes of the bytes between, is decided as ever.
 2. It looks only where everything is decidable: before the first candidate that is still incomplete.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,16 +23,21 @@ class Finder:
 
     def __init__(self, framing: Framing, cover: int | None) -> None:
         self.framing = framing
-        #: Where the covered bytes start, when the check covers one run up to itself; else checks are asked one by one.
-        self.cover = cover
+        check = framing.check
+        #: Where the covered bytes start, when running sums answer the check; None: candidates come unchecked.
+        self.cover = cover if check is not None and check.kind != "crc" and check.bytes <= 4 else None
+        #: The running sums of the last `find`, and how many bytes they cover.
+        self.sums: tuple[Any, Any] = ((), ())
+        self.summed = 0
 
     @staticmethod
     def fits(framing: Framing) -> bool:
         return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
-    def find(self, buffer: bytes, check: Callable[[bytes], bool] | None) -> tuple[list[int], list[int], int]:
-        """(starts, ends, stop): whole, checked packets that start before `stop`, where something is incomplete."""
+    def find(self, buffer: bytes) -> tuple[list[int], list[int], int]:
+        """(starts, ends, stop): whole packets that start before `stop`, where something is incomplete."""
         framing = self.framing
+        self.summed = 0
         data = np.frombuffer(buffer, dtype=np.uint8)
         sync = framing.sync
         reach = len(sync) + (1 if framing.not_next else 0)
@@ -56,13 +60,10 @@ class Finder:
         stop = int(starts[cut[0]]) if len(cut) else last
         decided = starts < stop
         starts, ends = starts[decided], ends[decided]
-        if framing.check is not None and len(starts):
-            if self.cover is not None and framing.check.kind != "crc":
-                good = self._checked(data, framing.check, starts + self.cover, ends - framing.check_size)
-                starts, ends = starts[good], ends[good]
-            elif check is not None:
-                kept = [(s, e) for s, e in zip(starts.tolist(), ends.tolist(), strict=True) if check(buffer[s:e])]
-                return [s for s, _ in kept], [e for _, e in kept], stop
+        if framing.check is not None and self.cover is not None and len(starts):
+            data = data[: int(ends.max())]
+            good = self._checked(data, framing.check, starts + self.cover, ends - framing.check_size)
+            starts, ends = starts[good], ends[good]
         return starts.tolist(), ends.tolist(), stop
 
     def _sizes(self, data: Any, starts: Any) -> Any:
@@ -76,18 +77,21 @@ class Finder:
             number |= data[starts + head.offset + index].astype(np.int64) << shift
         return number * affine.factor + affine.constant
 
-    @staticmethod
-    def _checked(data: Any, check: Check, starts: Any, ends: Any) -> Any:
+    def _checked(self, data: Any, check: Check, starts: Any, ends: Any) -> Any:
         """Whether the number that stands at `ends` is that of the bytes before it, from running sums."""
+        self.summed = len(data)
         if check.kind == "xor":
             running = _before(np.bitwise_xor, data, np.uint8)
+            self.sums = running, ()
             return (running[ends] ^ running[starts]) == data[ends]
         sums = _before(np.add, data, np.int64)
+        self.sums = sums, ()
         total = sums[ends] - sums[starts]
         if isinstance(check, Sum):
             number = (~total if check.inverted else total) & check.mask
         else:
             double = _before(np.add, sums[1:], np.int64)
+            self.sums = sums, double
             second = double[ends] - double[starts] - (ends - starts) * sums[starts]
             number = total & 0xFF | (second & 0xFF) << 8
         if check.bytes == 1:

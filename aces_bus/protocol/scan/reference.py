@@ -82,7 +82,9 @@ class Reference:
                     problem = problem or "malformed: checksum"
                     continue
                 except (ConstructError, AcesError):
-                    continue
+                    values = self._by_request(context, message, image, channel, time) if message.name in contextual else None
+                    if values is None:
+                        continue
                 if message.name in contextual:
                     fitting.append((message, values))
                 elif plain is None:
@@ -101,12 +103,37 @@ class Reference:
                 lost = problem
         return lost, None, None
 
+    @staticmethod
+    def _by_request(context: Context, message: Message, image: bytes, channel: Any, time: float | None) -> Any:
+        """A reply whose layout is in its request, read with the request that is waiting for it; None when it is not one."""
+        if message.framing is None:
+            outer = message.outer(image[5:], int.from_bytes(image[:4], "big") & 0x1FFF_FFFF)
+        else:
+            outer = message.outer(message.framing.logical(image), 0)
+        request = context.pending(message, outer, channel, time) if outer is not None and message.request_fields else None
+        try:
+            return message.struct.parse(image, raw=True, request=request) if request is not None else None
+        except (ConstructError, AcesError):
+            return None
+
     def _accepted(
         self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
     ) -> tuple[str, Message, Any]:
         if message.name in context.requests:
             context.note(message.name, channel, time, message.struct.parse(image, raw=True, request=request))
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
+
+    def sent(self, image: bytes, channel: Any = None, time: float | None = None) -> None:
+        """Our own transmission (on CAN its image): a request that replies may hang on."""
+        for variant, _, _, context in self.sides:
+            for message in ordered(variant.messages.values()):
+                if message.name in context.requests:
+                    try:
+                        values = message.struct.parse(image, raw=True)
+                    except (ConstructError, AcesError):
+                        continue
+                    context.note(message.name, channel, time, values)
+                    return
 
     # ------------------------------------------------------------------ frames
 
@@ -131,12 +158,22 @@ class Reference:
 
     # ------------------------------------------------------------------ bytes
 
-    def stream(self, data: bytes, *, idle_at: Sequence[int] = ()) -> list[Found]:
-        """What each byte is, the stream being closed at its end and falling silent after `idle_at` bytes."""
+    def stream(
+        self, data: bytes, *, idle_at: Sequence[int] = (), sent_at: Sequence[tuple[int, bytes]] = ()
+    ) -> list[Found]:
+        """What each byte is, the stream being closed at its end and falling silent after `idle_at` bytes.
+
+        `sent_at` are our own transmissions: how many bytes had come before, and the packet. At the same place silence
+        comes first.
+        """
         found: list[Found] = []
         start = 0
-        for silence in [*sorted(idle_at), len(data)]:
-            start = self._until(data, start, silence, found)
+        events: list[tuple[int, bytes | None]] = [(offset, None) for offset in idle_at]
+        for offset, packet in sorted([*events, *sent_at], key=lambda e: (e[0], e[1] is not None)):
+            start = self._until(data[:offset], start, found, silent=packet is None)
+            if packet is not None:
+                self.sent(packet)
+        start = self._until(data, start, found, silent=True)
         for index, item in enumerate(found):
             behind = found[index:]
             if item.reason == "malformed: incomplete" and not any(f.message or f.reason.startswith("unknown") for f in behind):
@@ -144,16 +181,17 @@ class Reference:
                     return [*found[:index], Found(item.offset, len(data) - item.offset, None, None, "pending")]
         return found
 
-    def _until(self, data: bytes, start: int, silence: int, found: list[Found]) -> int:
-        """Decide everything up to `silence`, where the line falls silent."""
-        seen = data[:silence]
-        while start < silence:
-            item = self._at(seen, start)
+    def _until(self, data: bytes, start: int, found: list[Found], *, silent: bool) -> int:
+        """Decide what can be decided of `data`: all of it when the line falls silent behind it."""
+        while start < len(data):
+            item = self._at(data, start, silent=silent)
+            if item is None:
+                break
             found.append(item)
             start += item.size
         return start
 
-    def _at(self, data: bytes, start: int) -> Found:
+    def _at(self, data: bytes, start: int, *, silent: bool) -> Found | None:
         bad = ""
         unclaimed: Found | None = None
         for variant, messages, _, _ in self.sides:
@@ -163,8 +201,10 @@ class Reference:
                 for message in messages:
                     if message.framing is framing and message.extras is not None:
                         extras = {**(extras or {}), **message.extras}
-                judged = framing.judge(data, start, silent=True, extras=extras)
+                judged = framing.judge(data, start, silent=silent, extras=extras)
                 if judged.verdict is Verdict.MORE:
+                    if not silent:
+                        return None
                     bad = bad or "malformed: incomplete"
                 elif judged.verdict is Verdict.BAD:
                     bad = bad or f"malformed: {judged.reason}"

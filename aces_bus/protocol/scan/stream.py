@@ -53,19 +53,12 @@ class StreamScanner:
         self.variants = tuple(variants)
         self.direction = direction
         self.everything = everything
-        self.counts = Counts()
         self.max_size = 0
-        self._buffer = b""
-        self._base = 0
-        self._time: float | None = None
-        #: Bytes at the end of a closed stream that began a packet.
-        self._cut_off = 0
-        self._losses: list[tuple[int, int, str, bytes]] = []
-        self._run: tuple[int, str, bytearray] | None = None
         self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
         framings: list[tuple[Framing, str]] = []
         names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": _xor, "fletcher": _fletcher}
         self._sums: list[Sums] = []
+        self.reset()
         for decider in self._deciders:
             for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
                 number = len(framings)
@@ -82,17 +75,32 @@ class StreamScanner:
         if all(framing.sync for framing in self.framings):
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         self._scan: Callable[..., int] = load(self.source, f"aces {label} stream scanner {direction or ''}", names)["scan"]
-        self._state = _State()
         # One framing alone on the wire: large chunks are searched at once.
         self._finder: find.Finder | None = None
-        self._holds: Callable[[bytes], bool] | None = None
+        self._failure: Callable[[bytes], str | None] | None = None
         if len(framings) == 1 and find.Finder.fits(self.framings[0]) and self.framings[0].stuffing is None:
             framing = self.framings[0]
             cover = plain_cover(framing.check, len(framing.sync), framing.check_size) if framing.check is not None else None
             self._finder = find.Finder(framing, cover)
             self._decode: Callable[..., Any] = names["packet_0"]
-            failure = names.get("check_0")
-            self._holds = (lambda packet: failure(packet) is None) if failure is not None else None
+            if self._finder.cover is None:
+                self._failure = names.get("check_0")
+
+    def reset(self) -> None:
+        """Forget everything seen, counts included: as if just made."""
+        self.counts = Counts()
+        self._buffer = b""
+        self._base = 0
+        self._time: float | None = None
+        #: Bytes at the end of a closed stream that began a packet.
+        self._cut_off = 0
+        self._losses: list[tuple[int, int, str, bytes]] = []
+        self._run: tuple[int, str, bytearray] | None = None
+        self._state = _State()
+        for sums in self._sums:
+            sums.reset()
+        for decider in self._deciders:
+            decider.reset()
 
     def _bind(self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]) -> None:
         """The helpers that the printed text calls by name."""
@@ -157,7 +165,8 @@ class StreamScanner:
 
         lose = keep if self.everything or closing else count
         reached = 0
-        if self._finder is not None and len(buffer) >= find.WORTH:
+        # What is held is summed anew by a stride: it must not be the greater part.
+        if self._finder is not None and len(data) >= find.WORTH and 2 * len(data) >= len(buffer):
             reached = self._stride(buffer, base, time, found, lose)
         if reached < len(buffer):
             reached = self._scan(buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state)
@@ -183,9 +192,13 @@ class StreamScanner:
     ) -> int:
         """Accept what `Finder` proposes, in order; the bytes between are left to the scan function. Gives what is done."""
         assert self._finder is not None
-        starts, ends, stop = self._finder.find(buffer, self._holds)
-        self._state.work += stop
-        decode, scan, emit, state = self._decode, self._scan, found.append, self._state
+        finder = self._finder
+        starts, ends, stop = finder.find(buffer)
+        if finder.summed:
+            # The scan function asks them too, for what stands between.
+            self._sums[0].lend(base, base + finder.summed, *finder.sums)
+            self._state.work += finder.summed
+        decode, scan, emit, state, failure = self._decode, self._scan, found.append, self._state, self._failure
         mark = self.framings[0].sync[:1]
         at = 0
         for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
@@ -196,7 +209,15 @@ class StreamScanner:
                     lose(base + at, start - at, "skipped")
                 else:
                     scan(buffer, base, at, start, False, time, emit, lose, state)
-            record = decode(packet := buffer[start:end], base + start, time, None, packet, None)
+            packet = buffer[start:end]
+            if failure is not None and (reason := failure(packet)) is not None:
+                state.work += end - start
+                lose(base + start, 1, reason)
+                at = start + 1
+                continue
+            record = decode(packet, base + start, time, None, packet, None)
+            if finder.summed:
+                state.work -= end - start  # counted with the records
             if record is None:
                 lose(base + start, end - start, "unknown")
             else:
@@ -205,6 +226,8 @@ class StreamScanner:
         if at < stop:
             scan(buffer, base, at, stop, False, time, emit, lose, self._state)
             at = stop
+        if finder.summed:
+            self._sums[0].forget()
         return at
 
     # ------------------------------------------------------------------ losses
@@ -221,7 +244,7 @@ class StreamScanner:
             if offset >= last and reason == "malformed: incomplete":
                 del self._losses[index:]
                 tail = buffer[offset - base :]
-                self._cut_off = len(tail)
+                self._cut_off += len(tail)
                 self._losses.append((offset, len(tail), "pending", tail))
                 return
 
@@ -278,15 +301,15 @@ class StreamScanner:
     def sent(self, data: bytes, time: float | None = None) -> None:
         """Our own transmission, one packet: a request that replies may hang on. It is not counted and gives no record."""
         for decider in self._deciders:
-            for message in decider.messages:
+            for message in decider.asked:
                 framing = message.framing
-                if message.name in decider.context.requests and framing is not None:
-                    try:
-                        logical = framing.logical(data)
-                    except ValueError:
-                        continue
-                    if decider.note(message, logical, 0, time, None, data):
-                        return
+                assert framing is not None
+                try:
+                    logical = framing.logical(data)
+                except ValueError:
+                    continue
+                if decider.note(message, logical, 0, time, None, data):
+                    return
 
     @property
     def buffered(self) -> int:
@@ -338,6 +361,12 @@ def _judge(framing: Framing, extras: dict[int, bytes] | None) -> Callable[[bytes
 
 
 def _unstuffer(framing: Framing) -> Callable[[bytes], bytes | None]:
+    def logical(packet: bytes) -> bytes | None:
+        try:
+            return framing.logical(packet)
+        except ValueError:
+            return None
+
     if isinstance(framing.stuffing, Insert):
         pattern = framing.stuffing.pattern
         start, size = framing.head_end, framing.check_size
@@ -348,11 +377,4 @@ def _unstuffer(framing: Framing) -> Callable[[bytes], bytes | None]:
             return logical(packet)
 
         return quick
-
-    def logical(packet: bytes) -> bytes | None:
-        try:
-            return framing.logical(packet)
-        except ValueError:
-            return None
-
     return logical

@@ -242,7 +242,7 @@ def _search(one: Message, other: Message) -> bytes | None:
                 fixed.get(framing.head_end + i, 0 if attempt == 0 else 0x2C if attempt == 1 else rng.randrange(256)) for i in range(size)
             )
             try:
-                packet = one.struct._framed(framing, head, body)
+                packet = one.struct.framed(framing, head, body)
             except AcesError:
                 continue
             if _accepts(one, packet) and any(_accepts(other, packet[:n]) for n in (len(packet),)):

@@ -229,10 +229,14 @@ def _engine(name: str | None, parameters: tuple[int, int, int, bool, bool, int])
 class Sums:
     """Checks of overlapping candidates at bounded cost: prefix sums, kept only where a check has failed.
 
-    While checks hold, each byte is summed once, directly. A failed check starts prefix sums at its first byte; they are
-    grown on demand and answer in O(1), until a candidate begins behind them. Offsets are absolute, so that the buffer may
-    be cut. `work` counts the bytes summed for candidates that failed and for prefix sums.
+    While checks hold, each byte is summed once, directly. A failed check makes prefix sums of its bytes; they are grown on
+    demand and answer in O(1), for every candidate that begins before their `end`. So no byte is read more than twice.
+    Offsets are absolute, so that the buffer may be cut. `work` counts the bytes summed for candidates that failed and for
+    prefix sums.
     """
+
+    #: Where the prefix sums end: a candidate that begins behind is summed directly.
+    end: int
 
     def __init__(self, check: Check) -> None:
         self.check = check
@@ -240,39 +244,47 @@ class Sums:
 
     def reset(self) -> None:
         """As if nothing had been summed."""
-        self.active = False
         self.work = 0
-        self._start = self._end = 0
-        self._first: list[int] = []
-        self._second: list[int] = []
+        self.forget()
 
-    def fail(self, start: int, size: int) -> None:
-        """A direct check over `size` bytes from `start` has failed."""
-        self.work += size
-        self.active = True
-        self._start = self._end = start
+    def forget(self) -> None:
+        """Drop the prefix sums."""
+        self._start = self.end = -1
+        self._first: Any = []
+        self._second: Any = []
+
+    def fail(self, fresh: bytes, start: int) -> None:
+        """A direct check over the bytes `fresh`, which stand at `start`, has failed."""
+        self.work += len(fresh)
+        self._start, self.end = start, start + len(fresh)
         self._first, self._second = [0], [0]
+        self._grow(fresh)
+
+    def lend(self, start: int, end: int, first: Any, second: Any) -> None:
+        """Use prefix sums that somebody else made, until `forget`."""
+        self._start, self.end = start, end
+        self._first, self._second = first, second
 
     def compute(self, buffer: bytes, base: int, start: int, end: int) -> int:
-        """The check's number over [start, end) of the stream; `buffer` begins at stream offset `base`."""
-        if start > self._end:
-            self.active = False
-            return self.check.compute(buffer[start - base : end - base])
-        if end > self._end:
-            self._grow(buffer[self._end - base : end - base])
-            self._end = end
+        """The check's number over [start, end) of the stream, `start` not behind the sums' end.
+
+        `buffer` begins at stream offset `base`.
+        """
+        if end > self.end:
+            self._grow(buffer[self.end - base : end - base])
+            self.end = end
         low, high = start - self._start, end - self._start
-        if low > 65536:
+        if low > 65536 and isinstance(self._first, list):
             del self._first[:low], self._second[:low]
             self._start, low, high = start, 0, high - low
+        before, after = int(self._first[low]), int(self._first[high])
         if isinstance(self.check, Sum):
-            total = self._first[high] - self._first[low]
+            total = after - before
             return (~total if self.check.inverted else total) & self.check.mask
         if self.check.kind == "xor":
-            return self._first[high] ^ self._first[low]
-        a = self._first[high] - self._first[low]
-        b = self._second[high] - self._second[low] - (high - low) * self._first[low]
-        return a & 0xFF | (b & 0xFF) << 8
+            return after ^ before
+        second = int(self._second[high]) - int(self._second[low]) - (high - low) * before
+        return (after - before) & 0xFF | (second & 0xFF) << 8
 
     def _grow(self, fresh: bytes) -> None:
         self.work += len(fresh)

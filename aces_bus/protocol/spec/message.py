@@ -313,6 +313,21 @@ class Message:
             return data[:start] + data[start + size :]
         return self.check.covered(data, 0, len(data), identifier=identifier, extra=self.check_extra)
 
+    def outer(self, data: bytes, identifier: int) -> dict[str, int] | None:
+        """The raw captures and head fields of a packet, its payload unread; None when they are not this message's."""
+        found = self.identifier.match(identifier) if self.framing is None else {}
+        if found is None or len(data) < self.payload_start:
+            return None
+        for head in self.heads:
+            number = head.number(data)
+            captures = head.pattern.match(number) if head.pattern is not None else {}
+            if captures is None:
+                return None
+            found.update(captures)
+            if head.name is not None and head.is_own:
+                found[head.name] = number
+        return found
+
     # ------------------------------------------------------------------ relations
 
     def where(self, **values: Any) -> Request:

@@ -145,7 +145,7 @@ class Packet(Construct):  # type: ignore[misc]
         body = io.BytesIO()
         message.payload._build(Container(values), body, inner, path)
         if message.framing is not None:
-            stream.write(self._framed(message.framing, head, body.getvalue()))
+            stream.write(self.framed(message.framing, head, body.getvalue()))
             return obj
         data = head + body.getvalue()
         captures = {}
@@ -186,7 +186,7 @@ class Packet(Construct):  # type: ignore[misc]
             raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
         return written
 
-    def _framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
+    def framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
         packet = framing.sync + head
         if framing.stuffing is not None and framing.affine is not None:
             packet = packet[: framing.head_end] + framing.stuffing.stuff(packet[framing.head_end :] + body)
@@ -202,7 +202,9 @@ class Packet(Construct):  # type: ignore[misc]
         elif framing.fixed_size is not None and size != framing.fixed_size:
             raise FieldError(f"{self.message.name}: a packet of {size} bytes; its framing has {framing.fixed_size}")
         if framing.check is not None:
-            covered = framing.check.covered(packet, len(framing.sync), len(packet), extra=self.message.check_extra)
+            # Slices of the check count from the whole packet's end, so its room must be there.
+            whole = packet + bytes(framing.check_size) + framing.end
+            covered = framing.check.covered(whole, len(framing.sync), len(packet), extra=self.message.check_extra)
             packet += framing.check.encode(covered)
         if framing.end:
             if framing.stuffing is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from ...errors import FieldError, SpecError
@@ -58,7 +59,7 @@ class Capture(Arithmetic):
     quantity: Quantity | Enumeration | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        if not self.values or min(self.values) < 0:
+        if not self.values or bounds(self.values)[0] < 0:
             raise SpecError(f"{caller()}: capture {self.name!r} needs values, none of them negative")
         if self.quantity is None and (self.unit or self.scale != 1 or self.offset):
             from construct import Int64ub
@@ -70,10 +71,10 @@ class Capture(Arithmetic):
 
             object.__setattr__(self, "quantity", Enumeration(Int64ub, self.names))
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number of bits of the largest value."""
-        return max(1, max(self.values).bit_length())
+        return max(1, bounds(self.values)[1].bit_length())
 
     def only(self, values: Collection[int]) -> Capture:
         """The same capture over fewer values."""
@@ -168,7 +169,7 @@ class Pattern(Arithmetic):
 
     @property
     def largest(self) -> int:
-        return self.constant + sum(max(c.values) << c.shift for c in self.captures)
+        return self.constant + sum(bounds(c.values)[1] << c.shift for c in self.captures)
 
     def only(self, name: str, values: Collection[int]) -> Pattern | None:
         """The pattern with capture `name` limited to `values`; None when nothing is left."""
@@ -200,6 +201,13 @@ def as_pattern(value: int | Capture | Pattern | Collection[int], name: str = "")
         pattern.check()
         return pattern
     return Pattern(0, (Capture(name, tuple(sorted(value))),))
+
+
+def bounds(values: Collection[int]) -> tuple[int, int]:
+    """The least and the greatest of some values; a range, however long, is not walked."""
+    if isinstance(values, range):
+        return min(values[0], values[-1]), max(values[0], values[-1])
+    return min(values), max(values)
 
 
 def describe_values(values: Collection[int]) -> str:

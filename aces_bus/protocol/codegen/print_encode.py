@@ -1,0 +1,273 @@
+"""Prints encoders: the usual values, straight into bytes.
+
+1. A printed encoder never explains and never guesses: whatever does not fit at once raises, and construct says why.
+2. What it returns is what construct builds, byte for byte.
+
+The function is `encode_Name(fields)`; it gives the identifier (None on streams), the head bytes and the payload bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ..spec.head import Head
+from ..spec.message import Message
+from . import plan as p
+from .print_python import Source, compact, format_of, runs_of
+
+
+class NoEncoder(Exception):
+    """This message is built by construct; the argument says why."""
+
+
+def print_encoder(message: Message, plan: p.MessagePlan) -> list[str]:
+    """Module-level lines and the function; raises `NoEncoder` when the message has no flat form to build from."""
+    return _Encoder(message, plan).print()
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """One value for `struct.pack`; `order` is "<", ">" or empty for what has none."""
+
+    offset: int
+    size: int
+    order: str
+    format: str
+    value: str
+
+    @property
+    def end(self) -> int:
+        return self.offset + self.size
+
+
+class _Encoder:
+    def __init__(self, message: Message, plan: p.MessagePlan) -> None:
+        self.message, self.plan = message, plan
+        self.setup: list[str] = []
+        self.out = Source()
+        self.temporaries = 0
+
+    def print(self) -> list[str]:
+        plan, message, out = self.plan, self.message, self.out
+        if not plan.is_flat:
+            raise NoEncoder(plan.opaque)
+        if plan.split is not None or plan.lengths_by is not None or plan.selectors or plan.is_checked:
+            raise NoEncoder("its payload depends on its values")
+        if message.counters:
+            raise NoEncoder("it has a rolling counter")
+        names = [f.name for f in plan.fields if not isinstance(f.node, p.FromRequest)]
+        out.line(f"def encode_{plan.name}(fields):")
+        out.depth = 1
+        out.line(f"if len(fields) != {len(names)}:")
+        out.line("    raise Unusual")
+        identifier = self._number(message.identifier.constant, [(c.name, c.shift) for c in message.identifier.captures])
+        head, start = self._head(), message.payload_start
+        scalars: list[tuple[p.Scalar, str, str]] = []
+        for field in plan.fields:
+            node = field.node
+            if isinstance(node, (p.FromIdentifier, p.FromRequest)) or field.name in {h.name for h in message.heads}:
+                continue
+            if field.name == "reserved" and isinstance(node, p.Rest):
+                if any(value is not None for value, _ in node.claimed):
+                    raise NoEncoder("its payload depends on its values")
+                raise NoEncoder("bits without a field")
+            if isinstance(node, p.Scalar):
+                scalars.append((node, field.name, f'fields["{field.name}"]'))
+            elif isinstance(node, p.Many):
+                variables = [self._temporary() for _ in node.items]
+                out.line(f'{", ".join(variables)}{"," if len(variables) == 1 else ""} = fields["{field.name}"]')
+                for item, variable in zip(node.items, variables, strict=True):
+                    if not isinstance(item, p.Scalar):
+                        raise NoEncoder("nested records")
+                    scalars.append((item, field.name, variable))
+            else:
+                raise NoEncoder("nested records")
+        body = self._body(scalars, start)
+        out.line(f"return {identifier if message.framing is None else 'None'}, {head}, {body}")
+        return [*self.setup, *out.lines]
+
+    def _temporary(self) -> str:
+        self.temporaries += 1
+        return f"t{self.temporaries}"
+
+    def _number(self, constant: int, captures: Sequence[tuple[str, int]]) -> str:
+        parts = [f"{constant:#x}"]
+        for name, shift in captures:
+            raw = f'capture_{self.plan.name}_{name}(fields["{name}"])'
+            parts.append(f"({raw} << {shift})" if shift else raw)
+        return " + ".join(parts)
+
+    def _head(self) -> str:
+        """The header and prefix; the length is written by the framing."""
+        message = self.message
+        derived = message.framing.affine.length.name if message.framing is not None and message.framing.affine else None
+        parts = []
+        for head in message.heads_written:
+            if derived is not None and head.name == derived:
+                parts.append(repr(bytes(head.size)))
+            elif head.pattern is not None and not head.pattern.captures:
+                parts.append(repr(head.bytes(head.pattern.constant)))
+            else:
+                parts.append(f"head_{self.plan.name}_{head.name}(fields)")
+        return " + ".join(parts) if parts else "b''"
+
+    def _body(self, scalars: list[tuple[p.Scalar, str, str]], start: int) -> str:
+        constants = {c.offset: c.value for c in self.plan.constants if c.offset >= start}
+        size = self.plan.least - self.plan.tail
+        tail = ""
+        cells: list[_Packed] = []
+        words: dict[tuple[int, int], list[str]] = {}
+        for scalar, name, value in scalars:
+            if scalar.size is None:
+                if scalar.kind == "text":
+                    raise NoEncoder("a text of open size")
+                tail = f"bytes({value})" if scalar.kind == "bytes" else ""
+                self.out.line(f"if not isinstance({value}, (bytes, bytearray)):")
+                self.out.line("    raise Unusual")
+                continue
+            if scalar.kind == "text":
+                raise NoEncoder("text")
+            if scalar.kind == "bytes":
+                cells.append(_Packed(scalar.offset, scalar.size, "", f"{scalar.size}s", value))
+                self.out.line(f"if len({value}) != {scalar.size}:")
+                self.out.line("    raise Unusual")
+                continue
+            number = self._raw(scalar, name, value)
+            if format_of(scalar):
+                order = "" if scalar.size == 1 else "<" if scalar.order == "little" else ">"
+                cells.append(_Packed(scalar.offset, scalar.size, order, format_of(scalar), number))
+                continue
+            self._fits(scalar, number)
+            first, last = min(scalar.bits) // 8, max(scalar.bits) // 8 + 1
+            key = (first, last) if scalar.is_whole else (scalar.offset, scalar.offset + scalar.size)
+            masked = number if scalar.kind == "uint" else f"({number} & {(1 << len(scalar.bits)) - 1:#x})"
+            positions = [b - 8 * key[0] for b in scalar.bits]
+            pieces = words.setdefault(key, [])
+            for at, to, width in runs_of(positions):
+                whole = width == len(scalar.bits)
+                piece = masked if whole else f"({masked} >> {to} & {(1 << width) - 1:#x})" if to else f"({masked} & {(1 << width) - 1:#x})"
+                pieces.append(f"{piece} << {at}" if at else piece)
+        return self._packed(cells, words, constants, start, size) + (f" + {tail}" if tail else "")
+
+    def _fits(self, scalar: p.Scalar, number: str) -> None:
+        width = len(scalar.bits)
+        shifted = number if scalar.kind == "uint" else f"({number} + {1 << width - 1:#x})"
+        self.out.line(f"if {shifted} >> {width}:")
+        self.out.line("    raise Unusual")
+
+    def _packed(
+        self,
+        cells: list[_Packed],
+        words: dict[tuple[int, int], list[str]],
+        constants: dict[int, int],
+        start: int,
+        size: int,
+    ) -> str:
+        entries: list[tuple[int, int, str]] = []
+        runs: list[list[_Packed]] = []
+        for cell in sorted(cells, key=lambda c: c.offset):
+            order = runs[-1][0].order if runs else ""
+            if runs and runs[-1][-1].end == cell.offset and (not cell.order or not order or cell.order == order):
+                runs[-1].append(cell)
+                if not order:
+                    runs[-1][0] = replace(runs[-1][0], order=cell.order)
+            else:
+                runs.append([cell])
+        for number, run in enumerate(runs):
+            helper = f"_pack_{self.plan.name}_{number}"
+            text = (run[0].order or "<") + "".join(c.format for c in run)
+            self.setup.append(f'{helper} = Struct("{compact(text)}").pack')
+            entries.append((run[0].offset, run[-1].end, f"{helper}({', '.join(c.value for c in run)})"))
+        for (first, last), pieces in words.items():
+            joined = " | ".join(f"({piece})" if "<<" in piece else piece for piece in pieces)
+            entries.append((first, last, f'({joined}).to_bytes({last - first}, "little")'))
+        for offset, value in sorted(constants.items()):
+            entries.append((offset, offset + 1, repr(bytes([value]))))
+        entries.sort()
+        at = start
+        for first, last, _ in entries:
+            if first != at:
+                raise NoEncoder("its fields do not lie side by side")
+            at = last
+        if at != size:
+            raise NoEncoder("its fields do not fill it")
+        return " + ".join(text for _, _, text in entries) or "b''"
+
+    def _raw(self, scalar: p.Scalar, name: str, value: str) -> str:
+        """A local name that holds the number for the wire (the signed one, of signed numbers)."""
+        number = self._temporary()
+        text = value
+        steps = scalar.steps
+        magnitude = next((s for s in steps if isinstance(s, p.Magnitude)), None)
+        for step in reversed(steps):
+            if isinstance(step, p.Scale):
+                text = self._unscaled(step, text, scalar.kind == "float")
+            elif isinstance(step, p.Names):
+                table = f"_numbers_{self.plan.name}_{name}"
+                line = f"{table} = {({v: k for k, v in step.values})!r}"
+                if line not in self.setup:
+                    self.setup.append(line)
+                text = f"{table}.get({text}, {text})"
+            elif isinstance(step, p.FlagBits):
+                variable = self._temporary()
+                self.out.line(f"{variable} = {text}")
+                self.out.line(f"if not isinstance({variable}, int):")
+                self.out.line("    raise Unusual")
+                text = f"int({variable})"
+        self.out.line(f"{number} = {text}")
+        if magnitude is not None:
+            half = 1 << magnitude.width - 1
+            self.out.line(f"if {number}.__class__ is not int or not {-half + 1} <= {number} <= {half - 1}:")
+            self.out.line("    raise Unusual")
+            self.out.line(f"if {number} < 0:")
+            self.out.line(f"    {number} = {half:#x} - {number}")
+        elif scalar.kind != "float" and not format_of(scalar):
+            self.out.line(f"if {number}.__class__ is not int:")
+            self.out.line("    raise Unusual")
+        return number
+
+    def _unscaled(self, step: p.Scale, text: str, is_float: bool) -> str:
+        out = self.out
+        given = self._temporary()
+        out.line(f"{given} = {text}")
+        out.line(f"if {given}.__class__ is not float and {given}.__class__ is not int:")
+        out.line("    raise Unusual")
+        if step.bounds is not None:
+            out.line(f"if not {step.bounds[0]!r} <= {given} <= {step.bounds[1]!r}:")
+            out.line("    raise Unusual")
+        if step.scale == 1 and not step.offset:
+            number = given
+        else:
+            number = f"({given} - {step.offset!r}) / {step.scale!r}" if step.offset else f"{given} / {step.scale!r}"
+        if not is_float:
+            number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
+        if step.raw_bounds is not None:
+            raw = self._temporary()
+            out.line(f"{raw} = {number}")
+            out.line(f"if not {step.raw_bounds[0]} <= {raw} <= {step.raw_bounds[1]}:")
+            out.line("    raise Unusual")
+            number = raw
+        return number
+
+
+def head_writer(head: Head) -> object:
+    """`head_Name_field(fields)` of a printed encoder: the bytes of a head field that is not constant."""
+    name = head.name
+    assert name is not None
+    if head.pattern is not None and not head.is_own:
+        pattern = head.pattern
+
+        def captured(fields: dict[str, object]) -> bytes:
+            numbers = {c.name: c.to_raw(fields[c.name], c.name) for c in pattern.captures}
+            return head.bytes(pattern.number(numbers))
+
+        return captured
+
+    def written(fields: dict[str, object]) -> bytes:
+        data = bytes(head.field.build(fields[name]))
+        if head.pattern is not None and head.pattern.match(head.number(bytes(head.offset) + data)) is None:
+            raise ValueError(name)
+        return data
+
+    return written
