@@ -14,9 +14,6 @@ import numpy as np
 from ..spec.checks import Check, Sum
 from ..spec.framing import Framing
 
-#: From how many bytes on NumPy pays.
-WORTH = 768
-
 
 class Finder:
     """The whole packets of one framing; for framings with sync bytes whose size is fixed or in a header field."""
@@ -29,10 +26,6 @@ class Finder:
         #: The running sums of the last `find`, and how many bytes they cover.
         self.sums: tuple[Any, Any] = ((), ())
         self.summed = 0
-
-    @staticmethod
-    def fits(framing: Framing) -> bool:
-        return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
     def find(self, buffer: bytes) -> tuple[list[int], list[int], int]:
         """(starts, ends, stop): whole packets that start before `stop`, where something is incomplete."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 from itertools import accumulate
 from operator import xor
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..codegen.load import load
 from ..codegen.print_scan import plain_cover, print_stream, seek_pattern
@@ -22,11 +22,15 @@ from ..spec.framing import Framing, Verdict
 from ..spec.message import Direction
 from ..spec.protocol import Variant
 from ..spec.stuffing import Insert
-from . import find
 from .counts import Counts
 from .decider import Decider
 from .record import Meta, Unknown
 
+if TYPE_CHECKING:
+    from .find import Finder
+
+#: From how many bytes on a chunk is searched at once, with NumPy.
+WORTH = 768
 #: A run of lost bytes is reported in pieces of this size at most, so that garbage costs no memory.
 RUN = 4096
 
@@ -76,12 +80,14 @@ class StreamScanner:
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         self._scan: Callable[..., int] = load(self.source, f"aces {label} stream scanner {direction or ''}", names)["scan"]
         # One framing alone on the wire: large chunks are searched at once.
-        self._finder: find.Finder | None = None
+        self._finder: Finder | None = None
         self._failure: Callable[[bytes], str | None] | None = None
-        if len(framings) == 1 and find.Finder.fits(self.framings[0]) and self.framings[0].stuffing is None:
+        if len(framings) == 1 and has_size(self.framings[0]) and self.framings[0].stuffing is None:
             framing = self.framings[0]
             cover = plain_cover(framing.check, len(framing.sync), framing.check_size) if framing.check is not None else None
-            self._finder = find.Finder(framing, cover)
+            from .find import Finder  # NumPy is loaded only where a stream is read
+
+            self._finder = Finder(framing, cover)
             self._decode: Callable[..., Any] = names["packet_0"]
             if self._finder.cover is None:
                 self._failure = names.get("check_0")
@@ -166,7 +172,7 @@ class StreamScanner:
         lose = keep if self.everything or closing else count
         reached = 0
         # What is held is summed anew by a stride: it must not be the greater part.
-        if self._finder is not None and len(data) >= find.WORTH and 2 * len(data) >= len(buffer):
+        if self._finder is not None and len(data) >= WORTH and 2 * len(data) >= len(buffer):
             reached = self._stride(buffer, base, time, found, lose)
         if reached < len(buffer):
             reached = self._scan(buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state)
@@ -320,6 +326,11 @@ class StreamScanner:
     def check_work(self) -> int:
         """How many bytes checks have read so far."""
         return self.counts.decoded + self.counts.unknown + self._state.work + sum(s.work for s in self._sums)
+
+
+def has_size(framing: Framing) -> bool:
+    """Whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
+    return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
 
 def _xor(data: bytes) -> int:

@@ -68,7 +68,9 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
             name = item.name
             inner = item.subcon if isinstance(item, c.Renamed) else item
             if name is None and not isinstance(inner, (c.Const, c.Terminated.__class__)):
-                raise SpecError(f"{place}: {path}: {inner!r} has no name, so its bytes would be lost; only a Const may go without")
+                raise SpecError(f"{place}: {path}: {inner!r} has no name, so its bytes would be lost;"
+                    ' name it (bytes that mean nothing: "reserved" / Reserved(n)); only a Const may go without'
+                )
             if name is not None and name in seen:
                 raise SpecError(f"{place.of_field(name)}: field {name!r} is there twice")
             made = _walk(item, place, path)

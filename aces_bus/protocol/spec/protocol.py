@@ -166,7 +166,8 @@ class Protocol:
             source=source,
         )
         for other in self.declared:
-            if other.name == name and may_coexist(made, other):
+            # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
+            if other.name == name and share_dialect(made, other):
                 raise SpecError(f"{place}: message {name!r} is there twice; the other is at {other.place}")
         from .ambiguity import check_against
 
@@ -319,9 +320,14 @@ class Variant:
         return f"<{self.label}: {len(self.messages)} messages>"
 
 
+def share_dialect(one: Message, other: Message) -> bool:
+    """Whether some dialect has both messages."""
+    return one.dialects is None or other.dialects is None or bool(one.dialects & other.dialects)
+
+
 def may_coexist(one: Message, other: Message) -> bool:
     """Whether some dialect and configuration has both messages for one device."""
-    if one.dialects is not None and other.dialects is not None and not one.dialects & other.dialects:
+    if not share_dialect(one, other):
         return False
     return not any(a.excludes(b) for a in one.when for b in other.when)
 
