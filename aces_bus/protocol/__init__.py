@@ -5,6 +5,7 @@ A spec imports its words from here; they are construct's own beside ours. See th
 
 from __future__ import annotations
 
+from ..frame import Frame as Frame
 from .scan.can import CanScanner as CanScanner
 from .scan.counts import Counts as Counts
 from .scan.record import Meta as Meta

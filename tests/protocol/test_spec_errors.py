@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from aces_bus.errors import SpecError
+from aces_bus.protocol import Frame, Protocol
 
 HEAD = """\
 from construct import *
@@ -237,9 +238,13 @@ def test_a_right_spec_imports(tmp_path: Path) -> None:
     imported(path)
 
 
-def test_a_protocol_in_use_takes_no_more_messages(tmp_path: Path) -> None:
-    """A scanner that was made cannot know messages declared after it, so declaring them fails."""
-    path = tmp_path / "late_spec.py"
-    path.write_text(HEAD + 'can.message("M", id=1)\ncan.scanner()\ncan.message("Late", id=2)\n')
-    with pytest.raises(SpecError, match=r"late_spec\.py:7: can_test is in use"):
-        imported(path)
+def test_a_scanner_knows_what_was_declared_before_it() -> None:
+    """Declaring goes on after a first scanner; that one keeps what it knew, the next one knows all."""
+    protocol = Protocol("growing", link="can")
+    protocol.message("First", id=1)
+    early = protocol.scanner()
+    protocol.message("Second", id=2)
+    frames = [Frame(1), Frame(2)]
+    assert [type(r).__name__ for r in early.feed(frames)] == ["First"]
+    assert early.counts.unknown == 1
+    assert [type(r).__name__ for r in protocol.scanner().feed(frames)] == ["First", "Second"]

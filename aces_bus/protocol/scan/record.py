@@ -88,6 +88,9 @@ class Unknown(msgspec.Struct, frozen=True, gc=False):
         """The bin of the accounting that this falls into."""
         return "errors" if self.reason == "error frame" else self.reason.partition(":")[0]
 
+    def __repr__(self) -> str:
+        return f"Unknown(reason={self.reason!r}, raw={self.meta.raw.hex()})"
+
 
 def names_of(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """The names of a record type's fields."""

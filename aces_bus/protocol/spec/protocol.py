@@ -128,8 +128,6 @@ class Protocol:
         messages that this one takes precedence over.
         """
         place = caller()
-        if self._variants:
-            raise SpecError(f"{place}: {self.name} is in use; declare its messages before its first scanner")
         if (self.link == "can") != (id is not None):
             raise SpecError(f"{place}: a message on CAN needs id=…, one on a stream a framing")
         if self.link != "can" and framing is None:
@@ -174,6 +172,8 @@ class Protocol:
         check_against(made, self.declared)
         self.declared.append(made)
         self.messages.setdefault(name, made)
+        # Scanners that exist keep what they know; the next one knows this message too.
+        self._variants.clear()
         return made
 
     def family(self, prefix: c.Struct, **shared: Any) -> Any:

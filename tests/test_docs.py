@@ -1,0 +1,32 @@
+"""Examples in prose are run: what the README and the pages show is what happens."""
+
+from __future__ import annotations
+
+import doctest
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/language.md"]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_examples_in_prose_run(page: str) -> None:
+    """Every `>>>` of a page gives what the page shows."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    parser = doctest.DocTestParser()
+    # Fences are not part of the expected output.
+    text = re.sub(r"^```.*$", "", text, flags=re.MULTILINE)
+    test = parser.get_doctest(text, {}, page, str(ROOT / page), 0)
+    result = doctest.DocTestRunner(optionflags=doctest.IGNORE_EXCEPTION_DETAIL).run(test)
+    assert result.failed == 0
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_between_pages_lead_somewhere(page: str) -> None:
+    """A relative link names a file that exists."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", text):
+        assert ((ROOT / page).parent / target).exists(), target
