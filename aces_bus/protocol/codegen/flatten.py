@@ -13,7 +13,6 @@ import construct as c
 from ..keys import key_of
 from ..spec import delimited as d
 from ..spec.bits import BitLayout, Bits
-from ..spec.bits import Tuple as BitTuple
 from ..spec.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, SignMagnitude, Text
 from ..spec.head import Head
 from ..spec.message import Message

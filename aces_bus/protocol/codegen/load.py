@@ -144,7 +144,9 @@ def _all_types(variant: Variant) -> dict[str, Any]:
     plans = [flatten(message) for message in variant.messages.values()]
     source = print_records(variant.label, plans)
     space = load(source, f"aces {variant.label} records", {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any})
-    found = {k: v for k, v in space.items() if isinstance(v, type) and issubclass(v, (Record, Part)) and v not in (Record, Part)}
+    found: dict[str, Any] = {
+        k: v for k, v in space.items() if isinstance(v, type) and issubclass(v, (Record, Part)) and v not in (Record, Part)
+    }
     for name, message in variant.messages.items():
         found[name]._protocol = variant.name
         found[name]._direction = message.direction

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 
 from . import plan as p
 
-_FORMATS = {("uint", 1): "B", ("uint", 2): "H", ("uint", 4): "I", ("uint", 8): "Q", ("int", 1): "b", ("int", 2): "h"}
-_FORMATS |= {("int", 4): "i", ("int", 8): "q", ("float", 2): "e", ("float", 4): "f", ("float", 8): "d"}
+_FORMATS = {
+    **{("uint", 1): "B", ("uint", 2): "H", ("uint", 4): "I", ("uint", 8): "Q"},
+    **{("int", 1): "b", ("int", 2): "h", ("int", 4): "i", ("int", 8): "q"},
+    **{("float", 2): "e", ("float", 4): "f", ("float", 8): "d"},
+}
 
 
 #: What every record keeps of the transport (see `aces_bus.protocol.scan.record`).
@@ -233,12 +236,14 @@ class Decoder:
             if plan.least <= plan.framed:
                 return
             out.line(f"if len(data) < {plan.least}:")
-        elif len(plan.lengths) == 1:
-            out.line(f"if len(data) != {plan.lengths[0]}:")
-        elif plan.lengths == tuple(range(plan.lengths[0], plan.lengths[-1] + 1)):
-            out.line(f"if not {plan.lengths[0]} <= len(data) <= {plan.lengths[-1]}:")
         else:
-            out.line(f"if len(data) not in {plan.lengths}:")
+            low, high = min(plan.lengths), max(plan.lengths)
+            if low == high:
+                out.line(f"if len(data) != {low}:")
+            elif plan.lengths == tuple(range(low, high + 1)):
+                out.line(f"if not {low} <= len(data) <= {high}:")
+            else:
+                out.line(f"if len(data) not in {plan.lengths}:")
         out.line("    return None")
 
     def _constants(self) -> None:
@@ -250,12 +255,13 @@ class Decoder:
                 tests.append(f"data[{constant.offset}] & {constant.mask:#04x} != {constant.value:#04x}")
         for one in self.plan.one_of:
             values = one.values
-            run = len(values) > 2 and values == tuple(range(values[0], values[-1] + 1))
+            low, high = min(values), max(values)
+            run = len(values) > 2 and values == tuple(range(low, high + 1))
             number = self._integer(one.number, fetched=False)  # the test stands before the fetching
-            if run and values[0] == 0 and number.startswith("data["):
-                tests.append(f"{number} > {values[-1]}")
+            if run and low == 0 and number.startswith("data["):
+                tests.append(f"{number} > {high}")
             else:
-                tests.append(f"not {values[0]} <= {number} <= {values[-1]}" if run else f"{number} not in {_members(values)}")
+                tests.append(f"not {low} <= {number} <= {high}" if run else f"{number} not in {_members(values)}")
         for test in tests:
             self.body.line(f"if {test}:")
             self.body.line("    return None")

@@ -230,9 +230,10 @@ def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: b
     out.line("    state.work += min(end - i, %d)" % framing.max_size)
     out.line("    bad = bad or reason")
     out.line("elif verdict == 'whole':")
+    depth = out.depth
     out.depth += 1
     _accept(out, framing, decode, alone=alone)
-    out.depth -= 1
+    out.depth = depth
 
 
 def _has_extra(check: Check) -> bool:

@@ -15,7 +15,6 @@ from typing import Any, Literal
 from construct import ConstructError
 
 from ...errors import AcesError
-from ..codegen.flatten import flatten
 from ..keys import EXTENDED, FD, REMOTE, key_of
 from ..spec.message import Direction, Message
 from ..spec.packet import LengthError, WrongCheckError, can_image
@@ -81,9 +80,6 @@ class _Wire(Decider):
         identifier = key & 0x1FFF_FFFF
         image = can_image(identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD))
         for message in self.candidates(key):
-            plan = flatten(message)
-            if any(c.offset < len(data) and data[c.offset] & c.mask != c.value for c in plan.constants):
-                continue
             try:
                 message.struct.parse(image, raw=True)
             except LengthError:
@@ -103,7 +99,6 @@ class CanScanner:
     """
 
     link = "can"
-    feed: Callable[[Iterable[Any]], list[Any]]
 
     def __init__(
         self,
@@ -130,7 +125,8 @@ class CanScanner:
             self._table = {key: self._chain(key) for key in keys}
         #: Records given out, and how many of them were `Unknown`.
         self._given = [0, 0]
-        self.feed = self._make_feed()
+        # The method's place is taken by the closure: no look-up of `self` in the hot loop.
+        self.__dict__["feed"] = self._make_feed()
 
     def _chain(self, key: int) -> Decode:
         """The protocols that claim a key, in order."""
@@ -158,6 +154,10 @@ class CanScanner:
         counts.total = counts.decoded + sum(counts.reasons.values())
         counts.missed = sum(wire.missed for wire in self._wires)
         return counts
+
+    def feed(self, frames: Iterable[Any], /) -> list[Any]:
+        """Records of `frames`, in order; see the class."""
+        return self._make_feed()(frames)
 
     def _make_feed(self) -> Callable[[Iterable[Any]], list[Any]]:
         """The hot loop, as a closure: what it touches for each frame are local names."""

@@ -53,7 +53,7 @@ class Counts:
     @property
     def balance(self) -> int:
         """What is missing from the bins: always 0."""
-        return self.total - sum(getattr(self, name) for name in BINS)
+        return self.total - sum(int(getattr(self, name)) for name in BINS)
 
     def lose(self, size: int, reason: str) -> None:
         """Put `size` frames or bytes into the bin of `reason`."""

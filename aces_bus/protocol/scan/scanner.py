@@ -6,19 +6,50 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
-from typing import Literal
+from typing import Any, Literal
 
 from ...errors import CallerError, SpecError, UnknownNameError
 from ..spec.message import Direction
 from ..spec.protocol import Protocol, Variant
 from .can import CanScanner
+from .counts import Counts
 from .stream import StreamScanner
 
 GROUP = "aces_bus.protocols"
 
-Scanner = CanScanner | StreamScanner
+
+
+class Scanner(typing.Protocol):
+    """What every scanner does; `CanScanner` and `StreamScanner` say how."""
+
+    @property
+    def link(self) -> str:
+        """`can`, `serial` or `datagram`."""
+        ...
+
+    def feed(self, words: Any, /) -> list[Any]:
+        """Records of frames (CAN) or of bytes (streams), in order."""
+        ...
+
+    @property
+    def counts(self) -> Counts:
+        """Where every byte or frame went so far."""
+        ...
+
+    def idle(self, time: float | None = None) -> list[Any]:
+        """The line fell silent: what is incomplete never will be."""
+        ...
+
+    def close(self) -> list[Any]:
+        """The capture has ended."""
+        ...
+
+    def sent(self, word: Any, /) -> None:
+        """Our own transmission: a request that replies may hang on."""
+        ...
 
 
 def make_scanner(

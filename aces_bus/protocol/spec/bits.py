@@ -19,7 +19,7 @@ from .fields import Multiplexed, innermost
 from .place import caller
 
 
-class Bits(Construct):  # type: ignore[misc]
+class Bits(Construct):
     """An integer of `width` bits in a `BitLayout`; see `bits` and `Split`, which make it."""
 
     def __init__(
@@ -71,7 +71,7 @@ def Split(*pieces: tuple[int, int], signed: bool = False, order: str | None = No
     return Bits(sum(width for _, width in pieces), tuple(pieces), signed=signed, order=order)
 
 
-class Tuple(Construct):  # type: ignore[misc]
+class Tuple(Construct):
     """Several fields of a `BitLayout` under one name, as a tuple."""
 
     def __init__(self, *subcons: Construct) -> None:
@@ -90,7 +90,7 @@ class Slot:
         self.name, self.field, self.positions, self.mux = name, field, positions, mux
 
 
-class BitLayout(Construct):  # type: ignore[misc]
+class BitLayout(Construct):
     """`size` bytes of bit fields: `BitLayout(8, "speed" / Quantity(bits(12), unit="rpm"), …, order="lsb")`.
 
     >>> from aces_bus.protocol import BitLayout, bits

@@ -139,7 +139,7 @@ class AsciiEnumeration(AsciiField):
         return "" if value is None else self.names.get(value, value)
 
 
-class Delimited(Construct):  # type: ignore[misc]
+class Delimited(Construct):
     """Fields between separators: `Delimited(",", "time" / AsciiText(), …)`.
 
     `lead` says that a separator stands before the first field. The last `optional` fields may be missing altogether

@@ -22,7 +22,7 @@ def is_raw(context: Any) -> bool:
     return bool(context._params.get("raw", False))
 
 
-class Field(Adapter):  # type: ignore[misc]
+class Field(Adapter):
     """An adapter that remembers its line and is transparent in raw mode."""
 
     place: Place
@@ -327,7 +327,7 @@ def Reserved(size: int) -> Construct:
     return Default(Bytes(size), bytes(size))
 
 
-class Multiplexed(Construct):  # type: ignore[misc]
+class Multiplexed(Construct):
     """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes."""
 
     def __init__(self, selector: str, when: int | Collection[int], subcon: Construct) -> None:

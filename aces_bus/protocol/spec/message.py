@@ -149,7 +149,7 @@ class Message:
         """The request's constrained fields that the message does not carry itself: its record has them too."""
         own = {capture.name for capture in self.identifier.captures}
         for head in self.heads:
-            own |= {head.name} if head.pattern is None else {capture.name for capture in head.pattern.captures}
+            own |= {head.name or ""} if head.pattern is None else {capture.name for capture in head.pattern.captures}
         names: dict[str, None] = {}
         for request in (*self.reply_to, *self.after):
             for name, _ in request.values:
@@ -260,6 +260,21 @@ class Message:
         if isinstance(payload, c.Struct):
             return {i.name: i.subcon.modulo for i in payload.subcons if i.name and isinstance(i.subcon, Counter)}
         return {}
+
+    @cached_property
+    def constants(self) -> tuple[tuple[int, bytes], ...]:
+        """The payload's own constants that have a fixed place: (offset, bytes)."""
+        found: list[tuple[int, bytes]] = []
+        offset = self.payload_start
+        for item in self.payload.subcons if isinstance(self.payload, c.Struct) else ():
+            body = item.subcon if isinstance(item, c.Renamed) else item
+            least, most = sizes(body)
+            if least != most:
+                break
+            if isinstance(body, c.Const):
+                found.append((offset, bytes(body.build(None))))
+            offset += least
+        return tuple(found)
 
     @property
     def extras(self) -> dict[int, bytes] | None:

@@ -115,11 +115,12 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
     while isinstance(con, c.Renamed):
         con = con.subcon
     if isinstance(con, c.Struct):
-        low, high = 0, 0
+        low = 0
+        high: int | None = 0
         for item in con.subcons:
             one, most = sizes(item)
             low += one
-            high = None if high is None or most is None else high + most  # type: ignore[assignment]
+            high = None if high is None or most is None else high + most
         # Fields that exclude each other overlay; what the selector allows is decided when parsing.
         return low, high
     if isinstance(con, Multiplexed):
@@ -130,12 +131,9 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
             return low * con.count, None if most is None else most * con.count
         return 0, None
     if isinstance(con, c.IfThenElse):
-        one, other = sizes(con.thensubcon), sizes(con.elsesubcon)
-        return min(one[0], other[0]), None if one[1] is None or other[1] is None else max(one[1], other[1])
+        return _either([con.thensubcon, con.elsesubcon])
     if isinstance(con, c.Switch):
-        all_sizes = [sizes(case) for case in [*con.cases.values(), con.default]]
-        tops = [s[1] for s in all_sizes]
-        return min(s[0] for s in all_sizes), None if None in tops else max(t for t in tops if t is not None)
+        return _either([*con.cases.values(), con.default])
     if isinstance(con, Delimited):
         return con.least_size, None
     if isinstance(con, (c.Default, Field)):
@@ -145,3 +143,10 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
     except (c.SizeofError, LookupError, AttributeError, TypeError):  # it depends on a field
         return 0, None
     return size, size
+
+
+def _either(cases: list[c.Construct]) -> tuple[int, int | None]:
+    """The sizes of what is one of several constructs."""
+    found = [sizes(case) for case in cases]
+    tops = [high for _, high in found if high is not None]
+    return min(low for low, _ in found), max(tops) if len(tops) == len(found) else None

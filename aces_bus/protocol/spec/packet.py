@@ -29,19 +29,19 @@ EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
 FD_FLAG = 0x04
 
 
-class NotThisError(ConstructError):  # type: ignore[misc]
+class NotThisError(ConstructError):
     """The packet is another message: identifier, flags or a constant differ."""
 
 
-class LengthError(ConstructError):  # type: ignore[misc]
+class LengthError(ConstructError):
     """The packet is this message by its constants, but too short or too long."""
 
 
-class WrongCheckError(ConstructError):  # type: ignore[misc]
+class WrongCheckError(ConstructError):
     """The packet is this message, but its check does not hold."""
 
 
-class ContentError(ConstructError):  # type: ignore[misc]
+class ContentError(ConstructError):
     """The packet is this message by its template, but a field cannot be read."""
 
 
@@ -51,7 +51,7 @@ def can_image(identifier: int, data: bytes, *, extended: bool = False, remote: b
     return word.to_bytes(4, "big") + (bytes([FD_FLAG]) if fd else b"\0") + data
 
 
-class Packet(Construct):  # type: ignore[misc]
+class Packet(Construct):
     """The construct of one message's packet."""
 
     def __init__(self, message: Message) -> None:
@@ -91,6 +91,9 @@ class Packet(Construct):  # type: ignore[misc]
         for head in heads:
             if head.offset + head.size <= end and head.pattern is not None and head.pattern.match(head.number(data)) is None:
                 raise NotThisError(f"{head.name} is another", path=path)
+        for offset, wanted in message.constants:
+            if data[offset : min(offset + len(wanted), end)] != wanted[: max(0, end - offset)]:
+                raise NotThisError("a constant is another", path=path)
         if short or (message.lengths is not None and len(data) not in message.lengths):
             raise LengthError(f"length {len(data)}", path=path)
         inner = Container(_=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False)

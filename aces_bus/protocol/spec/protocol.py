@@ -220,14 +220,16 @@ class Protocol:
             needed = {c.key for m in self.declared for c in m.when}
             for key in needed - set(tables):
                 raise CallerError(f"the configuration of {self.name} needs a table {key!r} (it has: {', '.join(tables) or 'none'})")
-        key = (dialect, name, repr(sorted((k, sorted(t.items())) for k, t in tables.items())))
-        if key not in self._variants:
-            self._variants[key] = Variant(self, dialect, name, tables)
-        return self._variants[key]
+        wanted = (dialect, name, repr(sorted((k, sorted(t.items())) for k, t in tables.items())))
+        if wanted not in self._variants:
+            self._variants[wanted] = Variant(self, dialect, name, tables)
+        return self._variants[wanted]
 
     def variants(self) -> list[Variant]:
         """Every shipped dialect with every shipped configuration."""
-        return [self.variant(d, n) for d in (self.dialects or [None]) for n in (self.configurations or [None])]  # type: ignore[list-item]
+        dialects: list[str | None] = [*self.dialects] or [None]
+        names: list[str | None] = [*self.configurations] or [None]
+        return [self.variant(dialect, name) for dialect in dialects for name in names]
 
     def scanner(
         self,
