@@ -74,6 +74,8 @@ class StreamScanner:
                 self._bind(number, framing, decider, decode, names)
                 self.max_size = max(self.max_size, framing.max_size)
         self.framings = tuple(framing for framing, _ in framings)
+        #: Seconds of silence after which no packet goes on.
+        self.gap = max((framing.gap or 0.0 for framing in self.framings), default=0.0)
         label = " + ".join(variant.label for variant in variants)
         self.source = print_stream(label, framings)
         if all(framing.sync for framing in self.framings):
@@ -137,7 +139,13 @@ class StreamScanner:
         return self._advance(bytes(data), time if time is not None else self._time, silent=False)
 
     def idle(self, time: float | None = None) -> list[Any]:
-        """The line has been silent for longer than a packet's bytes may be apart: what is incomplete never will be."""
+        """The line is silent: what is incomplete never will be.
+
+        With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since the last bytes
+        that came with a time.
+        """
+        if time is not None and self._time is not None and time - self._time <= self.gap:
+            return []
         return self._advance(b"", time if time is not None else self._time, silent=True)
 
     def close(self) -> list[Any]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from construct import ConstructError
 
@@ -75,6 +76,7 @@ def _exclude(mine: Sequence[Request], theirs: Sequence[Request]) -> bool:
     return bool(mine) and bool(theirs) and all(a.excludes(b) for a in mine for b in theirs)
 
 
+@lru_cache(maxsize=65536)
 def conflict(one: Message, other: Message) -> Conflict | None:
     """The conflict of two messages by their bytes alone, or None when they are disjoint."""
     if one.framing is None or other.framing is None:

@@ -196,15 +196,15 @@ class Framing:
         return self._checked(data[start : start + size], extras)
 
     def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
+        # The check covers what stands on the wire, except where the whole packet is stuffed.
+        inserted = isinstance(self.stuffing, Insert)
         try:
-            logical = self.logical(packet)
+            covered = packet if inserted else self.logical(packet)
         except ValueError as error:
             return BAD(str(error))
-        if len(logical) < self.min_size:
+        if len(covered) < self.min_size:
             return BAD("length")
         if self.check is not None:
-            # The check covers what stands on the wire, except where the whole packet is stuffed.
-            covered = packet if isinstance(self.stuffing, Insert) else logical
             end = len(covered) - len(self.end) - self.check_size
             extra = b""
             if extras is not None:
@@ -215,6 +215,11 @@ class Framing:
             want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
             if covered[end : end + self.check_size] != want:
                 return BAD("checksum")
+        if inserted:
+            try:
+                self.logical(packet)
+            except ValueError as error:
+                return BAD(str(error))
         return Judgement(Verdict.WHOLE, len(packet))
 
     def logical(self, packet: bytes) -> bytes:

@@ -131,6 +131,8 @@ class Message:
         self.request_fields = self._request_fields()
         self.lengths = self._lengths(length)
         self._check_fields()
+        if self.extras is not None and not check_extra:
+            raise SpecError(f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra")
 
     # ------------------------------------------------------------------ declaration checks
 

@@ -1,0 +1,138 @@
+"""What a stream scanner does at the edges of a stream: silence, the end, two protocols on one wire."""
+
+from __future__ import annotations
+
+import pytest
+from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
+
+from aces_bus.errors import CallerError
+from aces_bus.protocol import Crc, InvertedSum, Protocol, StreamScanner, Unknown, make_scanner
+
+
+def servo(gap: float | None = 0.1) -> Protocol:
+    """FF FF id length … inverted sum."""
+    protocol = Protocol("servo", link="serial")
+    packet = protocol.framing(
+        sync=b"\xff\xff",
+        not_next=b"\xff",
+        header=Struct("id" / Byte, "length" / Byte),
+        size=this.length + 4,
+        max_size=259,
+        gap=gap,
+        check=InvertedSum(),
+    )
+    packet("Status", payload=Struct("error" / Byte, "parameters" / GreedyBytes))
+    return protocol
+
+
+def gauge() -> Protocol:
+    """AA, two bytes, CRC-8."""
+    protocol = Protocol("gauge", link="serial")
+    packet = protocol.framing(sync=b"\xaa", size=4, check=Crc("CRC8-SMBUS"))
+    packet("Level", payload=Struct("level" / Int16ub))
+    return protocol
+
+
+#: A status of servo 1 that holds two bytes, and the same cut short by a header that promises 200 bytes.
+STATUS = bytes.fromhex("FFFF01040020 00DA")
+FALSE_HEADER = b"\xff\xff\x02\xc8"
+
+
+def names(records: list[object]) -> list[str]:
+    return [r.reason if isinstance(r, Unknown) else type(r).__name__ for r in records]
+
+
+def test_a_false_header_holds_a_good_reply_until_silence() -> None:
+    """A header with a long length makes the scanner wait; when the line falls silent, the reply behind it is found."""
+    scanner = servo().scanner(everything=True)
+    assert scanner.feed(FALSE_HEADER + STATUS) == []
+    assert scanner.counts.pending == len(FALSE_HEADER + STATUS)
+    assert names(scanner.idle()) == ["malformed: incomplete", "skipped", "Status"]
+    assert scanner.counts.pending == 0
+    assert scanner.counts.balance == 0
+
+
+def test_silence_shorter_than_the_gap_decides_nothing() -> None:
+    """With the time of now, a packet keeps its declared gap before it is given up."""
+    scanner = servo(gap=0.1).scanner()
+    scanner.feed(STATUS[:5], time=10.0)
+    assert scanner.idle(10.05) == []
+    assert names(scanner.feed(STATUS[5:], time=10.06)) == ["Status"]
+    scanner.feed(STATUS[:5], time=20.0)
+    scanner.idle(20.2)
+    assert names(scanner.feed(STATUS[5:], time=20.3)) == []
+    assert scanner.counts.malformed == 1
+
+
+def test_the_end_finds_what_stands_behind_a_false_header() -> None:
+    """At the end of a capture a header that promised too much gives way to the packets behind it."""
+    scanner = servo().scanner(everything=True)
+    scanner.feed(FALSE_HEADER + STATUS + STATUS[:3])
+    assert names(scanner.close()) == ["malformed: incomplete", "skipped", "Status", "pending"]
+    assert (scanner.counts.decoded, scanner.counts.pending, scanner.counts.balance) == (len(STATUS), 3, 0)
+
+
+def test_a_packet_cut_off_by_the_end_is_pending() -> None:
+    """The last bytes of a capture that end in the middle of a packet are neither skipped nor malformed."""
+    scanner = servo().scanner()
+    scanner.feed(STATUS + STATUS[:-1])
+    scanner.close()
+    assert str(scanner.counts) == "total=15 decoded=8 pending=7 records=1"
+
+
+def test_two_protocols_share_one_wire() -> None:
+    """Each byte has one owner, the first protocol that finds a whole packet there."""
+    level = gauge().encode("Level", level=770)
+    scanner = make_scanner([servo().variant(), gauge().variant()], everything=True)
+    records = scanner.feed(STATUS + level + b"\x00" + level + STATUS)
+    assert names(records) == ["Status", "Level", "skipped", "Level", "Status"]
+    assert [r.meta.protocol for r in records] == ["servo", "gauge", None, "gauge", "servo"]
+    assert scanner.counts.balance == 0
+
+
+def test_the_first_protocol_wins_what_both_claim() -> None:
+    """When two protocols accept the same bytes, the order in which they were given decides."""
+
+    def plain(name: str) -> Protocol:
+        protocol = Protocol(name, link="serial")
+        protocol.framing(sync=b"\x55", size=3)(name.title(), payload=Struct("value" / Int16ub))
+        return protocol
+
+    one, other = plain("one").variant(), plain("other").variant()
+    assert names(make_scanner([one, other]).feed(b"\x55\x00\x01")) == ["One"]
+    assert names(make_scanner([other, one]).feed(b"\x55\x00\x01")) == ["Other"]
+
+
+def test_a_packet_without_a_message_is_left_to_the_next_protocol() -> None:
+    """A valid framing without a message claims its bytes only when no other protocol has a message there."""
+
+    def numbered(name: str, opcode: int) -> Protocol:
+        protocol = Protocol(name, link="serial")
+        packet = protocol.framing(sync=b"\x55", header=Struct("length" / Byte), size=this.length + 2, max_size=20)
+        packet(name.title(), payload=Struct(Const(opcode, Byte), "rest" / GreedyBytes))
+        return protocol
+
+    variants = [numbered("one", 1).variant(), numbered("two", 2).variant()]
+    scanner = make_scanner(variants, everything=True)
+    data = b"\x55\x02\x02\xbb" + b"\x55\x02\x01\xaa" + b"\x55\x02\x03\xcc"
+    assert names(scanner.feed(data)) == ["Two", "One", "unknown"]
+
+
+def test_links_of_several_kinds_do_not_mix() -> None:
+    """A CAN protocol and a serial one cannot share a scanner; the message names both."""
+    can = Protocol("frames", link="can")
+    can.message("M", id=1)
+    with pytest.raises(CallerError, match=r"servo \(serial\), frames \(can\)"):
+        make_scanner([servo().variant(), can.variant()])
+
+
+def test_garbage_costs_no_memory() -> None:
+    """A long run of bytes that begin no packet is reported in pieces, the same however it was fed."""
+    data = bytes(100_000)
+    whole, pieces = servo().scanner(everything=True), servo().scanner(everything=True)
+    first = whole.feed(data) + whole.close()
+    second = [r for at in range(0, len(data), 777) for r in pieces.feed(data[at : at + 777])] + pieces.close()
+    assert [(r.meta.offset, r.meta.size) for r in first] == [(r.meta.offset, r.meta.size) for r in second]
+    assert max(r.meta.size for r in first) <= 4096
+    assert isinstance(pieces, StreamScanner)
+    assert pieces.buffered == 0
