@@ -1,0 +1,25 @@
+"""Recordings: frames and bytes out of files, pipes and standard input.
+
+1. What a file is, its content says, never its suffix.
+2. Every line and byte is accounted for: given, or counted with the reason. Only a source that is no capture raises.
+3. Nothing here knows a protocol, and memory does not grow with the file.
+"""
+
+from __future__ import annotations
+
+from .base import CanCapture, Capture, Chunk, Direction, Link, Problem, SerialCapture
+from .filters import CanFilter, parse_filter
+from .open import open_capture
+
+__all__ = [
+    "CanCapture",
+    "CanFilter",
+    "Capture",
+    "Chunk",
+    "Direction",
+    "Link",
+    "Problem",
+    "SerialCapture",
+    "open_capture",
+    "parse_filter",
+]

@@ -1,0 +1,145 @@
+"""What every capture offers, whatever its format.
+
+1. A capture is read once, front to back, like the file it is.
+2. Counters cover what has been read so far, and are up to date before anything is handed out.
+3. `lines` is the sum of the lines that gave something, and of the unreadable, comment and blank ones.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from types import TracebackType
+from typing import ClassVar, Literal, NamedTuple, Self
+
+from ..frame import Frame
+from ._source import Source
+
+Link = Literal["can", "serial"]
+Direction = Literal["to device", "from device"]
+
+#: Enough to see what is wrong with a file; the counter has the rest.
+PROBLEMS_KEPT = 5
+EXCERPT = 80
+
+
+class Problem(NamedTuple):
+    """A line that could not be read: its number (from 1), why, and how it begins."""
+
+    line: int
+    reason: str
+    excerpt: str
+
+
+class Chunk(NamedTuple):
+    """Bytes of a serial line. `time` is in seconds, None when the capture does not say; so is `direction`."""
+
+    data: bytes
+    time: float | None = None
+    direction: Direction | None = None
+
+
+def printable(line: bytes) -> str:
+    """The beginning of a line, safe to print on a terminal."""
+    text = line[:EXCERPT].decode("utf-8", "backslashreplace")
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+class Capture(ABC):
+    """Name, link, format, counters; a context manager that closes the file."""
+
+    link: ClassVar[Link]
+    format: ClassVar[str]
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self.name = source.name
+        self.lines = 0
+        self.lines_unreadable = 0
+        self.lines_comment = 0
+        self.lines_blank = 0
+        self.problems: list[Problem] = []
+
+    @property
+    def live(self) -> bool:
+        """Whether this is a pipe or a device, and not a file."""
+        return self._source.live
+
+    def close(self) -> None:
+        """Close the file, if it was opened here; reading to the end does so too."""
+        self._source.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _unreadable(self, number: int, reason: str, line: bytes) -> None:
+        self.lines_unreadable += 1
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(Problem(number, reason, printable(line)))
+
+
+class CanCapture(Capture):
+    """CAN frames in the order of the recording."""
+
+    link = "can"
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self.frames = 0
+        #: Frames that the recording program itself says it lost.
+        self.frames_dropped = 0
+        self._stream: Iterator[list[Frame]] | None = None
+
+    @abstractmethod
+    def _lists(self) -> Iterator[list[Frame]]:
+        """Frames as they come out of each block that was read; none of the lists is empty."""
+
+    def _pieces(self) -> Iterator[list[Frame]]:
+        if self._stream is None:
+            self._stream = self._lists()
+        return self._stream
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frames in self._pieces():
+            yield from frames
+
+    def batches(self, n: int = 1024) -> Iterator[list[Frame]]:
+        """Lists of at most `n` frames: full ones from a file, from a live source what is there without waiting."""
+        kept: list[Frame] = []
+        for frames in self._pieces():
+            kept += frames
+            start = 0
+            while len(kept) - start >= n:
+                yield kept[start : start + n]
+                start += n
+            del kept[:start]
+            if kept and self.live:
+                yield kept
+                kept = []
+        if kept:
+            yield kept
+
+
+class SerialCapture(Capture):
+    """Bytes of a serial line in the order of the recording."""
+
+    link = "serial"
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self.bytes = 0
+        self._stream: Iterator[Chunk] | None = None
+
+    @abstractmethod
+    def _chunks(self) -> Iterator[Chunk]:
+        """Chunks of at most 64 KiB, none of them empty."""
+
+    def __iter__(self) -> Iterator[Chunk]:
+        if self._stream is None:
+            self._stream = self._chunks()
+        return self._stream
