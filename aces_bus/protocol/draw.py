@@ -3,7 +3,6 @@
     byte     7        6        5        4        3        2        1        0
          ┌───────────────────────────────────────────────────────────────────────┐
        0 │ period                                                                │
-         ├───────────────────────────────────────────────────────────────────────┤
        1 │ limit.0                                                               │
          ├───────────────────────────────────┬───────────────────────────────────┤
        2 │ z_phase.1 11…8                    │ z_phase.0 11…8                    │
@@ -30,7 +29,7 @@ from .spec.pattern import describe_values
 #: Columns of one bit, and of a row without its frame.
 BIT = 8
 ROW = 8 * BIT + 7
-#: Lists of more bytes than this are one row.
+#: Lists of more bytes than this are one row; in messages of more bytes, so is each number of whole bytes.
 LONGEST = 16
 
 
@@ -50,6 +49,7 @@ class _Block:
     offset: int
     size: int | None
     label: str
+    is_told: bool = False
 
 
 @dataclass
@@ -71,9 +71,10 @@ def draw(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
     base = _Cells()
     _mark(base, plan, [m for m in marks if m.offset >= 0])
     variants: dict[tuple[str, tuple[int, ...]], _Cells] = {}
+    is_brief = plan.least > LONGEST
     for one, when in _placed(plan.fields, "", None):
         cells = base if when is None else variants.setdefault(when, _Cells())
-        _claim(cells, *one)
+        _claim(cells, *one, is_brief=is_brief)
     for (selector, _), cells in variants.items():
         for position in cells.bits:
             base.bits.setdefault(position, (f"(by {selector})", -1, 0))
@@ -107,7 +108,8 @@ def marks_of(message: Message) -> list[Mark]:
             raw = head.bytes(head.pattern.constant)
             marks += [Mark(head.offset + i, 1, f"{name} {byte:#04x}") for i, byte in enumerate(raw)]
         elif head.name not in shown:
-            marks.append(Mark(head.offset, head.size, name))
+            order = f" {8 * head.size - 1}…0, {'high' if head.order == 'big' else 'low'} byte first"
+            marks.append(Mark(head.offset, head.size, name + (order if head.size > 1 else "")))
     if message.check is not None:
         offset, size, _ = message.check_span
         marks.append(Mark(offset, size, f"{message.check.field}: {message.check.describe}"))
@@ -167,9 +169,9 @@ def _span(node: p.Node) -> tuple[int, int] | None:
     return start, end - start
 
 
-def _claim(cells: _Cells, label: str, node: p.Node) -> None:
+def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
     if isinstance(node, p.Scalar):
-        _claim_scalar(cells, label, node)
+        _claim_scalar(cells, label, node, is_brief=is_brief)
     elif isinstance(node, p.Many):
         span = _span(node)
         assert span is not None
@@ -187,7 +189,7 @@ def _claim(cells: _Cells, label: str, node: p.Node) -> None:
         cells.lines.append((f"#{node.start}…", label))
 
 
-def _claim_scalar(cells: _Cells, label: str, node: p.Scalar) -> None:
+def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) -> None:
     if node.kind in ("bytes", "text"):
         if node.size == 1:
             cells.claim(label, range(8 * node.offset, 8 * node.offset + 8))
@@ -199,6 +201,11 @@ def _claim_scalar(cells: _Cells, label: str, node: p.Scalar) -> None:
     if not bits:  # a float
         little = tuple(range(8 * node.offset, 8 * (node.offset + node.size)))
         bits = little if node.order == "little" else p.big_endian_bits(node.offset, node.size)
+    is_flags = any(isinstance(step, p.FlagBits) for step in node.steps)
+    if is_brief and node.size > 1 and not is_flags and (node.kind == "float" or node.is_whole):
+        order = "low" if bits[0] < bits[-1] else "high"
+        cells.blocks[node.offset] = _Block(node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True)
+        return
     flags = {number: name for step in node.steps if isinstance(step, p.FlagBits) for name, number in step.bits}
     for number, name in flags.items():
         cells.claim(name, (bits[number],))
@@ -210,7 +217,7 @@ def _mark(cells: _Cells, plan: p.MessagePlan, marks: Sequence[Mark]) -> None:
         if mark.size == 1:
             cells.claim(mark.label, range(8 * mark.offset, 8 * mark.offset + 8))
         else:
-            cells.blocks[mark.offset] = _Block(mark.offset, mark.size, mark.label)
+            cells.blocks[mark.offset] = _Block(mark.offset, mark.size, mark.label, is_told=True)
     for constant in plan.constants:
         if constant.mask == 0xFF:
             cells.claim(f"{constant.value:#04x}", range(8 * constant.offset, 8 * constant.offset + 8))
@@ -249,7 +256,8 @@ def _picture(cells: _Cells, plan: p.MessagePlan | None, tail: Sequence[Mark]) ->
     above: set[int] = set()
     for place, parts in rows:
         edges = _edges(parts)
-        lines.append(_rule(above, edges, is_first=not above))
+        if not above or edges or above != {0}:
+            lines.append(_rule(above, edges, is_first=not above))
         text = "│".join(_fitted(text, width) for width, text in parts)
         lines.append(f"{place:>5} │{text}│")
         above = edges | {0}
@@ -297,6 +305,8 @@ def _merged(rows: Sequence[_Row]) -> list[_Row]:
 
 
 def _block_label(block: _Block) -> str:
+    if block.is_told:
+        return block.label
     return f"{block.label} (to the end)" if block.size is None else f"{block.label} ({block.size} bytes)"
 
 
@@ -330,6 +340,9 @@ def _fitted(text: str, width: int) -> str:
         return f" {text}".ljust(width)
     if len(text) <= width:
         return text.ljust(width)
+    inner = text.rpartition(".")[2]
+    if not inner[0].isdigit() and len(inner) < len(text):
+        return _fitted(inner, width)  # of a nested record the name alone
     name, blank, bits = text.rpartition(" ")
     if not blank or not bits[0].isdigit():
         return text[: width - 1] + "…"
@@ -374,7 +387,12 @@ class FieldRow:
 
 def table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
     """The fields of a message; `captured` says what captured parts can be."""
-    return list(_table(plan.fields, "", plan.tail, captured or {}))
+    return list(_table(plan.fields, "", captured or {}))
+
+
+def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
+    """The line of a single value, such as a register's."""
+    return _field_row(name, node, doc, {})
 
 
 def captured_values(message: Message) -> dict[str, str]:
@@ -386,26 +404,26 @@ def captured_values(message: Message) -> dict[str, str]:
 
 
 def _table(
-    fields: Sequence[p.PlanField], prefix: str, tail: int, captured: Mapping[str, str]
+    fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, str]
 ) -> Iterator[FieldRow]:
     for one in fields:
         name, node, doc = prefix + one.name, one.node, one.doc
         if one.when is not None:
             doc = f"only while {one.when[0]} is {_listed(one.when[1])}" + (f"; {doc}" if doc else "")
         if isinstance(node, p.Group):
-            yield from _table(node.fields, f"{name}.", tail, captured)
+            yield from _table(node.fields, f"{name}.", captured)
         elif isinstance(node, p.Many) and not _is_long(node):
             for index, item in enumerate(node.items):
                 inner = p.PlanField(f"{one.name}.{index}", item, doc if not index else "", None)
-                yield from _table([inner], prefix, tail, captured)
+                yield from _table([inner], prefix, captured)
         else:
-            yield _field_row(name, node, doc, tail, captured)
+            yield _field_row(name, node, doc, captured)
 
 
-def _field_row(name: str, node: p.Node, doc: str, tail: int, captured: Mapping[str, str]) -> FieldRow:
+def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -> FieldRow:
     if isinstance(node, p.Many):
         span = _span(node)
-        inner = _field_row("", node.items[0], "", tail, captured) if node.items else FieldRow("", "", "")
+        inner = _field_row("", node.items[0], "", captured) if node.items else FieldRow("", "", "")
         place = "byte " + _range(*span) if span is not None else ""
         kind = f"{len(node.items)} × {inner.type or 'record'}"
         return FieldRow(name, place, kind, inner.unit, inner.scale, inner.offset, inner.range, inner.names, doc)
@@ -538,7 +556,7 @@ def _names(steps: Sequence[p.Step]) -> str:
 
 
 def _short(number: float) -> str:
-    if float(number).is_integer() and abs(number) < 1e7:
+    if float(number).is_integer() and abs(number) < 1e12:
         return str(int(number))
     return f"{number:.6g}"
 
@@ -547,4 +565,4 @@ def _listed(values: Sequence[int]) -> str:
     return ", ".join(map(str, values))
 
 
-__all__ = ["FieldRow", "Mark", "captured_values", "draw", "marks_of", "picture", "table"]
+__all__ = ["FieldRow", "Mark", "captured_values", "draw", "marks_of", "picture", "row_of", "table"]

@@ -176,6 +176,11 @@ def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
             return con, steps[::-1], unit, doc
 
 
+def scalar_of(con: c.Construct, offset: int) -> p.Scalar:
+    """One value of fixed size, such as a register's; raises `NotFlat` with the reason."""
+    return _scalar(con, offset)
+
+
 def _scalar(con: c.Construct, offset: int) -> p.Scalar:
     inner, steps, unit, _ = _peel(con)
     found = tuple(steps)

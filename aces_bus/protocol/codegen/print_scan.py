@@ -227,7 +227,9 @@ def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: b
     out.line("if verdict == 'more':")
     _wait(out)
     out.line("elif verdict == 'bad':")
-    out.line("    state.work += min(end - i, %d)" % framing.max_size)
+    if framing.check is not None:
+        out.line("    if reason == 'malformed: checksum':")
+        out.line(f"        state.work += min(end - i, {framing.max_size})")
     out.line("    bad = bad or reason")
     out.line("elif verdict == 'whole':")
     depth = out.depth

@@ -1,75 +1,120 @@
 """Dynamixel protocol 1.0, as the RX-10, RX-28 and RX-64 servos of MiniHubo speak it.
 
-Source: Robotis RX-28 manual (instruction and status packets, control table), checked against recordings of two servos.
+1. Instruction and status packets look alike; who spoke is known from `direction`, or from the request before (`both`).
+2. A packet's bytes decide its length: a SyncWrite whose length is not 4 + n·(size + 1) is no message.
+
+Source: Robotis RX-28 manual, checked against recordings of two servos. Deviations from both are in the README beside.
 """
 
 from __future__ import annotations
 
-from math import pi
+from construct import Byte, Bytes, GreedyBytes, GreedyRange, Struct, this
 
-from construct import Byte, Const, GreedyBytes, GreedyRange, Int16ul, Struct, this
+from aces_bus.protocol import Flags, InvertedSum, Protocol
 
-from aces_bus.protocol import Enumeration, Flags, InvertedSum, Protocol
+from .control_table import ERRORS, add_registers
+
+BROADCAST = 0xFE
+#: Identifiers of single servos; 0xFF cannot occur.
+SERVOS = range(BROADCAST)
 
 robotis = Protocol(
     "robotis",
     link="serial",
-    baud=1_000_000,
-    broadcast={"id": 0xFE},
+    baud=1_000_000,  # MiniHubo; a servo leaves the factory at 57 600 (see the register `baud_rate`)
+    broadcast={"id": BROADCAST},
     doc="Dynamixel protocol 1.0: half-duplex RS-485, several servos on one line.",
     source="Robotis RX-28 manual; recordings of two servos",
 )
 
 packet = robotis.framing(
     sync=b"\xff\xff",
-    not_next=b"\xff",  # id 0xFF cannot occur: of FF FF FF the last two are the header
+    not_next=b"\xff",  # of FF FF FF the last two are the header
     header=Struct("id" / Byte, "length" / Byte),
     size=this.length + 4,
-    max_size=259,
+    max_size=259,  # what the length byte allows; the RX-28 itself receives at most 143 bytes of a SyncWrite
     gap=0.1,  # a longer pause inside a packet resets the servo's receiver
     check=InvertedSum(),
 )
 
 # ---------------------------------------------------------------------- instructions
 
-Ping = packet("Ping", direction="to device", payload=Struct(Const(0x01, Byte)), doc="Ask for a status.", source="RX-28 manual, PING")
-Read = packet(
+instruction = packet.family(Struct("instruction" / Byte), direction="to device")
+
+Ping = instruction(
+    "Ping",
+    instruction=0x01,
+    doc="Ask for a status, which comes whatever the status return level.",
+    source="RX-28 manual, PING",
+)
+Read = instruction(
     "Read",
-    direction="to device",
-    payload=Struct(Const(0x02, Byte), "start" / Byte, "count" / Byte),
+    instruction=0x02,
+    payload=Struct("start" / Byte, "count" / Byte),
     doc="Ask for `count` bytes of the control table.",
     source="RX-28 manual, READ_DATA",
 )
-Write = packet(
+Write = instruction(
     "Write",
-    direction="to device",
-    payload=Struct(Const(0x03, Byte), "start" / Byte, "data" / GreedyBytes),
+    instruction=0x03,
+    payload=Struct("start" / Byte, "data" / GreedyBytes),
     doc="Write bytes of the control table.",
     source="RX-28 manual, WRITE_DATA",
 )
-RegWrite = packet(
+RegWrite = instruction(
     "RegWrite",
-    direction="to device",
-    payload=Struct(Const(0x04, Byte), "start" / Byte, "data" / GreedyBytes),
+    instruction=0x04,
+    payload=Struct("start" / Byte, "data" / GreedyBytes),
     doc="Write, held back until Action.",
     source="RX-28 manual, REG_WRITE",
 )
-Action = packet(
-    "Action", direction="to device", payload=Struct(Const(0x05, Byte)), doc="Carry out what RegWrite held back.", source="RX-28 manual, ACTION"
+Action = instruction(
+    "Action",
+    instruction=0x05,
+    doc="Carry out what RegWrite held back.",
+    source="RX-28 manual, ACTION",
 )
-Reset = packet(
-    "Reset", direction="to device", payload=Struct(Const(0x06, Byte)), doc="Back to factory defaults.", source="RX-28 manual, RESET"
+Reset = instruction(
+    "Reset",
+    instruction=0x06,
+    doc="Back to factory defaults.",
+    source="RX-28 manual, RESET",
 )
+SyncWrite = instruction(
+    "SyncWrite",
+    instruction=0x83,
+    match={"id": BROADCAST},
+    payload=Struct(
+        "start" / Byte,
+        "size" / Byte,
+        "servos" / GreedyRange(Struct("id" / Byte, "data" / Bytes(this._.size))),
+    ),
+    doc="Write the same `size` bytes of the control table in many servos, each its own values. Never answered.",
+    source="RX-28 manual, SYNC_WRITE",
+)
+
+# ---------------------------------------------------------------------- status
+
 Status = packet(
     "Status",
     direction="from device",
-    reply_to=(Ping, Read, Write, RegWrite, Action, Reset),
+    match={"id": SERVOS},
+    # A broadcast is not answered, except that a Ping may be.
+    reply_to=(Ping, *(request.where(id=SERVOS) for request in (Read, Write, RegWrite, Action, Reset))),
     over=("Ping", "Read", "Write", "RegWrite", "Action", "Reset", "SyncWrite"),
+    # A servo waits 0.5 ms at most; the rest is for 259 bytes at 9600 baud and for adapters that collect bytes.
     within=0.5,
-    payload=Struct(
-        "error" / Flags(Byte, voltage=0, angle_limit=1, overheating=2, range=3, checksum=4, overload=5, instruction=6),
-        "parameters" / GreedyBytes,
-    ),
+    payload=Struct("error" / Flags(Byte, ERRORS), "parameters" / GreedyBytes),
     doc="A servo's answer: its error bits and the bytes asked for.",
     source="RX-28 manual, status packet",
 )
+
+# ---------------------------------------------------------------------- control table
+
+control_table = robotis.registers(
+    read=Read,
+    write=Write,
+    sync=SyncWrite,
+    doc="Control table of RX-10, RX-28 and RX-64: EEPROM 0x00–0x17, RAM 0x18–0x31; words are little-endian.",
+)
+add_registers(control_table)

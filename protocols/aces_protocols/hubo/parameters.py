@@ -1,0 +1,197 @@
+"""What boards of D12 answer at 0x1C0: parameter blocks and currents.
+
+1. Nothing in a frame tells these apart: the request that is open does, so a reply without its request stays unknown.
+2. A block's number n is the same for all channels; the record's `selector` says which channel it was.
+3. Numbers that the board cuts across blocks stay in halves here. The halves are in counts and add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from construct import Byte, Bytes, Int16sl, Int16ul, Struct
+
+from aces_bus.protocol import BitLayout, Enumeration, Message, Quantity, Reserved, Split, Tuple, bits
+
+from .base import CW_CCW, HOMING_MODES, Board, Percent, channels, hubo
+from .commands import GetParameters, SendCurrent
+
+# ---------------------------------------------------------------------- parameter blocks
+
+
+def selectors(block: int) -> tuple[int, ...]:
+    """A block's selectors, channel by channel: 6 × channel + block, and 5 more from channel 3 on: 20–22 stay free."""
+    return tuple(6 * channel + block + (5 if channel >= 3 else 0) for channel in range(5))
+
+
+def _block(name: str, selector: Iterable[int], payload: Any, doc: str, source: str = "hubo-ach") -> Message:
+    return hubo.message(
+        name,
+        id=0x1C0 + Board,
+        direction="from device",
+        dialect="D12",
+        reply_to=GetParameters.where(selector=selector),
+        payload=payload,
+        doc=doc,
+        source=source,
+    )
+
+
+Parameters1 = _block(
+    "Parameters1",
+    selectors(1),
+    BitLayout(
+        8,
+        "kp" / bits(16),
+        "ki" / bits(16),
+        "kd" / bits(16),
+        "resolution" / Quantity(bits(14), unit="count"),
+        "auto_scale" / bits(1),
+        "direction" / Enumeration(bits(1), ccw=0, cw=1),
+    ),
+    "Block 1 of a channel: position gains and the encoder word.",
+)
+Parameters2 = _block(
+    "Parameters2",
+    selectors(2),
+    Struct(
+        "dead_zone" / Int16ul,
+        "search_direction" / Enumeration(Byte, CW_CCW),
+        "search_mode" / Enumeration(Byte, HOMING_MODES),
+        "search_limit" / Quantity(Int16ul, unit="turn"),
+        "home_offset_low" / Quantity(Int16ul, unit="count"),
+    ),
+    "Block 2 of a channel: dead zone, home search, and bits 0–15 of the home offset.",
+)
+Parameters3 = _block(
+    "Parameters3",
+    selectors(3),
+    BitLayout(
+        8,
+        "home_offset_high" / Quantity(bits(16, signed=True), scale=65536, unit="count"),
+        "lower_limit_enabled" / bits(1),
+        "lower_limit" / Quantity(bits(31, signed=True), scale=2, unit="count"),
+        "upper_limit_enabled" / bits(1),
+        "upper_limit_low" / Quantity(bits(15), scale=2, unit="count"),
+    ),
+    "Block 3 of a channel: bits 16–31 of the home offset, the lower limit, bits 0–15 of the upper one.",
+    "hubo-ach; RoboWorld2018 (bit 0 of a limit switches it on)",
+)
+Parameters4 = _block(
+    "Parameters4",
+    selectors(4),
+    Struct(
+        "upper_limit_high" / Quantity(Int16sl, scale=65536, unit="count"),
+        "max_acceleration" / Int16ul,
+        "max_velocity" / Int16ul,
+        "max_pwm" / Int16ul,
+    ),
+    "Block 4 of a channel: bits 16–31 of the upper limit, largest acceleration, velocity and PWM.",
+)
+Parameters5 = _block(
+    "Parameters5",
+    selectors(5),
+    Struct("max_current" / Int16ul, "unused" / Reserved(2), "kpt" / Int16ul, "kdt" / Int16ul),
+    "Block 5 of a channel: largest current, torque gains.",
+)
+Parameters6 = _block(
+    "Parameters6",
+    selectors(6),
+    Struct("kft" / Int16ul, "sums" / Bytes(6)),
+    "Block 6 of a channel: a torque gain; the rest may be sums of blocks 1–5.",
+    "hubo-ach; RoboWorld2018 (compares the sums, and only logs it when they differ)",
+)
+Parameters20 = _block(
+    "Parameters20",
+    (20,),
+    Struct(
+        "number" / Int16ul,
+        "period" / Quantity(Int16ul, unit="ms"),
+        "board_type" / Byte,
+        "unused" / Reserved(1),
+        "homing_acceleration" / Quantity(Int16ul, scale=0.01),
+    ),
+    "Block 20 of a board: its number, its period, its type, its acceleration in a home search.",
+    "hubo-ach; RoboWorld2018 (for the number)",
+)
+Parameters21 = _block(
+    "Parameters21",
+    (21,),
+    Struct(
+        "velocity_to_switch" / Int16ul,
+        "velocity_to_offset" / Int16ul,
+        "jam_time" / Quantity(Int16ul, unit="ms"),
+        "saturation_time" / Quantity(Int16ul, unit="ms"),
+    ),
+    "Block 21 of a board: velocities of a home search, times until a jam and until saturation.",
+    "hubo-ach (it reads the times as 0.1 s, and doubts it; JamLimits writes them in ms)",
+)
+Parameters22 = _block(
+    "Parameters22",
+    (22,),
+    Struct(
+        "limit_duty" / Percent,
+        "jam_duty" / Percent,
+        "max_step" / Int16ul,
+        "max_error" / Int16ul,
+        "max_encoder_error" / Int16ul,
+    ),
+    "Block 22 of a board: duties of the limit and jam detection, largest step, error and encoder error.",
+)
+
+# ---------------------------------------------------------------------- currents
+
+
+def _current(name: str, kinds: tuple[Any, ...], size: int, fields: tuple[Any, ...], doc: str) -> Message:
+    """Currents in `size` bytes, and the same in a frame of 8 as `NamePadded`."""
+    shared: dict[str, Any] = {
+        "id": 0x1C0 + Board,
+        "direction": "from device",
+        "dialect": "D12",
+        "when": channels(*kinds),
+        "reply_to": SendCurrent,
+        "source": "hubo-ach",
+    }
+    padded = f"{doc} In a frame of 8 bytes."
+    hubo.message(f"{name}Padded", payload=BitLayout(8, *fields), doc=padded, **shared)
+    return hubo.message(name, payload=BitLayout(size, *fields), doc=doc, **shared)
+
+
+#: hubo-ach has this byte as "to be checked"; RoboWorld2018 has, switched off, two more bits and 0.1 °C.
+_TEMPERATURE = "temperature" / Quantity(bits(8, 16), unit="°C")
+
+
+def _amps(width: int, at: int, per_amp: int) -> Quantity:
+    return Quantity(bits(width, at), scale=1 / per_amp, unit="A")
+
+
+Current = _current(
+    "Current",
+    (1, 2),
+    4,
+    (
+        # Bits 0 and 1 of each current are in d[3], what is above them in d[0] and d[1].
+        "current"
+        / Tuple(
+            Quantity(Split((24, 2), (0, 8)), scale=0.01, unit="A"),
+            Quantity(Split((26, 2), (8, 8)), scale=0.01, unit="A"),
+        ),
+        _TEMPERATURE,
+    ),
+    "Magnitudes of both motor currents, and a temperature.",
+)
+Current3 = _current(
+    "Current3",
+    (3, "hand"),
+    4,
+    ("current" / Tuple(_amps(8, 0, 250), _amps(8, 8, 250), _amps(8, 24, 250)), _TEMPERATURE),
+    "Magnitudes of three motor currents, and a temperature.",
+)
+Current5 = _current(
+    "Current5",
+    (5,),
+    6,
+    ("current" / Tuple(*(_amps(8, 8 * byte, 1000) for byte in (0, 1, 2, 4, 5))),),
+    "Magnitudes of five finger currents.",
+)

@@ -1,0 +1,143 @@
+"""Commands that store a setting in a board of D12, identifier 0x001; `parameters` reads most of them back.
+
+1. A channel inside an opcode counts from 0 (hubo-ach; it doubts this itself, and no robot has proved it).
+2. hubo-ach marks what it never tried on a robot; the README lists it.
+"""
+
+from __future__ import annotations
+
+from construct import Array, Byte, Const, Int16ul, Int32sl, Struct
+
+from aces_bus.protocol import BitLayout, Capture, Enumeration, Flags, Quantity, bits
+
+from .base import CW_CCW, HOMING_MODES, Milliseconds, Percent, command
+
+#: Opcodes that carry their channel: opcode = base + channel.
+Channel = Capture("channel", range(5), doc="motor channel, from 0")
+
+# ---------------------------------------------------------------------- 0x20–0x6F: parameters of D12
+
+DeadZone = command(
+    "DeadZone",
+    # Channel 4 would be 0x24, which is GetParameters.
+    opcode=0x20 + Capture("channel", range(4), doc="motor channel, from 0"),
+    dialect="D12",
+    payload=Struct("dead_zone" / Byte),
+    doc="Dead zone of a motor's PWM.",
+    source="hubo-ach",
+)
+HomeSearch = command(
+    "HomeSearch",
+    opcode=0x30 + Channel,
+    dialect="D12",
+    payload=Struct(
+        "limit" / Quantity(Byte, unit="turn"),
+        "direction" / Enumeration(Byte, CW_CCW),
+        "offset" / Quantity(Int32sl, unit="count"),
+    ),
+    doc="Home search: at most so many motor turns, where to, and how far the home is from the index.",
+    source="hubo-ach",
+)
+EncoderResolution = command(
+    "EncoderResolution",
+    opcode=0x38 + Channel,
+    dialect="D12",
+    payload=BitLayout(
+        2,
+        "resolution" / Quantity(bits(14), unit="count"),
+        "auto_scale" / bits(1),
+        "direction" / Enumeration(bits(1), ccw=0, cw=1),
+    ),
+    doc="Encoder counts of a motor turn, and the motor's direction.",
+    source="hubo-ach",
+)
+MaxSpeed = command(
+    "MaxSpeed",
+    opcode=0x40 + Channel,
+    dialect="D12",
+    payload=Struct("acceleration" / Int16ul, "velocity" / Int16ul),
+    doc="Largest acceleration and velocity, in unknown units.",
+    source="hubo-ach",
+)
+_LIMIT = Struct("options" / Flags(Byte, enable=0, update=1), "limit" / Quantity(Int32sl, unit="count"))
+LowerLimit = command(
+    "LowerLimit",
+    opcode=0x50 + Channel,
+    dialect="D12",
+    payload=_LIMIT,
+    doc="Lower position limit; `update` writes the value, `enable` switches the limit on.",
+    source="hubo-ach",
+)
+UpperLimit = command(
+    "UpperLimit",
+    opcode=0x56 + Channel,
+    dialect="D12",
+    payload=_LIMIT,
+    doc="Upper position limit; `update` writes the value, `enable` switches the limit on.",
+    source="hubo-ach",
+)
+HomingSpeed = command(
+    "HomingSpeed",
+    opcode=0x60 + Channel,
+    dialect="D12",
+    payload=Struct(
+        "acceleration" / Quantity(Byte, scale=0.01),
+        "velocity_to_switch" / Byte,
+        "velocity_to_offset" / Byte,
+        "mode" / Enumeration(Byte, HOMING_MODES),
+        "duty" / Percent,
+    ),
+    doc="How a home search moves and where it stops.",
+    source="hubo-ach",
+)
+GainOverride = command(
+    "GainOverride",
+    opcode=0x6F,
+    dialect="D12",
+    payload=Struct("gain" / Array(2, Quantity(Byte, unit="%")), "time" / Quantity(Int16ul, unit="ms")),
+    doc="Scale the gains of channels 0 and 1 within so much time.",
+    source="hubo-ach",
+)
+
+# ---------------------------------------------------------------------- 0xE0–0xFA: the board itself
+
+SetBoardNumber = command(
+    "SetBoardNumber",
+    opcode=0xF0,
+    dialect="D12",
+    payload=Struct("number" / Byte, "period" / Milliseconds),
+    doc="Give the board another number. Dangerous: two boards with one number cannot be told apart again.",
+    source="hubo-ach (disabled there)",
+)
+JamLimits = command(
+    "JamLimits",
+    opcode=0xF2,
+    dialect="D12",
+    payload=Struct(
+        "jam_time" / Quantity(Int16ul, unit="ms"),
+        "saturation_time" / Quantity(Int16ul, unit="ms"),
+        "limit_duty" / Percent,
+        "jam_duty" / Percent,
+    ),
+    doc="When a motor counts as jammed or its PWM as saturated.",
+    source="hubo-ach",
+)
+ErrorBounds = command(
+    "ErrorBounds",
+    opcode=0xF3,
+    dialect="D12",
+    payload=Struct("max_step" / Int16ul, "max_error" / Int16ul, "temperature" / Int16ul),
+    doc="Largest step of the input, largest position error, temperature of the warning; units unknown.",
+    source="hubo-ach",
+)
+InitBoard = command(
+    "InitBoard", opcode=0xFA, dialect="D12", doc="Load the board's default parameters.", source="hubo-ach"
+)
+InitSensor = command(
+    "InitSensor",
+    opcode=0xFA,
+    dialect="D12",
+    payload=Struct(Const(0xAA, Byte)),
+    doc="Initialise a force/torque board.",
+    source="hubo-ach; RoboWorld2018",
+)
