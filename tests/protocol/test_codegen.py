@@ -16,7 +16,7 @@ import pytest
 from construct import Array, Byte, Int16ul, Int32sl, Struct
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol import BitLayout, Capture, Protocol, Quantity, StreamScanner, bits, load_protocol
+from aces_bus.protocol import BitLayout, Capture, Flags, Frame, Protocol, Quantity, StreamScanner, bits, load_protocol
 from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.codegen.load import codec, print_decoders
 from aces_bus.protocol.codegen.print_python import print_records
@@ -140,3 +140,12 @@ def test_construct_still_reads_the_payload_alone() -> None:
     message = protocol.message("M", id=1, payload=Struct("a" / Byte, "b" / Int16ul))
     assert message.payload.parse(b"\x01\x02\x03") == {"a": 1, "b": 0x302}
     assert message.payload.build({"a": 1, "b": 2}) == b"\x01\x02\x00"
+
+
+def test_two_flag_fields_of_one_name_keep_their_own_names() -> None:
+    """Nested records may repeat a field name; each keeps its own flags."""
+    protocol = Protocol("twins", link="can")
+    motor = {"left": Flags(Byte, hot=0), "right": Flags(Byte, jam=0)}
+    protocol.message("M", id=1, payload=Struct(*(side / Struct("fault" / field) for side, field in motor.items())))
+    record = protocol.scanner().feed([Frame(1, b"\x01\x01")])[0]
+    assert (list(record.left.fault), list(record.right.fault)) == (["hot"], ["jam"])

@@ -21,7 +21,6 @@ from ..spec.fields import FlagSet
 from ..spec.message import Message
 from ..spec.packet import can_image
 from ..spec.protocol import Variant
-from . import plan as p
 from .flatten import flatten
 from .print_python import Decoder, print_records
 
@@ -65,6 +64,11 @@ class _FlagValues(dict[int, FlagSet]):
         return made
 
 
+def _flags(bits: Mapping[str, int]) -> _FlagValues:
+    """What generated decoders call for the values of a flags field."""
+    return _FlagValues(flag_type(tuple(bits.items())))
+
+
 class Codec:
     """Record types and decode functions of a variant, in physical units or raw.
 
@@ -83,6 +87,7 @@ class Codec:
             "from_bytes": int.from_bytes,
             "re": re,
             "degrees": degrees,
+            "flags": _flags,
             **_all_types(variant),
         }
         for plan in self.plans.values():
@@ -90,10 +95,6 @@ class Codec:
                 names[f"opaque_{plan.name}"] = _opaque(variant.messages[plan.name], variant, raw=raw)
             if plan.is_checked:
                 names[f"holds_{plan.name}"] = _holds(variant.messages[plan.name])
-            for field, node in _named_nodes(plan):
-                for step in getattr(node, "steps", ()):
-                    if isinstance(step, p.FlagBits):
-                        names[f"flags_{plan.name}_{field}"] = _FlagValues(flag_type(step.bits))
         space = load(self.source, f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders", names)
         self.decoders: dict[str, Decode] = {name: space[f"decode_{name}"] for name in self.plans}
 
@@ -119,24 +120,6 @@ def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -
         setup, lines = Decoder(flatten(message), raw=raw, guard=guard).print()
         parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
     return "\n".join(parts) + "\n"
-
-
-def _named_nodes(plan: p.MessagePlan) -> list[tuple[str, p.Node]]:
-    found: list[tuple[str, p.Node]] = []
-
-    def visit(name: str, node: p.Node) -> None:
-        if isinstance(node, p.Many):
-            for item in node.items:
-                visit(name, item)
-        elif isinstance(node, p.Group):
-            for field in node.fields:
-                visit(field.name, field.node)
-        else:
-            found.append((name, node))
-
-    for field in plan.fields:
-        visit(field.name, field.node)
-    return found
 
 
 @cache

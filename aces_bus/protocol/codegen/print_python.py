@@ -486,7 +486,8 @@ class Decoder:
                 else:
                     number = f"{table}({number}, {number})" if number.isidentifier() else f"{table}((n := {number}), n)"
             else:
-                number = f"flags_{self.plan.name}_{name}[{number}]"
+                table = self._table(f"_flags_{self.plan.name}_{name}", f"flags({dict(step.bits)!r})")
+                number = f"{table}[{number}]"
         return number
 
     def _table(self, name: str, value: str) -> str:

@@ -212,9 +212,9 @@ def bounds(values: Collection[int]) -> tuple[int, int]:
 
 def describe_values(values: Collection[int]) -> str:
     """`0…47` or `1, 2, 5`."""
-    if isinstance(values, range) and len(values) > 2 and values.step == 1:
-        return f"{values.start}…{values.stop - 1}"
     listed = sorted(values)
+    if len(listed) > 2 and listed[-1] - listed[0] == len(listed) - 1:
+        return f"{listed[0]}…{listed[-1]}"
     if len(listed) > 12:
         return f"{len(listed)} values in {listed[0]}…{listed[-1]}"
     return ", ".join(map(str, listed))
