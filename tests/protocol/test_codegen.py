@@ -19,7 +19,7 @@ from aces_bus.errors import FieldError
 from aces_bus.protocol import BitLayout, Capture, Flags, Frame, Protocol, Quantity, StreamScanner, bits, load_protocol
 from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.codegen.load import codec, print_decoders
-from aces_bus.protocol.codegen.print_python import print_records
+from aces_bus.protocol.codegen.print_records import print_records
 
 ROOT = Path(__file__).resolve().parents[2]
 Golden = Callable[[str, str], None]

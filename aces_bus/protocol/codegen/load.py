@@ -22,7 +22,8 @@ from ..spec.message import Message
 from ..spec.packet import can_image
 from ..spec.protocol import Variant
 from .flatten import flatten
-from .print_python import Decoder, print_records
+from .print_decode import Decoder
+from .print_records import print_records
 
 Decode = Callable[..., Any]
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from ..spec.head import Head
 from ..spec.message import Message
 from . import plan as p
-from .print_python import Source, compact, format_of, runs_of
+from .print_decode import compact, format_of, runs_of
+from .source import Source
 
 
 class NoEncoder(Exception):

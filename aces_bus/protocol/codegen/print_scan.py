@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from ..spec.checks import Check, Extra, Fletcher, Sum
 from ..spec.framing import Framing
 from .choose import Choice
-from .print_python import Source
+from .source import Source
 
 
 ARGUMENTS = "data, key, time, channel, raw, rx"

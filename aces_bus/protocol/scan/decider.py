@@ -12,8 +12,8 @@ from typing import Any, Literal
 from ..codegen.choose import Choice, choose
 from ..codegen.flatten import flatten
 from ..codegen.load import codec, load
-from ..codegen.print_python import Source
 from ..codegen.print_scan import print_choice
+from ..codegen.source import Source
 from ..spec.ambiguity import needing_context
 from ..spec.message import Direction, Message
 from ..spec.order import ordered

@@ -1,158 +1,21 @@
-"""Prints a plan as Python: record classes and decoders.
-
-1. The printer decides nothing: the same plan gives the same text, byte for byte.
-2. What is printed is meant to be read: one function a message, one line a field.
-3. User objects (constructs, enumerations' tables) enter by name, never by repr.
-"""
+"""Prints decoders: one function a message, from data bytes to a record."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from . import plan as p
+from .print_records import groups_of
+from .source import Source, first_line
 
-_FORMATS = {
+FORMATS = {
     **{("uint", 1): "B", ("uint", 2): "H", ("uint", 4): "I", ("uint", 8): "Q"},
     **{("int", 1): "b", ("int", 2): "h", ("int", 4): "i", ("int", 8): "q"},
     **{("float", 2): "e", ("float", 4): "f", ("float", 8): "d"},
 }
 
-
-#: What every record keeps of the transport (see `aces_bus.protocol.scan.record`).
-PRIVATE = (
-    ("_time", "float | None"),
-    ("_channel", "str | None"),
-    ("_key", "int"),
-    ("_raw", "bytes"),
-    ("_rx", "bool | None"),
-)
 TRANSPORT = "time, channel, key, raw, rx"
-
-
-class Source:
-    """Lines of Python with an indentation."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.depth = 0
-
-    def line(self, text: str = "") -> None:
-        self.lines.append("    " * self.depth + text if text else "")
-
-    def text(self) -> str:
-        return "\n".join(self.lines) + "\n"
-
-
-# ---------------------------------------------------------------------- types
-
-
-def type_of(node: p.Node, *, raw: bool = False) -> str:
-    """The Python type of a node's value, for annotations and stubs."""
-    if isinstance(node, p.Scalar):
-        return _scalar_type(node.kind, node.steps, raw)
-    if isinstance(node, p.FromIdentifier):
-        return _scalar_type("uint", node.steps, raw)
-    if isinstance(node, p.Many):
-        kinds = [type_of(item, raw=raw) for item in node.items]
-        return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
-    if isinstance(node, p.Group):
-        return node.type_name
-    if isinstance(node, p.Rest):
-        return "int"
-    if isinstance(node, p.FromRequest):
-        return "int | None"
-    if isinstance(node, p.Cell):
-        if raw:
-            return "str | None"
-        kind = {"text": "str", "number": "float", "integer": "int", "degrees": "float", "names": "str"}[node.conversion]
-        return f"{kind} | None"
-    if isinstance(node, p.MoreCells):
-        return "tuple[str, ...]"
-    return "Any"
-
-
-def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
-    base = {"uint": "int", "int": "int", "float": "float", "bytes": "bytes", "text": "bytes" if raw else "str"}[kind]
-    if raw:
-        return base
-    for step in steps:
-        if isinstance(step, p.Scale):
-            if step.scale != 1 or step.offset:
-                whole = isinstance(step.scale, int) and isinstance(step.offset, int)
-                base = base if whole else "float"
-            if step.unknown:
-                base += " | None"
-        elif isinstance(step, p.Names):
-            base = "str | int"
-        elif isinstance(step, p.FlagBits):
-            base = "FlagSet"
-    return base
-
-
-def groups_of(fields: Iterable[p.PlanField]) -> list[p.Group]:
-    """The nested records among fields, innermost first, each once."""
-    found: dict[str, p.Group] = {}
-
-    def visit(node: p.Node) -> None:
-        if isinstance(node, p.Group):
-            for field in node.fields:
-                visit(field.node)
-            found[node.type_name] = node
-        elif isinstance(node, p.Many):
-            for item in node.items:
-                visit(item)
-
-    for field in fields:
-        visit(field.node)
-    return list(found.values())
-
-
-def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
-    """The record classes of a variant."""
-    out = Source()
-    out.line(f'"""Records of {label}: generated from its spec."""')
-    out.line()
-    for plan in plans:
-        for group in groups_of(plan.fields):
-            out.line(f"class {group.type_name}(Part, frozen=True, gc=False):")
-            out.depth += 1
-            for field in group.fields:
-                _annotate(out, field)
-            out.depth -= 1
-            out.line()
-        for index, (path, names) in enumerate(plan.parts):
-            out.line(f"class {path}_{index}(Part, frozen=True, gc=False):")
-            for name in names:
-                out.line(f"    {name}: Any")
-            if not names:
-                out.line("    pass")
-            out.line()
-        out.line(f"class {plan.name}(Record, frozen=True, gc=False):")
-        out.depth += 1
-        out.line(f'"""{_first_line(plan.doc) or plan.name}"""')
-        out.line()
-        for field in plan.fields:
-            _annotate(out, field)
-        for private, kind in PRIVATE:
-            out.line(f"{private}: {kind}")
-        out.depth -= 1
-        out.line()
-    return out.text()
-
-
-def _annotate(out: Source, field: p.PlanField) -> None:
-    kind = type_of(field.node)
-    if field.when is not None and not kind.endswith("None"):
-        kind += " | None"
-    out.line(f"{field.name}: {kind}")
-
-
-def _first_line(doc: str) -> str:
-    return doc.strip().split("\n", 1)[0].replace("\\", "\\\\").replace('"', "'")
-
-
-# ---------------------------------------------------------------------- decoders
 
 
 @dataclass(frozen=True)
@@ -191,7 +54,7 @@ class Decoder:
         needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
         out.line(f"def decode_{plan.name}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):")
         out.depth = 1
-        out.line(f'"""{_first_line(plan.doc) or plan.name} ({plan.place})"""')
+        out.line(f'"""{first_line(plan.doc) or plan.name} ({plan.place})"""')
         if not plan.is_flat:
             out.line(f"# through construct: {plan.opaque}")
             out.line(f"return opaque_{plan.name}(data, key, time, channel, raw, rx, request)")
@@ -337,7 +200,7 @@ class Decoder:
                 names += [f"{name}a", f"{name}b"]
                 after.append(f"{name} = {name}a << 16 | {name}b" if order == "big" else f"{name} = {name}a | {name}b << 16")
             else:
-                text += _FORMATS["uint", size]
+                text += FORMATS["uint", size]
                 names.append(name)
             self.cells.append(Cell(name, start, end, order or "little"))
         start = chunks[0][0]
@@ -459,7 +322,7 @@ class Decoder:
         """A float that is not always there."""
         mark = "<" if scalar.order == "little" else ">"
         helper = f"_unpack_{self.plan.name}_{name}"
-        self.setup.append(f'{helper} = Struct("{mark}{_FORMATS["float", scalar.size or 0]}").unpack_from')
+        self.setup.append(f'{helper} = Struct("{mark}{FORMATS["float", scalar.size or 0]}").unpack_from')
         return f"{helper}(data, {scalar.offset})[0]"
 
     def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
@@ -588,11 +451,11 @@ class Decoder:
 
 def format_of(scalar: p.Scalar) -> str:
     """The `struct` format of a whole number of usual size, else empty."""
-    if scalar.size is None or (scalar.kind, scalar.size) not in _FORMATS:
+    if scalar.size is None or (scalar.kind, scalar.size) not in FORMATS:
         return ""
     if scalar.kind != "float" and not scalar.is_whole:
         return ""
-    return _FORMATS[scalar.kind, scalar.size]
+    return FORMATS[scalar.kind, scalar.size]
 
 
 def _clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:

@@ -1,0 +1,118 @@
+"""Prints record classes, and says of what Python type a field is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from . import plan as p
+from .source import Source, first_line
+
+#: What every record keeps of the transport (see `aces_bus.protocol.scan.record`).
+PRIVATE = (
+    ("_time", "float | None"),
+    ("_channel", "str | None"),
+    ("_key", "int"),
+    ("_raw", "bytes"),
+    ("_rx", "bool | None"),
+)
+
+
+def type_of(node: p.Node, *, raw: bool = False) -> str:
+    """The Python type of a node's value, for annotations and stubs."""
+    if isinstance(node, p.Scalar):
+        return _scalar_type(node.kind, node.steps, raw)
+    if isinstance(node, p.FromIdentifier):
+        return _scalar_type("uint", node.steps, raw)
+    if isinstance(node, p.Many):
+        kinds = [type_of(item, raw=raw) for item in node.items]
+        return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
+    if isinstance(node, p.Group):
+        return node.type_name
+    if isinstance(node, p.Rest):
+        return "int"
+    if isinstance(node, p.FromRequest):
+        return "int | None"
+    if isinstance(node, p.Cell):
+        if raw:
+            return "str | None"
+        kind = {"text": "str", "number": "float", "integer": "int", "degrees": "float", "names": "str"}[node.conversion]
+        return f"{kind} | None"
+    if isinstance(node, p.MoreCells):
+        return "tuple[str, ...]"
+    return "Any"
+
+
+def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
+    base = {"uint": "int", "int": "int", "float": "float", "bytes": "bytes", "text": "bytes" if raw else "str"}[kind]
+    if raw:
+        return base
+    for step in steps:
+        if isinstance(step, p.Scale):
+            if step.scale != 1 or step.offset:
+                whole = isinstance(step.scale, int) and isinstance(step.offset, int)
+                base = base if whole else "float"
+            if step.unknown:
+                base += " | None"
+        elif isinstance(step, p.Names):
+            base = "str | int"
+        elif isinstance(step, p.FlagBits):
+            base = "FlagSet"
+    return base
+
+
+def groups_of(fields: Iterable[p.PlanField]) -> list[p.Group]:
+    """The nested records among fields, innermost first, each once."""
+    found: dict[str, p.Group] = {}
+
+    def visit(node: p.Node) -> None:
+        if isinstance(node, p.Group):
+            for field in node.fields:
+                visit(field.node)
+            found[node.type_name] = node
+        elif isinstance(node, p.Many):
+            for item in node.items:
+                visit(item)
+
+    for field in fields:
+        visit(field.node)
+    return list(found.values())
+
+
+def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
+    """The record classes of a variant."""
+    out = Source()
+    out.line(f'"""Records of {label}: generated from its spec."""')
+    out.line()
+    for plan in plans:
+        for group in groups_of(plan.fields):
+            out.line(f"class {group.type_name}(Part, frozen=True, gc=False):")
+            out.depth += 1
+            for field in group.fields:
+                _annotate(out, field)
+            out.depth -= 1
+            out.line()
+        for index, (path, names) in enumerate(plan.parts):
+            out.line(f"class {path}_{index}(Part, frozen=True, gc=False):")
+            for name in names:
+                out.line(f"    {name}: Any")
+            if not names:
+                out.line("    pass")
+            out.line()
+        out.line(f"class {plan.name}(Record, frozen=True, gc=False):")
+        out.depth += 1
+        out.line(f'"""{first_line(plan.doc) or plan.name}"""')
+        out.line()
+        for field in plan.fields:
+            _annotate(out, field)
+        for private, kind in PRIVATE:
+            out.line(f"{private}: {kind}")
+        out.depth -= 1
+        out.line()
+    return out.text()
+
+
+def _annotate(out: Source, field: p.PlanField) -> None:
+    kind = type_of(field.node)
+    if field.when is not None and not kind.endswith("None"):
+        kind += " | None"
+    out.line(f"{field.name}: {kind}")
