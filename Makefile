@@ -45,7 +45,7 @@ $(VENV)/.bench: $(VENV)/.python pyproject.toml
 	@touch $@ $(VENV)/.run
 
 demo: $(VENV)/.run ## decode the captures in examples/captures
-	$(BIN)/aces decode examples/captures/robotis_session.dxconf.txt -p robotis
+	$(BIN)/aces decode examples/captures/robotis_session.dxconf.txt -p robotis --direction both
 	$(BIN)/aces decode examples/captures/hubo2plus.log -p hubo
 	$(BIN)/aces decode examples/captures/adc.bin -p minihubo_adc
 

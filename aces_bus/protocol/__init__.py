@@ -8,7 +8,9 @@ from __future__ import annotations
 from ..frame import Frame as Frame
 from .scan.can import CanScanner as CanScanner
 from .scan.counts import Counts as Counts
+from .records import record_types as record_types
 from .scan.record import Meta as Meta
+from .scan.record import Part as Part
 from .scan.record import Record as Record
 from .scan.record import Unknown as Unknown
 from .scan.record import as_dict as as_dict
@@ -38,6 +40,7 @@ from .spec.delimited import AsciiText as AsciiText
 from .spec.delimited import Delimited as Delimited
 from .spec.fields import Counter as Counter
 from .spec.fields import Enumeration as Enumeration
+from .spec.fields import Field as Field
 from .spec.fields import Flags as Flags
 from .spec.fields import FlagSet as FlagSet
 from .spec.fields import Multiplexed as Multiplexed

@@ -6,7 +6,7 @@ import pytest
 from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Crc, InvertedSum, Protocol, StreamScanner, Unknown, make_scanner
+from aces_bus.protocol import Crc, Frame, InvertedSum, Protocol, Reference, StreamScanner, Unknown, make_scanner
 
 
 def servo(gap: float | None = 0.1) -> Protocol:
@@ -136,3 +136,23 @@ def test_garbage_costs_no_memory() -> None:
     assert max(r.meta.size for r in first) <= 4096
     assert isinstance(pieces, StreamScanner)
     assert pieces.buffered == 0
+
+
+def test_a_reply_that_its_bytes_tell_uses_up_its_request() -> None:
+    """Otherwise the request would stay open, and a later frame that fits it would be taken for its reply."""
+    protocol = Protocol("pair", link="can")
+    ask = protocol.message("Ask", id=0x10, direction="to device", payload=Struct("what" / Byte))
+    protocol.message("Short", id=0x20, direction="from device", reply_to=ask, payload=Struct("value" / Byte))
+    for number in (1, 2):
+        protocol.message(
+            f"Long{number}",
+            id=0x20,
+            direction="from device",
+            reply_to=ask.where(what=number),
+            payload=Struct("value" / Int16ub),
+        )
+    asked, short, long = Frame(0x10, b"\x01"), Frame(0x20, b"\x05"), Frame(0x20, b"\x00\x05")
+    assert names(protocol.scanner(everything=True).feed([asked, long])) == ["Ask", "Long1"]
+    stray = protocol.scanner(everything=True).feed([asked, short, long])
+    assert names(stray) == ["Ask", "Short", "unknown: needs request Ask"]
+    assert [f.message for f in Reference([protocol.variant()]).frames([asked, short, long])] == ["Ask", "Short", None]

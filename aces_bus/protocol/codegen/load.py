@@ -23,7 +23,7 @@ from ..spec.packet import can_image
 from ..spec.protocol import Variant
 from .flatten import flatten
 from .print_decode import Decoder
-from .print_records import print_records
+from .print_records import part_names, print_records
 
 Decode = Callable[..., Any]
 
@@ -152,9 +152,8 @@ def codec(variant: Variant, raw: bool = False, guard: bool = True) -> Codec:
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     """A decode function that goes through construct."""
     types = _all_types(variant)
-    parts = {
-        (path, names): types[f"{path}_{index}"] for index, (path, names) in enumerate(flatten(message).parts)
-    }
+    plan = flatten(message)
+    parts = {shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)}
     record = types[message.name]
     framing = message.framing
 

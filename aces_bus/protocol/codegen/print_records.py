@@ -78,6 +78,12 @@ def groups_of(fields: Iterable[p.PlanField]) -> list[p.Group]:
     return list(found.values())
 
 
+def part_names(plan: p.MessagePlan) -> list[str]:
+    """Names of the nested records of an opaque message: their path, numbered where one path has several shapes."""
+    paths = [path for path, _ in plan.parts]
+    return [path if paths.count(path) == 1 else f"{path}_{paths[:n].count(path)}" for n, path in enumerate(paths)]
+
+
 def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
     """The record classes of a variant."""
     out = Source()
@@ -91,10 +97,10 @@ def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
                 _annotate(out, field)
             out.depth -= 1
             out.line()
-        for index, (path, names) in enumerate(plan.parts):
-            out.line(f"class {path}_{index}(Part, frozen=True, gc=False):")
-            for name in names:
-                out.line(f"    {name}: Any")
+        for name, (_, names) in zip(part_names(plan), plan.parts, strict=True):
+            out.line(f"class {name}(Part, frozen=True, gc=False):")
+            for field_name in names:
+                out.line(f"    {field_name}: Any")
             if not names:
                 out.line("    pass")
             out.line()

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..spec.checks import Check, Extra, Fletcher, Sum
+from ..spec.checks import Check, Extra
 from ..spec.framing import Framing
 from .choose import Choice
+from .print_check import computed, print_check
 from .source import Source
 
 
@@ -52,6 +53,9 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     out = Source()
     out.line(f'"""Stream scanner of {label}: generated from its spec."""')
     out.line()
+    for number, (framing, _) in enumerate(framings):
+        if _asks(framing):
+            print_check(out, number, framing)
     out.line("def scan(buffer, base, i, stop, silent, time, emit, lose, state):")
     out.depth = 1
     out.line('"""Decide `buffer` from `i` to `stop`, or as far as can be; `base` is its offset in the stream."""')
@@ -104,7 +108,10 @@ def seek_pattern(framings: Sequence[Framing]) -> bytes:
 
 def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """One framing's block: falls out of its bottom when the candidate is dead or bad."""
-    if framing.affine is None and framing.fixed_size is None or not framing.sync:
+    if framing.end and framing.stuffing is None:
+        _ended(out, number, framing, decode, alone=alone)
+        return
+    if not _has_sized_sync(framing):
         _judged(out, number, framing, decode, alone=alone)
         return
     sync = framing.sync
@@ -148,6 +155,66 @@ def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: 
         _wait(out)
 
 
+def _has_sized_sync(framing: Framing) -> bool:
+    return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
+
+
+def _asks(framing: Framing) -> bool:
+    """Whether the check is asked of whole packets, by a function of its own."""
+    check = framing.check
+    if check is None or framing.is_silent:
+        return False
+    if framing.end:
+        return framing.stuffing is None
+    plain = plain_cover(check, len(framing.sync), framing.check_size)
+    return _has_sized_sync(framing) and (check.kind == "crc" or plain is None)
+
+
+def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
+    """Framings whose packets are closed by a mark."""
+    sync, at, back = framing.sync, len(framing.sync), len(framing.end)
+    out.line(f"# {framing.name}: {describe(framing)}")
+    depth = out.depth
+    if sync:
+        out.line(f"if starts({sync!r}, i):")
+        out.depth += 1
+    if framing.not_next:
+        _more(out, f"end - i == {at}")
+        values = sorted(framing.not_next)
+        out.line(f"elif buffer[i + {at}] not in {tuple(values)}:")
+        out.depth += 1
+    out.line(f"j = buffer.find({framing.end!r}, i{f' + {at}' if at else ''}, i + {framing.max_size})")
+    out.line("if j < 0:")
+    out.line(f"    if end - i >= {framing.max_size}:")
+    out.line("        bad = bad or 'malformed: no end'")
+    out.line("    elif not silent:")
+    out.line("        break")
+    out.line("    else:")
+    out.line("        bad = bad or 'malformed: incomplete'")
+    least = framing.min_size - back
+    if least > at:
+        out.line(f"elif j - i < {least}:")
+        out.line(f"    if j - i > {at}:")
+        out.line("        bad = bad or 'malformed: length'")
+        out.line("else:")
+    else:
+        out.line(f"elif j - i > {at}:")
+    out.depth += 1
+    out.line(f"j += {back}")
+    if framing.check is not None:
+        out.line(f"reason = check_{number}(buffer[i:j])")
+        out.line("if reason is not None:")
+        out.line("    state.work += j - i")
+        out.line("    bad = bad or reason")
+        out.line("else:")
+        out.depth += 1
+    _accept(out, framing, decode, alone=alone)
+    out.depth = depth
+    if at > 1:
+        out.line(f"elif end - i < {at} and {sync!r}.startswith(buffer[i:]):")
+        _wait(out)
+
+
 def _more(out: Source, test: str, *, word: str = "if") -> None:
     out.line(f"{word} {test}:")
     _wait(out)
@@ -172,7 +239,7 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
             out.line(f"if base + {start} <= sums_{number}.end:")
             out.line(f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}")
             out.line("else:")
-            out.line(f"    good = {_direct(check, f'buffer[{start}:{end}]')} == {stored}")
+            out.line(f"    good = {computed(check, number, f'buffer[{start}:{end}]')} == {stored}")
             out.line("    if not good:")
             out.line(f"        sums_{number}.fail(buffer[{start}:{end}], base + {start})")
             out.line("if not good:")
@@ -221,7 +288,7 @@ def _accept(out: Source, framing: Framing, decode: str, *, alone: bool) -> None:
 
 
 def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    """Framings without sync or size: judged by the framing itself."""
+    """Framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
     out.line(f"# {framing.name}: {describe(framing)}")
     out.line(f"verdict, j, reason = judge_{number}(buffer, i, silent)")
     out.line("if verdict == 'more':")
@@ -253,13 +320,6 @@ def plain_cover(check: Check, sync: int, size: int) -> int | None:
         return None
     return part.start or 0
 
-
-def _direct(check: Check, run: str) -> str:
-    if isinstance(check, Sum):
-        return f"{'~' if check.inverted else ''}sum({run}) & {check.mask:#x}"
-    if isinstance(check, Fletcher):
-        return f"fletcher({run})"
-    return f"xor({run})"
 
 
 def _stored(check: Check, end: str) -> str:

@@ -2,7 +2,7 @@
 
 1. The context of a reply is the latest request that fits it: same channel, equal shared captures, not consumed, not
    older than `within`. A mode (`after`) is the latest request of its kind, and is never consumed.
-2. Memory is bounded: the last `DEPTH` requests of a kind and device.
+2. Memory is bounded: the last `DEPTH` requests of a kind and device, and the `DEVICES` devices asked last.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 from ..spec.message import Message, Request
 
 DEPTH = 8
+DEVICES = 65536
 
 
 @dataclass
@@ -52,9 +53,21 @@ class Context:
             links = self._links.setdefault(message.name, [])
             for requests, is_sticky in ((message.reply_to, False), (message.after, True)):
                 for request in requests:
-                    shared = tuple(sorted(_outer(message) & _outer(request.message)))
-                    links.append(Link(request, shared, is_sticky))
-                    self._kinds.setdefault(request.message.name, set()).add(shared)
+                    self._link(message, links, request, is_sticky)
+        # Replies that their bytes tell use up their request too: else it would stay open for a later one.
+        self._answers: frozenset[str] = frozenset()
+        for message in messages:
+            if message.name not in names and any(r.message.name in self._kinds for r in message.reply_to):
+                links = self._links.setdefault(message.name, [])
+                for request in message.reply_to:
+                    if request.message.name in self._kinds:
+                        self._link(message, links, request, False)
+                self._answers |= {message.name}
+
+    def _link(self, message: Message, links: list[Link], request: Request, is_sticky: bool) -> None:
+        shared = tuple(sorted(_outer(message) & _outer(request.message)))
+        links.append(Link(request, shared, is_sticky))
+        self._kinds.setdefault(request.message.name, set()).add(shared)
 
     def reset(self) -> None:
         """Forget what has been asked."""
@@ -66,6 +79,11 @@ class Context:
         """Names of the messages to note."""
         return frozenset(self._kinds)
 
+    @property
+    def answers(self) -> frozenset[str]:
+        """Names of the messages that need no request to be told, but use one up: give them to `of`."""
+        return self._answers
+
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
         """A request has passed."""
         self._count += 1
@@ -73,6 +91,8 @@ class Context:
         for shared in self._kinds[name]:
             key = (name, channel, shared, tuple(values.get(n) for n in shared))
             entries = self._seen.setdefault(key, [])
+            if len(self._seen) > DEVICES:
+                del self._seen[next(iter(self._seen))]
             entries.append(entry)
             del entries[:-DEPTH]
 

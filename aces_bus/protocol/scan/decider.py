@@ -76,7 +76,8 @@ class Decider:
         return self._chosen[names]
 
     def _is_simple(self, message: Message) -> bool:
-        return not message.counters and message.name not in self.context.requests and message.name not in self.contextual
+        names = (self.context.requests, self.context.answers, self.contextual)
+        return not message.counters and not any(message.name in some for some in names)
 
     def _made(self, messages: Sequence[Message]) -> Decode:
         plain = [m for m in messages if m.name not in self.contextual]
@@ -99,16 +100,20 @@ class Decider:
         return decode
 
     def _noting(self, message: Message) -> Decode:
-        """The decode function of a message, which also notes it when replies hang on it."""
+        """The decode function of a message, which also notes it when replies hang on it, or uses up what it answers."""
         decode = self.decoders[message.name]
         if message.counters:
             decode = _counting(decode, message, self)
-        if message.name not in self.context.requests:
+        is_request, is_answer = message.name in self.context.requests, message.name in self.context.answers
+        if not is_request and not is_answer:
             return decode
 
         def noted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
             record = decode(data, key, time, channel, packet, rx)
-            if record is not None:
+            if record is not None and is_answer:
+                seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
+                self.context.of([(message, _values(seen))], channel, time)
+            if record is not None and is_request:
                 self.note(message, data, key, time, channel, packet)
             return record
 

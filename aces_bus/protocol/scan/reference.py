@@ -119,8 +119,12 @@ class Reference:
     def _accepted(
         self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
     ) -> tuple[str, Message, Any]:
-        if message.name in context.requests:
-            context.note(message.name, channel, time, message.struct.parse(image, raw=True, request=request))
+        if message.name in context.answers or message.name in context.requests:
+            values = message.struct.parse(image, raw=True, request=request)
+            if message.name in context.answers:
+                context.of([(message, values)], channel, time)
+            if message.name in context.requests:
+                context.note(message.name, channel, time, values)
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
 
     def sent(self, image: bytes, channel: Any = None, time: float | None = None) -> None:

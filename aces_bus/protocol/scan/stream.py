@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from functools import reduce
 from itertools import accumulate
-from operator import xor
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..codegen.load import load
 from ..codegen.print_scan import plain_cover, print_stream, seek_pattern
-from ..spec.checks import Check, Sums
+from ..spec.checks import Sums, xor_of
 from ..spec.framing import Framing, Verdict
 from ..spec.message import Direction
 from ..spec.protocol import Variant
@@ -60,7 +58,7 @@ class StreamScanner:
         self.max_size = 0
         self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
         framings: list[tuple[Framing, str]] = []
-        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": _xor, "fletcher": _fletcher}
+        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
         self._sums: list[Sums] = []
         self.reset()
         for decider in self._deciders:
@@ -80,7 +78,8 @@ class StreamScanner:
         self.source = print_stream(label, framings)
         if all(framing.sync for framing in self.framings):
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
-        self._scan: Callable[..., int] = load(self.source, f"aces {label} stream scanner {direction or ''}", names)["scan"]
+        space = load(self.source, f"aces {label} stream scanner {direction or ''}", names)
+        self._scan: Callable[..., int] = space["scan"]
         # One framing alone on the wire: large chunks are searched at once.
         self._finder: Finder | None = None
         self._failure: Callable[[bytes], str | None] | None = None
@@ -92,7 +91,7 @@ class StreamScanner:
             self._finder = Finder(framing, cover)
             self._decode: Callable[..., Any] = names["packet_0"]
             if self._finder.cover is None:
-                self._failure = names.get("check_0")
+                self._failure = space.get("check_0")
 
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""
@@ -122,8 +121,9 @@ class StreamScanner:
             self._sums.append(sums)
             names[f"sums_{number}"] = sums
         if check is not None:
-            names[f"crc_{number}"] = check.compute
-            names[f"check_{number}"] = _checker(framing, check, extras)
+            names[f"crc_{number}"] = check.engine
+        if extras is not None:
+            names[f"extras_{number}"] = extras.get
         names[f"judge_{number}"] = _judge(framing, extras)
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
@@ -341,30 +341,8 @@ def has_size(framing: Framing) -> bool:
     return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
 
-def _xor(data: bytes) -> int:
-    return reduce(xor, data, 0)
-
-
 def _fletcher(data: bytes) -> int:
     return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
-
-
-def _checker(framing: Framing, check: Check, extras: dict[int, bytes] | None) -> Callable[[bytes], str | None]:
-    """The check of a packet as a function that gives the reason of its failure, or None."""
-    sync, size, tail = len(framing.sync), check.size, check.size + len(framing.end)
-
-    def failure(packet: bytes) -> str | None:
-        end = len(packet) - tail
-        extra = b""
-        if extras is not None:
-            number = framing.extra_number(packet)
-            if number not in extras:
-                return f"malformed: no message {number} to check by"
-            extra = extras[number]
-        wanted = check.encode(check.covered(packet, sync, end, extra=extra))
-        return None if packet[end : end + size] == wanted else "malformed: checksum"
-
-    return failure
 
 
 def _judge(framing: Framing, extras: dict[int, bytes] | None) -> Callable[[bytes, int, bool], tuple[str, int, str]]:

@@ -1,0 +1,88 @@
+"""Prints the check of a framing's packets: a function that says why a packet's check fails, or None.
+
+1. It reads what stands on the wire, and agrees with `Framing.judge`.
+2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number), `texts_N`
+   (numbers as characters).
+"""
+
+from __future__ import annotations
+
+from ..spec.checks import Check, Extra, Fletcher, Sum, Xor
+from ..spec.framing import Framing
+from .source import Source
+
+
+def print_check(out: Source, number: int, framing: Framing) -> None:
+    """`check_N(packet)`; packets that are stuffed as a whole cannot be checked so."""
+    check = framing.check
+    assert check is not None
+    back = check.size + len(framing.end)
+    text = check.text
+    if text is not None and check.bytes == 1:
+        out.line(f'texts_{number} = [{text!r}.format(n).encode("ascii") for n in range(256)]')
+        out.line()
+    out.line(f"def check_{number}(packet):")
+    out.depth += 1
+    out.line(f'"""Why the check of a packet fails ({check.describe}), or None."""')
+    if any(isinstance(part, Extra) for part in check.over or ()):
+        head = framing.extra_head
+        assert head is not None
+        key = f"packet[{head.offset}]"
+        if head.size > 1:
+            key = f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
+        out.line(f"extra = extras_{number}({key})")
+        out.line("if extra is None:")
+        out.line(f'    return f"malformed: no message {{{key}}} to check by"'.replace('"little"', "'little'").replace('"big"', "'big'"))
+    found = computed(check, number, _covered(check, len(framing.sync), back))
+    out.line(f"if {_wanted(check, number, found)} != {_stored(check, back)}:")
+    out.line("    return 'malformed: checksum'")
+    out.line("return None")
+    out.depth -= 1
+    out.line()
+
+
+def computed(check: Check, number: int, run: str) -> str:
+    """The check's number over `run`, as an expression."""
+    if isinstance(check, Sum):
+        return f"{'~' if check.inverted else ''}sum({run}) & {check.mask:#x}"
+    if isinstance(check, Fletcher):
+        return f"fletcher({run})"
+    if isinstance(check, Xor):
+        return f"xor({run})"
+    return f"crc_{number}({run})"
+
+
+def _covered(check: Check, sync: int, back: int) -> str:
+    if check.over is None:
+        return f"packet[{sync}:-{back}]"
+    parts = []
+    for part in check.over:
+        if isinstance(part, slice):
+            parts.append(f"packet[{'' if part.start is None else part.start}:{'' if part.stop is None else part.stop}]")
+        elif isinstance(part, bytes):
+            parts.append(repr(part))
+        else:
+            parts.append("extra")
+    return " + ".join(parts)
+
+
+def _wanted(check: Check, number: int, found: str) -> str:
+    if check.text is None:
+        return f"({found})" if "&" in found else found
+    return f"texts_{number}[{found}]" if check.bytes == 1 else f'{check.text!r}.format({found}).encode("ascii")'
+
+
+def _stored(check: Check, back: int) -> str:
+    """What stands `back` bytes before the packet's end, as an expression."""
+    end = f"-{back - check.size}" if back > check.size else ""
+    if check.text is not None:
+        return f"packet[-{back}:{end}]"
+    if check.bytes == 1:
+        return f"packet[-{back}]"
+    if check.bytes == 2:
+        low, high = (back, back - 1) if check.order == "little" else (back - 1, back)
+        return f"(packet[-{low}] | packet[-{high}] << 8)"
+    return f'from_bytes(packet[-{back}:{end}], "{check.order}")'
+
+
+__all__ = ["computed", "print_check"]
