@@ -8,11 +8,11 @@
        2 │ z_phase.1 11…8                    │ z_phase.0 11…8                    │
          └───────────────────────────────────┴───────────────────────────────────┘
 
-1. Plan in, lines out: nothing here reads a construct or a file. What a plan does not carry (checks, lengths, the names of
-   matched numbers) comes as `Mark`s, which `marks_of` takes from a message.
-2. Rows are bytes from the first one on, bit 7 on the left. `11…8` are the bits of the field's own number: byte order and
-   split fields show as they are.
-3. A row `-1` is the packet's last byte, where the length is not fixed. Every bit of a message of fixed length is in exactly one cell; blank cells belong to no field.
+1. Plan in, lines out: nothing here reads a construct or a file. What a plan does not carry (checks, lengths, the names
+   of matched numbers) comes as `Mark`s, which `marks_of` takes from a message.
+2. Rows are bytes from the first one on, bit 7 on the left; -1 is the packet's last byte where the length is not fixed.
+   `11…8` are the bits of the field's own number: byte order and split fields show as they are.
+3. Every bit of a message of fixed length is in exactly one cell; blank cells belong to no field.
 4. A picture is 79 columns wide.
 """
 
@@ -116,7 +116,9 @@ def marks_of(message: Message) -> list[Mark]:
     if framing is not None:
         end = len(framing.end)
         if framing.check is not None:
-            marks.append(Mark(-end - framing.check.size, framing.check.size, f"check: {framing.check.describe}"))
+            marks.append(
+                Mark(-end - framing.check.size, framing.check.size, f"check: {framing.check.describe}")
+            )
         marks += [Mark(i - end, 1, f"end {byte:#04x}") for i, byte in enumerate(framing.end)]
     return marks
 
@@ -204,9 +206,13 @@ def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) 
     is_flags = any(isinstance(step, p.FlagBits) for step in node.steps)
     if is_brief and node.size > 1 and not is_flags and (node.kind == "float" or node.is_whole):
         order = "low" if bits[0] < bits[-1] else "high"
-        cells.blocks[node.offset] = _Block(node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True)
+        cells.blocks[node.offset] = _Block(
+            node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True
+        )
         return
-    flags = {number: name for step in node.steps if isinstance(step, p.FlagBits) for name, number in step.bits}
+    flags = {
+        number: name for step in node.steps if isinstance(step, p.FlagBits) for name, number in step.bits
+    }
     for number, name in flags.items():
         cells.claim(name, (bits[number],))
     cells.claim(label, bits)
@@ -239,7 +245,9 @@ _Row = tuple[str, list[tuple[int, str]]]
 
 def _picture(cells: _Cells, plan: p.MessagePlan | None, tail: Sequence[Mark]) -> list[str]:
     rows = _rows(cells, plan, sum(mark.size for mark in tail))
-    fixed = plan.lengths[0] if plan is not None and plan.lengths is not None and len(plan.lengths) == 1 else None
+    fixed = (
+        plan.lengths[0] if plan is not None and plan.lengths is not None and len(plan.lengths) == 1 else None
+    )
     for mark in tail:
         if fixed is not None:
             place = _range(fixed + mark.offset, mark.size)
@@ -280,7 +288,9 @@ def _rows(cells: _Cells, plan: p.MessagePlan | None, tail: int) -> list[_Row]:
         block = cells.blocks.get(byte)
         if block is not None:
             open_end = f"{byte}…"
-            rows.append((open_end if block.size is None else _range(byte, block.size), [(ROW, _block_label(block))]))
+            rows.append(
+                (open_end if block.size is None else _range(byte, block.size), [(ROW, _block_label(block))])
+            )
             if block.size is None:
                 break
             byte += max(1, block.size)
@@ -327,7 +337,7 @@ def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
                 break
             count += 1
         text = label
-        if 0 <= index and count < width:
+        if index >= 0 and count < width:
             text += f" {index}…{index - count + 1}" if count > 1 else f" {index}"
         parts.append((count * (BIT + 1) - 1, text))
         bit -= count
@@ -362,7 +372,8 @@ def _edges(parts: Sequence[tuple[int, str]]) -> set[int]:
 def _rule(above: set[int], below: set[int], *, is_first: bool = False, is_last: bool = False) -> str:
     left, right = ("┌", "┐") if is_first else ("└", "┘") if is_last else ("├", "┤")
     middle = [
-        ("┼" if at in below else "┴") if at in above else "┬" if at in below else "─" for at in range(1, ROW + 1)
+        ("┼" if at in below else "┴") if at in above else "┬" if at in below else "─"
+        for at in range(1, ROW + 1)
     ]
     return f"      {left}{''.join(middle)}{right}"
 
@@ -372,7 +383,7 @@ def _rule(above: set[int], below: set[int], *, is_first: bool = False, is_last: 
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One line of a field table. `place` is where it stands, `range` what it can be (or, if stated, what may be sent)."""
+    """One line of a field table. `place` is where it stands, `range` what it can be or, if stated, what may be sent."""
 
     name: str
     place: str
@@ -403,9 +414,7 @@ def captured_values(message: Message) -> dict[str, str]:
     return {capture.name: describe_values(capture.values) for capture in captures}
 
 
-def _table(
-    fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, str]
-) -> Iterator[FieldRow]:
+def _table(fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, str]) -> Iterator[FieldRow]:
     for one in fields:
         name, node, doc = prefix + one.name, one.node, one.doc
         if one.when is not None:
@@ -426,17 +435,25 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
         inner = _field_row("", node.items[0], "", captured) if node.items else FieldRow("", "", "")
         place = "byte " + _range(*span) if span is not None else ""
         kind = f"{len(node.items)} × {inner.type or 'record'}"
-        return FieldRow(name, place, kind, inner.unit, inner.scale, inner.offset, inner.range, inner.names, doc)
+        return FieldRow(
+            name, place, kind, inner.unit, inner.scale, inner.offset, inner.range, inner.names, doc
+        )
     if isinstance(node, p.Scalar):
         return _scalar_row(name, node, doc)
     if isinstance(node, p.FromIdentifier):
         if node.number is not None:
-            place = _bits_place(node.number.bits if node.is_alone else node.number.bits[node.shift : node.shift + node.width])
+            place = _bits_place(
+                node.number.bits if node.is_alone else node.number.bits[node.shift : node.shift + node.width]
+            )
         else:
-            place = "identifier" if node.is_alone else f"identifier {node.shift + node.width - 1}…{node.shift}"
+            place = (
+                "identifier" if node.is_alone else f"identifier {node.shift + node.width - 1}…{node.shift}"
+            )
         scale, offset, _ = _scaling(node.steps)
         names = _names(node.steps)
-        return FieldRow(name, place, f"uint{node.width}", node.unit, scale, offset, captured.get(name, ""), names, doc)
+        return FieldRow(
+            name, place, f"uint{node.width}", node.unit, scale, offset, captured.get(name, ""), names, doc
+        )
     if isinstance(node, p.FromRequest):
         return FieldRow(name, "request", "as there", doc=doc)
     if isinstance(node, p.Rest):
@@ -489,7 +506,9 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
                 edges = [edge * step.scale + step.offset for edge in edges]
         is_number = any(isinstance(step, p.Scale) for step in node.steps) or not _names(node.steps)
         span = f"{_short(min(edges))}…{_short(max(edges))}" if is_number and width <= 64 else ""
-    return FieldRow(name, _bits_place(node.bits), kind, node.unit, scale, offset, span, _names(node.steps), doc)
+    return FieldRow(
+        name, _bits_place(node.bits), kind, node.unit, scale, offset, span, _names(node.steps), doc
+    )
 
 
 def _order_of(node: p.Scalar) -> str:

@@ -57,6 +57,7 @@ def _abstract(protocol: Protocol, name: str) -> type[Record]:
         (),
         {
             "__doc__": declared[0].doc,
+            "__module__": f"{protocol.name} records",
             "__match_args__": fields,
             "__new__": refuse,
             "__slots__": (),

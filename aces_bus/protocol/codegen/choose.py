@@ -50,5 +50,5 @@ def _fixed_bytes(plan: MessagePlan) -> dict[int, tuple[int, ...]]:
     found: dict[int, tuple[int, ...]] = {c.offset: (c.value,) for c in plan.constants if c.mask == 0xFF}
     for one in plan.one_of:
         if one.number.size == 1:
-            found[one.number.offset] = one.values
+            found[one.number.offset] = tuple(one.values)
     return found

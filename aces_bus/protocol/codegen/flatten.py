@@ -17,7 +17,7 @@ from ..spec.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, Si
 from ..spec.head import Head
 from ..spec.message import Message
 from ..spec.normalise import sizes
-from ..spec.pattern import Capture
+from ..spec.pattern import Capture, Pattern
 from . import plan as p
 
 
@@ -42,6 +42,9 @@ def flatten(message: Message) -> p.MessagePlan:
     builder = _Builder(message, tail)
     opaque = ""
     try:
+        for head in message.heads_written:
+            if head.pattern is not None and _numbers(head.pattern) is None:
+                raise NotFlat(f"{head.name} has {len(head.pattern)} scattered values")
         builder.payload(message.payload)
     except NotFlat as reason:
         opaque = str(reason)
@@ -101,6 +104,9 @@ def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, 
     elif isinstance(con, c.Switch):
         for case in [*con.cases.values(), con.default]:
             found += _parts(case, path, top=False)
+    elif isinstance(con, (c.Sequence, c.FocusedSeq)):
+        for item in con.subcons:
+            found += _parts(item, path, top=False)
     elif hasattr(con, "subcon"):
         found += _parts(con.subcon, path, top=False)
     return list(dict.fromkeys(found))
@@ -114,14 +120,25 @@ def _head(head: Head, is_shown: bool, fields: list[p.PlanField], constants: list
         constants.extend(p.Constant(head.offset + i, 0xFF, byte) for i, byte in enumerate(raw))
         return
     if pattern is not None:
-        if len(pattern) <= 4096:
-            one_of.append(p.OneOf(number, tuple(sorted(pattern))))
+        values = _numbers(pattern)
+        if values is not None:
+            one_of.append(p.OneOf(number, values))
         if not head.is_own:
             fields.extend(_capture_field(cap, pattern.constant, pattern.captures, number) for cap in pattern.captures)
             return
     if head.name is not None and is_shown:
         scalar = _scalar(head.field, head.offset)
         fields.append(p.PlanField(head.name, scalar, doc=head.field.docs or ""))
+
+
+def _numbers(pattern: Pattern) -> tuple[int, ...] | range | None:
+    """The numbers of a pattern; one capture of a range stays a range, however long. None: too many to list."""
+    if len(pattern) > 4096 and len(pattern.captures) == 1:
+        values, shift = pattern.captures[0].values, pattern.captures[0].shift
+        if isinstance(values, range) and values.step > 0:
+            first, last = pattern.constant + (values[0] << shift), pattern.constant + (values[-1] << shift)
+            return range(first, last + 1, values.step << shift)
+    return tuple(sorted(pattern)) if len(pattern) <= 65536 else None
 
 
 def _capture_field(capture: Capture, constant: int, captures: tuple[Capture, ...], number: p.Scalar | None) -> p.PlanField:

@@ -184,7 +184,7 @@ class OneOf:
     """A whole number that must be among some values."""
 
     number: Scalar
-    values: tuple[int, ...]
+    values: tuple[int, ...] | range
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..spec.pattern import bounds
 from . import plan as p
 from .print_records import groups_of
 from .source import Source, first_line
@@ -118,13 +119,14 @@ class Decoder:
                 tests.append(f"data[{constant.offset}] & {constant.mask:#04x} != {constant.value:#04x}")
         for one in self.plan.one_of:
             values = one.values
-            low, high = min(values), max(values)
-            run = len(values) > 2 and values == tuple(range(low, high + 1))
+            low, high = bounds(values)
+            run = len(values) > 2 and len(values) == high - low + 1
             number = self._integer(one.number, fetched=False)  # the test stands before the fetching
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:
-                tests.append(f"not {low} <= {number} <= {high}" if run else f"{number} not in {_members(values)}")
+                among = repr(values) if isinstance(values, range) else _members(values)
+                tests.append(f"not {low} <= {number} <= {high}" if run else f"{number} not in {among}")
         for test in tests:
             self.body.line(f"if {test}:")
             self.body.line("    return None")

@@ -74,8 +74,9 @@ class _Wire(Decider):
 
     def reason(self, key: int, data: bytes) -> str:
         """Why a frame is none of the messages."""
-        need = self.take_need()
+        need = self.need_of(key)
         if need:
+            self.forget_need()
             return need
         identifier = key & 0x1FFF_FFFF
         image = can_image(identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD))
@@ -118,9 +119,12 @@ class CanScanner:
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
         if self._merged:
-            for wire in self._wires[1:]:
-                for key in wire.table.keys() & self._table.keys():
-                    self.contested.setdefault(key, (self._wires[0].variant.label, wire.variant.label))
+            owners: dict[int, str] = {}
+            for wire in self._wires:
+                for key in wire.table:
+                    owner = owners.setdefault(key, wire.variant.label)
+                    if owner != wire.variant.label:
+                        self.contested.setdefault(key, (owner, wire.variant.label))
             keys = {key for wire in self._wires for key in wire.table}
             self._table = {key: self._chain(key) for key in keys}
         #: Records given out, and how many of them were `Unknown`.
@@ -141,10 +145,15 @@ class CanScanner:
                 except struct.error:
                     continue
                 if record is not None:
+                    self._forget_needs()
                     return record
             return None
 
         return decode
+
+    def _forget_needs(self) -> None:
+        for wire in self._wires:
+            wire.forget_need()
 
     @property
     def counts(self) -> Counts:
@@ -219,6 +228,7 @@ class CanScanner:
             except struct.error:
                 record = None
             if record is not None:
+                self._forget_needs()
                 return record
         return None
 

@@ -46,8 +46,8 @@ class Decider:
         self.source = ""
         #: Messages that rolling counters say were missed.
         self.missed = 0
-        #: Why the last packet that was not decoded needs a request; taken by `take_need`.
-        self._need = ""
+        #: The key of the last packet that needs a request to be told, and why; asked by `need_of`.
+        self._need: tuple[int, str] = (-1, "")
         self._counters: list[dict[Any, int]] = []
 
     def reset(self) -> None:
@@ -55,12 +55,15 @@ class Decider:
         self.context.reset()
         for last in self._counters:
             last.clear()
-        self.missed, self._need = 0, ""
+        self.missed, self._need = 0, (-1, "")
 
-    def take_need(self) -> str:
-        """The reason when the packet just refused was a reply without its request, else empty."""
-        need, self._need = self._need, ""
-        return need
+    def need_of(self, key: int) -> str:
+        """The reason when the packet `key` just refused is a reply without its request, else empty."""
+        return self._need[1] if self._need[0] == key else ""
+
+    def forget_need(self) -> None:
+        """The packet that needed a request has been told by somebody else."""
+        self._need = (-1, "")
 
     def decide(self, messages: Sequence[Message], *, alone: bool = False) -> Decode:
         """The function that decides among `messages`.
@@ -147,8 +150,8 @@ class Decider:
                     more = (request,) if message.request_fields else ()
                     return decoders[message.name](data, key, time, channel, packet, rx, *more)
             record = otherwise(data, key, time, channel, packet, rx) if otherwise is not None else None
-            if record is None and fitting:
-                self._need = context.needs([m for m, _ in fitting])
+            if record is None and fitting and not self.need_of(key):
+                self._need = (key, context.needs([m for m, _ in fitting]))
             return record
 
         return decode

@@ -10,7 +10,7 @@ complete and whose check holds: accept, consume. All dead: skip one byte. Any st
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from construct import ConstructError
@@ -220,6 +220,8 @@ class Reference:
                         return Found(start, judged.size, decoded.name, fields, "", variant.name)
                     if unclaimed is None:
                         unclaimed = Found(start, judged.size, None, None, reason)
+                    elif unclaimed.reason == "unknown":
+                        unclaimed = replace(unclaimed, reason=reason)
         if unclaimed is not None:
             return unclaimed
         return Found(start, 1, None, None, bad or "skipped")

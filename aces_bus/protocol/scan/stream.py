@@ -167,14 +167,14 @@ class StreamScanner:
             nonlocal lost
             lost += size
             if reason == "unknown":
-                reason = next((need for decider in deciders if (need := decider.take_need())), reason)
+                reason = next((need for decider in deciders if (need := decider.need_of(offset))), reason)
             losses.append((offset, size, reason, buffer[offset - base : offset - base + size]))
 
         def count(offset: int, size: int, reason: str) -> None:
             nonlocal lost
             lost += size
             if reason == "unknown":
-                reason = next((need for decider in deciders if (need := decider.take_need())), reason)
+                reason = next((need for decider in deciders if (need := decider.need_of(offset))), reason)
             reasons[reason] = reasons.get(reason, 0) + size
 
         lose = keep if self.everything or closing else count
@@ -318,11 +318,10 @@ class StreamScanner:
             for message in decider.asked:
                 framing = message.framing
                 assert framing is not None
-                try:
-                    logical = framing.logical(data)
-                except ValueError:
+                judged = framing.judge(data, 0, silent=True, extras=message.extras)
+                if judged.verdict is not Verdict.WHOLE or judged.size != len(data):
                     continue
-                if decider.note(message, logical, 0, time, None, data):
+                if decider.note(message, framing.logical(data), 0, time, None, data):
                     return
 
     @property

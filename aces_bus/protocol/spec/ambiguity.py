@@ -10,17 +10,18 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 from construct import ConstructError
 
 from ...errors import AcesError, SpecError
 from .framing import Framing
 from .message import Message, Request
-from .packet import can_image
 from .pattern import meet
+from .stuffing import Insert, Stuffing
 
 
 @dataclass(frozen=True)
@@ -112,87 +113,101 @@ def needing_context(messages: Sequence[Message]) -> frozenset[str]:
 # ---------------------------------------------------------------------- CAN
 
 
-def _fixed(message: Message) -> tuple[dict[int, tuple[int, int]], dict[tuple[int, ...], frozenset[int]]]:
-    """Constants by byte (mask, value), and the numbers that must be among some values, by their bits."""
+class _Choice(NamedTuple):
+    """The number in `bits` (lowest first) is one of `values`, or with `excluded` none of them."""
+
+    bits: tuple[int, ...]
+    values: Collection[int]
+    excluded: bool = False
+
+
+def _demands(message: Message, length: int | None) -> tuple[dict[int, int], list[_Choice]] | None:
+    """What a message demands of its bytes: bits that are fixed, and choices. None when it never has `length` bytes."""
     from ..codegen.flatten import flatten
 
     plan = flatten(message)
-    bytes_: dict[int, tuple[int, int]] = {}
+    fixed: dict[int, int] = {}
     for constant in plan.constants:
-        mask, value = bytes_.get(constant.offset, (0, 0))
-        bytes_[constant.offset] = (mask | constant.mask, value | constant.value)
-    return bytes_, {one.number.bits: frozenset(one.values) for one in plan.one_of}
+        if length is not None and constant.offset >= length:
+            return None
+        for bit in range(8):
+            if constant.mask >> bit & 1:
+                fixed[8 * constant.offset + bit] = constant.value >> bit & 1
+    choices = [_Choice(one.number.bits, one.values if isinstance(one.values, range) else frozenset(one.values)) for one in plan.one_of]
+    if plan.lengths_by is not None and length is not None:
+        name, table, other = plan.lengths_by
+        bits = dict(plan.selectors)[name].bits
+        known = {value & ((1 << len(bits)) - 1): size for value, size in table}
+        if other == length:
+            choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size != length), excluded=True))
+        else:
+            choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size == length)))
+    return fixed, choices
 
 
 def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] | None:
-    """Bytes that satisfy the constants of both (by offset), or None when they contradict each other."""
-    mine, my_sets = _fixed(one)
-    theirs, their_sets = _fixed(other)
+    """Bytes that satisfy both messages' templates (by offset), or None when there are none: exact.
+
+    `length` is that of a frame's data; None leaves it open.
+    """
+    mine, theirs = _demands(one, length), _demands(other, length)
+    if mine is None or theirs is None:
+        return None
+    if any(theirs[0].get(bit, value) != value for bit, value in mine[0].items()):
+        return None
+    choices = sorted([*mine[1], *theirs[1]], key=lambda c: (c.excluded, len(c.values)))
+    bits = _solved({**mine[0], **theirs[0]}, choices)
+    if bits is None:
+        return None
     found: dict[int, int] = {}
-    for offset in mine.keys() | theirs.keys():
-        if length is not None and offset >= length:
-            continue
-        mask_a, value_a = mine.get(offset, (0, 0))
-        mask_b, value_b = theirs.get(offset, (0, 0))
-        if (value_a ^ value_b) & mask_a & mask_b:
-            return None
-        found[offset] = value_a | value_b
-    for bits in my_sets.keys() | their_sets.keys():
-        wanted = my_sets.get(bits, their_sets.get(bits, frozenset()))
-        if bits in my_sets and bits in their_sets:
-            wanted = my_sets[bits] & their_sets[bits]
-        number = next((n for n in sorted(wanted) if _agrees(n, bits, mine, theirs)), None)
-        if number is None:
-            return None
-        for index, position in enumerate(bits):
-            byte = position // 8
-            found[byte] = found.get(byte, 0) & ~(1 << position % 8) | (number >> index & 1) << position % 8
+    for bit, value in bits.items():
+        found[bit // 8] = found.get(bit // 8, 0) | value << bit % 8
     return found
 
 
-def _agrees(number: int, bits: Sequence[int], *sides: dict[int, tuple[int, int]]) -> bool:
-    for index, position in enumerate(bits):
-        for fixed in sides:
-            mask, value = fixed.get(position // 8, (0, 0))
-            if mask >> position % 8 & 1 and (value >> position % 8 ^ number >> index) & 1:
-                return False
-    return True
+def _solved(fixed: dict[int, int], choices: Sequence[_Choice]) -> dict[int, int] | None:
+    """Bits that satisfy every choice, those in `fixed` being given; None when there are none."""
+    if not choices:
+        return fixed
+    first, rest = choices[0], choices[1:]
+    for number in _numbers(first, fixed):
+        found = _solved({**fixed, **{bit: number >> i & 1 for i, bit in enumerate(first.bits)}}, rest)
+        if found is not None:
+            return found
+    return None
+
+
+def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
+    """The numbers that a choice allows and that agree with the bits already fixed."""
+    known = {i: fixed[bit] for i, bit in enumerate(choice.bits) if bit in fixed}
+    if len(known) == len(choice.bits):
+        number = sum(value << i for i, value in known.items())
+        if (number in choice.values) is not choice.excluded:
+            yield number
+        return
+    if not choice.excluded:
+        yield from (n for n in sorted(choice.values) if all(n >> i & 1 == value for i, value in known.items()))
+        return
+    base = sum(value << i for i, value in known.items())
+    free = [i for i in range(len(choice.bits)) if i not in known]
+    for count in range(1 << len(free)):
+        number = base | sum((count >> k & 1) << i for k, i in enumerate(free))
+        if number not in choice.values:
+            yield number
 
 
 def _can_conflict(one: Message, other: Message) -> Conflict | None:
     if (one.extended, one.remote, one.fd) != (other.extended, other.remote, other.fd):
         return None
-    lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()))
-    if not lengths:
-        return None
-    fixed = _merge(one, other, None)
-    if fixed is None:
-        return None
-    identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11)
+    lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()), reverse=True)
+    identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None
     if identifier is None:
         return None
-    size = lengths[-1]
-    data = bytes(fixed.get(i, 0) for i in range(size))
-    if _is_split_by_selector(one, other, identifier, lengths):
-        return None
-    return Conflict(one, other, data, identifier)
-
-
-def _is_split_by_selector(one: Message, other: Message, identifier: int, lengths: Sequence[int]) -> bool:
-    """Whether multiplexed lengths leave no common length: asked of the constructs, over every selector value they name."""
-    from ..codegen.flatten import flatten
-
-    if flatten(one).lengths_by is None and flatten(other).lengths_by is None:
-        return False
-    rng = random.Random(0)
-    fixed = _merge(one, other, None) or {}
     for size in lengths:
-        for attempt in range(256):
-            data = bytes(fixed.get(i, attempt if rng.random() < 0.5 else rng.randrange(256)) for i in range(size))
-            image = can_image(identifier, data, extended=one.extended, remote=one.remote, fd=one.fd)
-            if _accepts(one, image) and _accepts(other, image):
-                return False
-    return True
+        fixed = _merge(one, other, size)
+        if fixed is not None:
+            return Conflict(one, other, bytes(fixed.get(i, 0) for i in range(size)), identifier)
+    return None
 
 
 # ---------------------------------------------------------------------- streams
@@ -201,7 +216,9 @@ def _is_split_by_selector(one: Message, other: Message, identifier: int, lengths
 def _framings_conflict(one: Message, other: Message) -> Conflict | None:
     a, b = one.framing, other.framing
     assert isinstance(a, Framing) and isinstance(b, Framing)
-    if _merge(one, other, None) is None:
+    # Stuffing of whole packets moves their bytes: then only what stands on the wire can be compared.
+    moved = any(isinstance(f.stuffing, Stuffing) and not isinstance(f.stuffing, Insert) for f in (a, b))
+    if not moved and _merge(one, other, None) is None:
         return None
     shared = min(len(a.sync), len(b.sync))
     if a.sync[:shared] != b.sync[:shared]:

@@ -1,4 +1,4 @@
-"""Record types of hubo, for `isinstance` and `match`; the stub beside tells editors their fields."""
+"""Record types of hubo, for `isinstance` and `match`; editors read the stub beside it."""
 
 from aces_bus.protocol import record_types
 

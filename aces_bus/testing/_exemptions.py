@@ -1,0 +1,152 @@
+"""Fields whose bytes do not all survive a round trip, each kind with its reason (law 1).
+
+1. Values always survive: `parse_raw(build_raw(r)) == r` has no exception.
+2. Bytes survive outside the fields listed here; inside them, what is built back reads the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import construct as c
+
+from ..protocol.codegen import plan as p
+from ..protocol.codegen.flatten import flatten
+from ..protocol.spec.bits import BitLayout
+from ..protocol.spec.fields import Multiplexed, SignMagnitude
+from ..protocol.spec.message import Message
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of exception: which constructs it concerns, and why."""
+
+    name: str
+    reason: str
+    concerns: Callable[[Any], bool]
+
+
+def _has_format(mark: str) -> Callable[[Any], bool]:
+    return lambda con: isinstance(con, c.FormatField) and con.fmtstr[-1:] == mark
+
+
+KINDS = (
+    Kind(
+        "negative zero",
+        "sign and magnitude have two zeros; both read as 0, and 0 is built as the positive one",
+        lambda con: isinstance(con, SignMagnitude),
+    ),
+    Kind(
+        "signalling NaN",
+        "a 32-bit float becomes a 64-bit one on its way, which makes a signalling NaN quiet (IEEE 754, 6.2)",
+        _has_format("f"),
+    ),
+    Kind(
+        "NaN of half precision",
+        "Python reads every NaN of a 16-bit float as the same one",
+        _has_format("e"),
+    ),
+    Kind(
+        "overlong number",
+        "a variable-length number may be written with more bytes than it needs; we build the shortest",
+        lambda con: con is c.VarInt or con is c.ZigZag,
+    ),
+    Kind(
+        "padding of text",
+        "construct's padded strings drop what stands behind the first NUL; `Text` keeps it",
+        lambda con: isinstance(con, c.NullStripped),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Exemption:
+    """A field of a message and the kind of its exception. `bits` are canonical bit numbers; empty when they vary."""
+
+    field: str
+    kind: Kind
+    bits: frozenset[int] = frozenset()
+
+
+@lru_cache(maxsize=4096)
+def exemptions(message: Message) -> tuple[Exemption, ...]:
+    """The exceptions of a message, field by field."""
+    found: dict[tuple[str, str], Exemption] = {}
+
+    def visit(con: Any, path: str) -> None:
+        for kind in KINDS:
+            if kind.concerns(con):
+                found[path, kind.name] = Exemption(path, kind)
+        if isinstance(con, SignMagnitude):
+            return
+        if isinstance(con, c.Renamed):
+            path = f"{path}.{con.name}" if path else con.name
+        if isinstance(con, BitLayout):
+            for slot in con.slots:
+                visit(slot.field, f"{path}.{slot.name}" if path else slot.name)
+        elif isinstance(con, Multiplexed):
+            visit(con.body, path)
+        elif isinstance(con, c.IfThenElse):
+            visit(con.thensubcon, path)
+            visit(con.elsesubcon, path)
+        elif isinstance(con, c.Switch):
+            for case in (*con.cases.values(), con.default):
+                visit(case, path)
+        for inner in (*getattr(con, "subcons", ()), *((con.subcon,) if hasattr(con, "subcon") else ())):
+            visit(inner, path)
+
+    visit(message.payload, "")
+    bits = _bits(message)
+    return tuple(Exemption(e.field, e.kind, bits.get(e.field, frozenset())) for e in found.values())
+
+
+def _bits(message: Message) -> dict[str, frozenset[int]]:
+    """The bits of exempt fields of a flat message, by path."""
+    found: dict[str, set[int]] = {}
+
+    def visit(node: p.Node, path: str) -> None:
+        if isinstance(node, p.Scalar) and node.size is not None:
+            exempt = node.kind == "float" or any(isinstance(step, p.Magnitude) for step in node.steps)
+            if exempt:
+                run = node.bits or range(8 * node.offset, 8 * (node.offset + node.size))
+                found.setdefault(path, set()).update(run)
+        elif isinstance(node, p.Many):
+            for item in node.items:
+                visit(item, path)
+        elif isinstance(node, p.Group):
+            for field in node.fields:
+                visit(field.node, f"{path}.{field.name}")
+
+    plan = flatten(message)
+    for field in plan.fields:
+        visit(field.node, field.name)
+    return {path: frozenset(bits) for path, bits in found.items()}
+
+
+def are_excused(message: Message, image: bytes, rebuilt: bytes) -> bool:
+    """Whether bytes differ only where an exception allows it. That both read the same is for the caller to see."""
+    listed = exemptions(message)
+    if not listed:
+        return False
+    framing = message.framing
+    if not flatten(message).is_flat or (framing is not None and framing.stuffing is not None):
+        return True
+    start = 5 if framing is None else 0
+    one, other = image[start:], rebuilt[start:]
+    if len(one) != len(other) or image[:start] != rebuilt[:start]:
+        return False
+    free = {bit for e in listed for bit in e.bits}
+    if framing is not None:
+        end = len(one) - len(framing.end)
+        free.update(range(8 * (end - framing.check_size), 8 * end))
+    if message.check is not None and message.check.field is not None:
+        at, size, _ = message.check_span
+        free.update(range(8 * at, 8 * (at + size)))
+    differing = int.from_bytes(one, "little") ^ int.from_bytes(other, "little")
+    return all(bit in free for bit in range(8 * len(one)) if differing >> bit & 1)
+
+
+__all__ = ["KINDS", "Exemption", "Kind", "are_excused", "exemptions"]

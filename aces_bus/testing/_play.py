@@ -1,0 +1,148 @@
+"""Plays a scene to a scanner and to the reference, and brings what both say into one form.
+
+1. A scanner is made once for a wire and reset for each scene: making one costs more than a scene.
+2. Values are compared by bits: NaN equals itself, 1 does not equal 1.0, a flag set is its number.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+from ..protocol.scan.counts import Counts
+from ..protocol.scan.record import Unknown, as_dict
+from ..protocol.scan.reference import Reference
+from ..protocol.scan.scanner import Scanner, make_scanner
+from ..protocol.spec.packet import can_image
+from ..protocol.spec.protocol import Variant
+from ._scenes import Scene, Way, Wire, variants_of
+
+
+@dataclass(frozen=True)
+class Heard:
+    """One thing on the wire: a message with its fields, or a loss with its reason. Sizes in bytes, or 1 frame."""
+
+    offset: int
+    size: int
+    message: str | None
+    fields: Any
+    reason: str
+    protocol: str | None
+
+    def __str__(self) -> str:
+        where = f"{self.offset}…{self.offset + self.size}"
+        return f"{where} {self.protocol}.{self.message} {self.fields}" if self.message else f"{where} {self.reason}"
+
+
+@lru_cache(maxsize=512)
+def _scanner(variants: tuple[Variant, ...], direction: Way, everything: bool, raw: bool) -> Scanner:
+    return make_scanner(variants, direction=direction, everything=everything, raw=raw)
+
+
+def scanner_of(wire: Wire, direction: Way, *, everything: bool = True, raw: bool = True) -> Scanner:
+    """A scanner as if just made."""
+    scanner = _scanner(variants_of(wire), direction, everything, raw)
+    scanner.reset()
+    return scanner
+
+
+def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
+    """Feed a scene, cut at `cuts`, with its silences and transmissions, and close: everything the scanner gave."""
+    out: list[Any] = []
+    events: list[tuple[int, int, Any]] = [(offset, 0, None) for offset in cuts]
+    events += [(offset, 1, None) for offset in scene.idle_at]
+    events += [(offset, 2, word) for offset, word in scene.sent_at]
+    events.sort(key=lambda event: event[:2])
+    at = 0
+    feed: Any = scanner.feed
+    sent: Any = scanner.sent
+    for offset, kind, word in events:
+        if offset > at or kind == 0:
+            out += feed(scene.words[at:offset])
+            at = max(at, offset)
+        if kind == 1:
+            out += scanner.idle()
+        elif kind == 2:
+            sent(word)
+    out += feed(scene.words[at:])
+    return out + scanner.close()
+
+
+def heard(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Heard]:
+    """What a scanner hears in a scene, in its form for comparison."""
+    given = play(scanner, scene, cuts)
+    if scanner.link == "can":
+        return [_heard(item, number, 1) for number, item in enumerate(given)]
+    return joined(_heard(item, item.meta.offset, item.meta.size) for item in given)
+
+
+def _heard(item: Any, offset: int, size: int) -> Heard:
+    if isinstance(item, Unknown):
+        return Heard(offset, size, None, None, item.reason, None)
+    return Heard(offset, size, type(item).__name__, plain(as_dict(item)), "", item.meta.protocol)
+
+
+def told(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[Heard]:
+    """What the reference says of a scene."""
+    reference = Reference(variants_of(wire), direction=direction, raw=raw)
+    if variants_of(wire)[0].link != "can":
+        found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
+        return joined(Heard(f.offset, f.size, f.message, plain(f.fields), f.reason, f.protocol) for f in found)
+    out: list[Heard] = []
+    at = 0
+    for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
+        for f in reference.frames(scene.words[at:offset]):
+            out.append(Heard(len(out), 1, f.message, plain(f.fields), f.reason, f.protocol))
+        at = offset
+        if frame is not None:
+            reference.sent(image_of(frame), frame.channel, frame.timestamp)
+    return out
+
+
+def joined(items: Iterable[Heard]) -> list[Heard]:
+    """Runs of lost bytes with one reason, as one each: where a run is cut means nothing."""
+    out: list[Heard] = []
+    for item in items:
+        last = out[-1] if out else None
+        is_run = item.message is None and item.reason.startswith(("skipped", "malformed"))
+        if is_run and last is not None and last.reason == item.reason and last.offset + last.size == item.offset:
+            out[-1] = replace(last, size=last.size + item.size)
+        else:
+            out.append(item)
+    return out
+
+
+def image_of(frame: Any) -> bytes:
+    """The image of a CAN frame that `message.struct` parses."""
+    return can_image(
+        frame.arbitration_id,
+        bytes(frame.data),
+        extended=frame.is_extended_id,
+        remote=frame.is_remote_frame,
+        fd=frame.is_fd,
+    )
+
+
+def plain(value: Any) -> Any:
+    """A value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
+    if isinstance(value, float):
+        return struct.pack("<d", value)[::-1].hex() + "f"
+    if isinstance(value, Mapping):
+        return {k: plain(v) for k, v in value.items() if not str(k).startswith("_")}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, int):
+        return int(value)
+    return value
+
+
+def copied(counts: Counts) -> dict[str, Any]:
+    """Counts as plain values."""
+    bins = ("total", "decoded", "unknown", "malformed", "skipped", "filtered", "errors", "pending", "records", "missed")
+    return {**{name: getattr(counts, name) for name in bins}, "reasons": dict(counts.reasons)}
+
+
+__all__ = ["Heard", "copied", "heard", "image_of", "joined", "plain", "play", "scanner_of", "told"]

@@ -1,0 +1,336 @@
+"""What happens on a wire, drawn: valid packets, damage, garbage, requests of ours, silence.
+
+1. A scene is data: the words, where the line fell silent, what we sent in between. Laws play it, cut as they like.
+2. Valid first, then broken: most of a scene can be read, so that what is broken stands where it hurts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Literal
+
+from ..errors import AcesError
+from ..frame import FD_LENGTHS, Frame
+from ..protocol.scan.stream import WORTH
+from ..protocol.spec.framing import Framing
+from ..protocol.spec.message import Direction, Message
+from ..protocol.spec.protocol import Variant
+from ._source import Source
+from ._values import Packet, draw_packet, frame_of
+
+Way = Direction | Literal["both"] | None
+#: One variant, or several on one wire.
+Wire = Variant | Sequence[Variant]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A wire's history. `words` are bytes (streams) or frames (CAN); offsets count bytes or frames.
+
+    `idle_at`: the line fell silent when so many words had come. `sent_at`: we sent this packet or frame then (at the same
+    place, after the silence). `packets` are the valid ones that the words were made of.
+    """
+
+    words: Any
+    idle_at: tuple[int, ...] = ()
+    sent_at: tuple[tuple[int, Any], ...] = ()
+    packets: tuple[Packet, ...] = field(default=(), repr=False)
+
+    def __len__(self) -> int:
+        return len(self.words)
+
+
+def variants_of(wire: Wire) -> tuple[Variant, ...]:
+    """The variants of a wire, in order."""
+    return (wire,) if isinstance(wire, Variant) else tuple(wire)
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Who may speak on a wire: messages that the scanner looks for, and requests that we may send."""
+
+    messages: tuple[tuple[Variant, Message], ...]
+    framings: tuple[Framing, ...]
+    can_send: bool
+
+
+def cast(wire: Wire, direction: Way) -> Cast:
+    """Who may speak on a wire in a direction."""
+    return _cast(variants_of(wire), direction)
+
+
+@lru_cache(maxsize=1024)
+def _cast(variants: tuple[Variant, ...], direction: Way) -> Cast:
+    messages = tuple((v, m) for v in variants for m in v.facing(direction))
+    framings = dict.fromkeys(m.framing for _, m in messages if m.framing is not None)
+    return Cast(messages, tuple(framings), direction != "to device")
+
+
+# ---------------------------------------------------------------------- streams
+
+
+def draw_stream(wire: Wire, direction: Way, source: Source, *, size: int = 400) -> Scene:
+    """A byte stream of about `size` bytes: packets of any message, whole and damaged, and what only looks like them."""
+    who = cast(wire, direction)
+    data = bytearray()
+    idle_at: list[int] = []
+    sent_at: list[tuple[int, Any]] = []
+    packets: list[Packet] = []
+    while len(data) < size and not source.is_dry:
+        how = source.integer(0, 31)
+        if how == 31:
+            idle_at.append(len(data))
+            continue
+        if how >= 26:
+            data += _garbage(who, source)
+            continue
+        packet = _pick(who, source)
+        if packet.request is not None and source.integer(0, 7):
+            _ask(packet.request, who, direction, data, sent_at, source)
+        piece = packet.image
+        if how < 17:
+            packets.append(packet)
+        elif how == 17:
+            piece = _rewrapped(packet, source)
+        elif how == 18:
+            piece = piece[: source.integer(0, len(piece) - 1)]
+        elif how == 19:
+            piece = piece[source.integer(1, len(piece)) :]
+        elif how < 22:
+            piece = _flipped(piece, source)
+        elif how == 22:
+            piece = _header(packet, source) + piece
+        elif how == 23:
+            piece = _overwritten(packet, source)
+        elif how == 24:
+            at = source.integer(0, len(piece))
+            piece = piece[:at] + _pick(who, source).image + piece[at:]
+        else:
+            piece = piece * source.integer(2, 3)
+        data += piece
+        if packet.message.framing is not None and packet.message.framing.is_silent and source.integer(0, 15):
+            idle_at.append(len(data))
+    return Scene(bytes(data), tuple(dict.fromkeys(idle_at)), tuple(sent_at), tuple(packets))
+
+
+def _pick(who: Cast, source: Source) -> Packet:
+    variant, message = source.choice(who.messages)
+    return draw_packet(message, source, variant)
+
+
+def _ask(
+    request: Packet, who: Cast, direction: Way, data: bytearray, sent_at: list[tuple[int, Any]], source: Source
+) -> None:
+    """Put a request before its reply: on the wire where the scanner hears it, else as a transmission of ours."""
+    if direction == "both" and source.integer(0, 3):
+        data += request.image
+    elif who.can_send:
+        sent_at.append((len(data), request.image))
+
+
+def _flipped(piece: bytes, source: Source) -> bytes:
+    out = bytearray(piece)
+    for _ in range(source.integer(1, 3)):
+        bit = source.integer(0, 8 * len(out) - 1)
+        out[bit // 8] ^= 1 << bit % 8
+    return bytes(out)
+
+
+def _header(packet: Packet, source: Source) -> bytes:
+    """The first bytes of a packet once more, with a length that promises much or little."""
+    framing = packet.message.framing
+    assert framing is not None
+    head = bytearray(packet.image[: max(1, framing.head_end)])
+    if framing.affine is not None and source.integer(0, 1):
+        length = framing.affine.length
+        most = (1 << 8 * length.size) - 1
+        number = source.choice((most, 0, 1, min(most, len(packet.image)), min(most, 2 * len(packet.image)), source.integer(0, most)))
+        head[length.offset : length.offset + length.size] = length.bytes(number)
+    return bytes(head) * source.integer(1, 4)
+
+
+def _overwritten(packet: Packet, source: Source) -> bytes:
+    """A packet with another byte in its head, in its check or anywhere."""
+    framing = packet.message.framing
+    out = bytearray(packet.image)
+    last = len(out) - 1
+    edge = max(1, framing.head_end) if framing is not None else 1
+    at = source.choice((source.integer(0, last), min(last, source.integer(0, edge)), last, max(0, last - 1)))
+    out[at] = source.choice((0x00, 0xFF, source.integer(0, 255)))
+    return bytes(out)
+
+
+def _rewrapped(packet: Packet, source: Source) -> bytes:
+    """Other contents in the same framing, length and check being right."""
+    message = packet.message
+    framing = message.framing
+    assert framing is not None
+    logical = framing.logical(packet.image)
+    end = len(logical) - framing.check_size - len(framing.end)
+    head, body = logical[len(framing.sync) : framing.head_end], logical[framing.head_end : end]
+    if head and source.integer(0, 3) == 0:
+        head = _flipped(head, source)
+    how = source.integer(0, 3)
+    if how == 0 and body:
+        body = _flipped(body, source)
+    elif how == 1:
+        body = body[: source.integer(0, len(body))]
+    elif how == 2:
+        body += source.bytes(source.integer(1, 4))
+    else:
+        body = source.bytes(source.integer(0, len(body) + 4))
+    try:
+        return message.struct.framed(framing, head, body)
+    except AcesError:  # too long, or its end mark inside
+        return packet.image
+
+
+def _garbage(who: Cast, source: Source) -> bytes:
+    """Bytes that belong to nobody: random, or made of what the framings look for."""
+    size = source.integer(1, 24)
+    how = source.integer(0, 3)
+    framing = source.choice(who.framings)
+    marks = framing.sync or framing.end
+    if how == 0 or not marks:
+        return source.bytes(size)
+    if how == 1:
+        return (marks * size)[:size]
+    if how == 2:
+        pieces = [marks[: source.integer(0, len(marks))], source.bytes(1), framing.end, b"\xff", b"\x00"]
+        return b"".join(source.choice(pieces) for _ in range(size))
+    return bytes([source.integer(0, 255)]) * size
+
+
+def adversary(wire: Wire, direction: Way, source: Source, *, size: int = 3000) -> bytes:
+    """Headers that all promise a long packet: what costs a scanner most."""
+    framing = source.choice(cast(wire, direction).framings)
+    unit = bytearray(framing.sync)
+    for head in framing.heads:
+        unit += source.choice((b"\x01", framing.sync[:1] or b"\0", b"\xfe", source.bytes(1))) * head.size
+    if framing.affine is not None:
+        length = framing.affine.length
+        most = min((1 << 8 * length.size) - 1, (framing.max_size - framing.affine.constant) // framing.affine.factor)
+        number = source.choice((most, most - 1, max(0, most // 2), source.integer(0, most)))
+        unit[length.offset : length.offset + length.size] = length.bytes(number)
+    if not unit:
+        unit += source.bytes(3)
+    if source.integer(0, 3) == 0:
+        unit += source.bytes(source.integer(1, 5))
+    return (bytes(unit) * (size // len(unit) + 1))[:size]
+
+
+# ---------------------------------------------------------------------- frames
+
+
+def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -> Scene:
+    """About `size` CAN frames: valid, nearly valid, foreign, remote, FD, extended, error frames."""
+    who = cast(wire, direction)
+    frames: list[Frame] = []
+    sent_at: list[tuple[int, Any]] = []
+    packets: list[Packet] = []
+    time: float | None = 0.0 if source.integer(0, 3) else None
+    while len(frames) < size and not source.is_dry:
+        how = source.integer(0, 31)
+        channel = source.choice((None, None, None, "can0", "can1"))
+        if time is not None:
+            time = round(time + source.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)
+        about: dict[str, Any] = {"timestamp": time, "channel": channel, "is_rx": source.choice((None, True, False))}
+        if how >= 30:
+            frames.append(_foreign(source, about))
+            continue
+        if how == 29:
+            frames.append(Frame(source.integer(0, 0x1FFF_FFFF), source.bytes(source.integer(0, 8)), is_error_frame=True, **about))
+            continue
+        packet = _pick(who, source)
+        if packet.request is not None and source.integer(0, 7):
+            asked = frame_of(packet.request.image, **about)
+            if direction in (None, "both") and source.integer(0, 3):
+                frames.append(asked)
+            elif who.can_send:
+                sent_at.append((len(frames), asked))
+        frame = frame_of(packet.image, **about)
+        if how < 20:
+            packets.append(packet)
+        else:
+            frame = _damaged(frame, packet.message, how - 20, source)
+        frames.append(frame)
+    return Scene(tuple(frames), (), tuple(sent_at), tuple(packets))
+
+
+def _remade(frame: Frame, **changed: Any) -> Frame:
+    about = {name: getattr(frame, name) for name in frame.__struct_fields__}
+    about.update(changed)
+    return Frame(**about)
+
+
+def _rechecked(message: Message, identifier: int, data: bytes) -> bytes:
+    """Frame data with the check that goes with them."""
+    check = message.check
+    assert check is not None
+    start, size, order = message.check_span
+    wanted = check.compute(message.covered(data, identifier))
+    return data[:start] + wanted.to_bytes(size, order) + data[start + size :]
+
+
+def _damaged(frame: Frame, message: Message, how: int, source: Source) -> Frame:
+    data = frame.data
+    if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
+        return _remade(frame, data=_rechecked(message, frame.arbitration_id, _flipped(data, source)))
+    if how in (0, 1):
+        shorter = _legal(source.integer(0, max(0, len(data) - 1)), fd=frame.is_fd)
+        return _remade(frame, data=data[:shorter]) if data else frame
+    if how in (2, 3):
+        longer = _legal(source.integer(len(data), 64 if frame.is_fd else 8), fd=frame.is_fd)
+        return frame if frame.is_remote_frame else _remade(frame, data=(data + source.bytes(longer))[:longer])
+    if how in (4, 5):
+        return _remade(frame, data=_flipped(data, source)) if data else frame
+    if how == 6:
+        limit = 0x1FFF_FFFF if frame.is_extended_id else 0x7FF
+        return _remade(frame, arbitration_id=(frame.arbitration_id ^ 1 << source.integer(0, limit.bit_length() - 1)) & limit)
+    if how == 7:
+        return _remade(frame, data=b"", is_remote_frame=True, is_fd=False, dlc=source.choice((None, source.integer(0, 8))))
+    if how == 8:
+        return _remade(frame, is_remote_frame=False, is_fd=not frame.is_fd, data=data[:8], dlc=None)
+    if frame.is_extended_id:
+        return _remade(frame, is_extended_id=False, arbitration_id=frame.arbitration_id & 0x7FF)
+    return _remade(frame, is_extended_id=True)
+
+
+def _legal(size: int, *, fd: bool) -> int:
+    return max(n for n in FD_LENGTHS if n <= size) if fd else min(size, 8)
+
+
+def _foreign(source: Source, about: dict[str, Any]) -> Frame:
+    extended, fd = not source.integer(0, 3), not source.integer(0, 3)
+    identifier = source.integer(0, 0x1FFF_FFFF if extended else 0x7FF)
+    size = source.choice(FD_LENGTHS) if fd else source.integer(0, 8)
+    return Frame(identifier, source.bytes(size), is_extended_id=extended, is_fd=fd, **about)
+
+
+# ---------------------------------------------------------------------- either
+
+
+def draw_scene(wire: Wire, direction: Way, source: Source, *, size: int = 400) -> Scene:
+    """A scene of whatever link the wire is; `size` in bytes, or in frames of 16 bytes."""
+    if variants_of(wire)[0].link == "can":
+        return draw_frames(wire, direction, source, size=max(1, size // 16))
+    # Long chunks take another path through the scanner: some scenes must be longer than that.
+    return draw_stream(wire, direction, source, size=2 * WORTH if source.integer(0, 3) == 3 else size)
+
+
+def draw_cuts(scene: Scene, source: Source) -> tuple[int, ...]:
+    """Where to cut a scene: offsets, in order, perhaps repeated (an empty chunk)."""
+    size = len(scene)
+    how = source.integer(0, 3)
+    if how == 0:
+        return tuple(range(1, size))
+    if how == 1:
+        step = source.integer(1, 9)
+        return tuple(range(step, size, step))
+    count = source.integer(0, 12)
+    return tuple(sorted(source.integer(0, size) for _ in range(count)))
+
+
+__all__ = ["Cast", "Scene", "Way", "Wire", "adversary", "cast", "draw_cuts", "draw_frames", "draw_scene", "draw_stream", "variants_of"]

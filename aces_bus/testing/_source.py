@@ -1,0 +1,110 @@
+"""Where drawn numbers come from: one walk over a spec, two sources of choices.
+
+1. Every value that a test draws is a pure function of what its source gives.
+2. The smallest choice is the simplest: a source that has run dry gives lows, firsts and zeros, so that shrinking works.
+
+`Entropy` interprets a string of bytes, as fuzzers do: one draw of Hypothesis makes a whole wire, cheaply, and shrinks
+byte by byte. `Drawn` asks Hypothesis for each number: dearer, and shrinks best.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
+
+T = TypeVar("T")
+
+
+class Source(Protocol):
+    """Gives choices."""
+
+    def integer(self, low: int, high: int) -> int:
+        """A number in `low`…`high`, both included."""
+        ...
+
+    def choice(self, items: Sequence[T]) -> T:
+        """One of `items`."""
+        ...
+
+    def bytes(self, size: int) -> bytes:
+        """Any `size` bytes."""
+        ...
+
+    @property
+    def is_dry(self) -> bool:
+        """Whether only the simplest choices are left."""
+        ...
+
+
+class Entropy:
+    """Choices out of a string of bytes."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    @property
+    def is_dry(self) -> bool:
+        return self._at >= len(self._data)
+
+    def _take(self, size: int) -> int:
+        at = self._at
+        self._at = at + size
+        return int.from_bytes(self._data[at : at + size], "little")
+
+    def integer(self, low: int, high: int) -> int:
+        span = high - low + 1
+        if span <= 1:
+            return low
+        if span <= 256:
+            return low + self._take(1) % span
+        return low + self._take(((span - 1).bit_length() + 7) // 8) % span
+
+    def choice(self, items: Sequence[T]) -> T:
+        return items[self.integer(0, len(items) - 1)]
+
+    def bytes(self, size: int) -> bytes:
+        if size <= 4:
+            return self._take(size).to_bytes(size, "little")
+        # A long run costs three bytes: a seed that is spread out; seed 0 is all zeros.
+        seed = self._take(3)
+        return random.Random(seed).randbytes(size) if seed else bytes(size)
+
+
+class Drawn:
+    """Choices of Hypothesis; `integers(low, high)` and `binary(size)` are what it is asked for."""
+
+    is_dry = False
+
+    def __init__(self, integers: Callable[[int, int], int], binary: Callable[[int], bytes]) -> None:
+        self._integers, self._binary = integers, binary
+
+    def integer(self, low: int, high: int) -> int:
+        return self._integers(low, high) if low < high else low
+
+    def choice(self, items: Sequence[T]) -> T:
+        return items[self.integer(0, len(items) - 1)]
+
+    def bytes(self, size: int) -> bytes:
+        return self._binary(size) if size else b""
+
+
+def spread(seed: int, size: int = 4096) -> Entropy:
+    """A source that is the same for the same seed."""
+    return Entropy(random.Random(seed).randbytes(size))
+
+
+def number(source: Source, low: int, high: int) -> int:
+    """A number in `low`…`high` that is often an edge, near zero or a power of two."""
+    how = source.integer(0, 7)
+    if how < 4:
+        return source.integer(low, high)
+    if how == 4:
+        return source.choice((low, high))
+    if how == 5:
+        return min(max(source.integer(-2, 2), low), high)
+    if how == 6:
+        power = 1 << source.integer(0, max(0, high.bit_length() - 1))
+        return min(max(power - source.integer(0, 1), low), high)
+    return source.choice((max(low, high - 1), min(high, low + 1)))

@@ -1,0 +1,95 @@
+"""Hypothesis strategies of a protocol: fields, packets, wires.
+
+1. Values are valid by construction; damage comes after, on purpose.
+2. One message is drawn number by number, and shrinks to the simplest numbers. A wire is made of one string of bytes (see
+   `aces_bus.testing._source`), which is cheap enough for hundreds of thousands of examples, and shrinks as bytes do.
+
+Needs the extra `[testing]`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+try:
+    from hypothesis import strategies as st
+except ImportError as missing:
+    raise ImportError("aces_bus.testing.strategies needs Hypothesis: pip install 'aces-bus[testing]'") from missing
+
+from ..protocol.spec.message import Message
+from ..protocol.spec.protocol import Variant
+from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream, variants_of
+from ._source import Drawn, Entropy
+from ._values import Packet, draw_packet, draw_values
+from .laws import Law
+
+
+def _drawn(draw: Any) -> Drawn:
+    return Drawn(
+        lambda low, high: draw(st.integers(low, high)),
+        lambda size: draw(st.binary(min_size=size, max_size=size)),
+    )
+
+
+@st.composite
+def fields(draw: Any, message: Message) -> dict[str, Any]:
+    """Raw values of all fields of `message`: `message.struct.build(values, raw=True)` takes them."""
+    return draw_values(message, _drawn(draw))
+
+
+@st.composite
+def packets(draw: Any, variant: Variant, direction: Way = None, message: str | None = None) -> Packet:
+    """A valid packet or frame of a variant, with a request that it answers where it answers one.
+
+    `message` names the one wanted; else it is any that can occur in `direction`.
+    """
+    messages = [variant[message]] if message is not None else variant.facing(direction)
+    return draw_packet(draw(st.sampled_from(messages)), _drawn(draw), variant)
+
+
+def entropy(size: int) -> st.SearchStrategy[Entropy]:
+    """What wires are made of: up to about `size` bytes' worth of choices."""
+    return st.binary(min_size=size // 2, max_size=size).map(Entropy)
+
+
+def streams(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
+    """Byte streams of about `size` bytes: packets of all messages of the wire, whole and damaged, and garbage."""
+    return entropy(size).map(lambda source: draw_stream(wire, direction, source, size=size))
+
+
+def frames(wire: Wire, direction: Way = None, *, size: int = 24) -> st.SearchStrategy[Scene]:
+    """About `size` CAN frames: valid ones, nearly valid ones, and others."""
+    return entropy(16 * size).map(lambda source: draw_frames(wire, direction, source, size=size))
+
+
+def scenes(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
+    """`streams` or `frames`, as the wire's link is; some streams are long enough for the scanner's long strides."""
+    return entropy(size).map(lambda source: draw_scene(wire, direction, source, size=size))
+
+
+def adversaries(wire: Wire, direction: Way = None, *, size: int = 3000) -> st.SearchStrategy[Scene]:
+    """Streams of headers that all promise long packets: what costs a scanner most."""
+    return entropy(32).map(lambda source: Scene(adversary(wire, direction, source, size=size)))
+
+
+def cuts(scene: Scene) -> st.SearchStrategy[tuple[int, ...]]:
+    """Where to cut a scene into chunks: anywhere, regularly, or word by word."""
+    return entropy(32).map(lambda source: draw_cuts(scene, source))
+
+
+def arguments(law: Law, wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[tuple[Any, ...]]:
+    """What `law.holds(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
+    is_can = variants_of(wire)[0].link == "can"
+
+    def made(source: Entropy) -> tuple[Any, ...]:
+        cut_by = Entropy(source.bytes(32)) if law.takes_cuts else None
+        if law.number == 7 and not is_can and source.integer(0, 1):
+            scene = Scene(adversary(wire, direction, source))
+        else:
+            scene = draw_scene(wire, direction, source, size=size)
+        return (scene,) if cut_by is None else (scene, draw_cuts(scene, cut_by))
+
+    return entropy(size).map(made)
+
+
+__all__ = ["adversaries", "arguments", "cuts", "entropy", "fields", "frames", "packets", "scenes", "streams"]

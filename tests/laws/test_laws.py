@@ -1,0 +1,58 @@
+"""The nine laws on every registered protocol × dialect × shipped configuration × direction, and on the specs of the tests.
+
+The examples of a protocol are shared among its cases, so that a protocol of many dialects costs no more than one of one:
+`EXAMPLES` a law and protocol in the short profile, `ACES_EXAMPLES` in the long one. For hundreds of thousands of examples
+of one protocol there is `python -m aces_bus.testing.longrun`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+
+from aces_bus.testing import laws, strategies
+from aces_bus.testing.laws import LAWS, Law
+from tests.laws.wires import CASES, MIXED, REGISTERED, Case
+
+#: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
+EXAMPLES = 36
+#: All but the explanation, which runs a failing scene a hundred times more.
+PHASES = (Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink)
+
+
+def _examples(case: Case) -> int:
+    profile = settings()
+    wanted = profile.max_examples if profile.max_examples > 100 else EXAMPLES
+    return max(2, wanted // case.share)
+
+
+@pytest.mark.parametrize("case", [*CASES, *MIXED], ids=str)
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_law_holds(law: Law, case: Case) -> None:
+    """Whatever comes over the wire, the law holds."""
+    if law.streams_only and laws.variants_of(case.wire)[0].link == "can":
+        pytest.skip("a law of streams")
+
+    @settings(max_examples=_examples(case), suppress_health_check=list(HealthCheck), phases=PHASES, print_blob=False)
+    @given(strategies.arguments(law, case.wire, case.direction))
+    def holds(arguments: tuple[Any, ...]) -> None:
+        law.holds(case.wire, case.direction, *arguments)
+
+    holds()
+
+
+def test_every_registered_protocol_is_tested() -> None:
+    """The cases hold every dialect, configuration and direction of every registered protocol."""
+    tested = {(v.name, v.dialect, v.configuration) for case in CASES for v in laws.variants_of(case.wire)}
+    assert REGISTERED
+    for protocol in REGISTERED.values():
+        for dialect in protocol.dialects or [None]:
+            for configuration in protocol.configurations or [None]:
+                assert (protocol.name, dialect, configuration) in tested
+    for case in CASES:
+        (variant,) = laws.variants_of(case.wire)
+        ways = {c.direction for c in CASES if c.wire is case.wire}
+        heard = {m.name for way in ways for m in variant.facing(way)}
+        assert heard == set(variant.messages), f"{variant}: no direction has {set(variant.messages) - heard}"

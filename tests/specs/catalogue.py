@@ -1,0 +1,39 @@
+"""The specs that keep the language honest, by name: `from tests.specs.catalogue import SPECS`.
+
+The root of the repository is on the path of tests, so that `tests.specs` is a namespace package; nothing here is
+installed.
+"""
+
+from __future__ import annotations
+
+from aces_bus.protocol import Protocol
+from tests.specs.automotive import automotive
+from tests.specs.cobs import cobs
+from tests.specs.dynamixel2 import dynamixel2
+from tests.specs.hubovia_like import hubovia_like
+from tests.specs.j1939_like import j1939_like
+from tests.specs.mavlink1 import mavlink1
+from tests.specs.mit_motor import mit_motor
+from tests.specs.modbus_like import modbus_like
+from tests.specs.nmea0183 import nmea0183
+from tests.specs.odrive_like import odrive_like
+from tests.specs.slip import slip
+from tests.specs.ubx import ubx
+
+SPECS: dict[str, Protocol] = {
+    protocol.name: protocol
+    for protocol in (
+        automotive,
+        cobs,
+        dynamixel2,
+        hubovia_like,
+        j1939_like,
+        mavlink1,
+        mit_motor,
+        modbus_like,
+        nmea0183,
+        odrive_like,
+        slip,
+        ubx,
+    )
+}

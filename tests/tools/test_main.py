@@ -1,0 +1,82 @@
+"""`aces` itself: verbs, versions, complaints, and how quick it is to start."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from aces_bus import __version__
+from aces_tools.main import VERBS, main
+
+from .conftest import Aces
+
+#: What only the verbs may import.
+HEAVY = ("construct", "numpy", "can", "rich", "msgspec", "importlib.metadata", "aces_bus.protocol", "aces_bus.capture")
+
+
+@pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"], ["help"]])
+def test_help_lists_every_verb(aces: Aces, arguments: list[str]) -> None:
+    """Without a verb, and when asked, `aces` lists the verbs."""
+    result = aces(*arguments)
+    assert result.status == 0
+    assert all(f"  {verb} " in result.out for verb in VERBS)
+
+
+def test_version(aces: Aces) -> None:
+    """`aces --version` prints the version of the package."""
+    assert aces("--version") == (0, f"aces {__version__}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"]])
+def test_nothing_heavy_is_imported_for_help(arguments: list[str]) -> None:
+    """Help and version import none of the dependencies, nor the protocols."""
+    program = (
+        "import sys; from aces_tools.main import main; status = main(sys.argv[2:]); "
+        "print(*(n for n in sys.argv[1].split(',') if n in sys.modules)); sys.exit(status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, ",".join(HEAVY), *arguments], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == ""
+
+
+def test_an_unknown_verb_names_those_that_exist(aces: Aces) -> None:
+    """A verb that does not exist is one line with the verbs, and status 2."""
+    result = aces("dcode")
+    assert result.status == 2
+    assert result.err.count("\n") == 1
+    assert "did you mean 'decode'?" in result.err
+    assert "protocols" in result.err
+
+
+def test_an_unknown_option_names_those_that_exist(aces: Aces) -> None:
+    """So is an option."""
+    result = aces("--versoin")
+    assert result.status == 2
+    assert "--version" in result.err
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself(aces: Aces, verb: str) -> None:
+    """`aces VERB --help` and `aces help VERB` print what the verb is for."""
+    result = aces(verb, "--help")
+    assert result.status == 0
+    assert f"usage: aces {verb}" in result.out
+    assert aces("help", verb).out == result.out
+
+
+@pytest.mark.parametrize("arguments", [["decode"], ["decode", "x", "-p"], ["spec"], ["decode", "x", "-p", "y", "--nope"]])
+def test_a_wrong_call_is_one_line(aces: Aces, arguments: list[str]) -> None:
+    """What argparse complains of is one line that names the help, and status 2."""
+    result = aces(*arguments)
+    assert result.status == 2
+    assert result.err.startswith("aces: ")
+    assert result.err.count("\n") == 1
+    assert "--help" in result.err
+
+
+def test_main_returns_and_never_exits() -> None:
+    """A program can call `main`."""
+    assert main(["decode", "--no-such-option"]) == 2

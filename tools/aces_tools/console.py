@@ -1,0 +1,171 @@
+"""Where output goes, and how a run ends early: a closed pipe, Ctrl-C.
+
+1. `main` imports this: nothing here may be slow to import.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, BinaryIO, TypeVar
+
+from aces_bus.errors import CallerError
+
+T = TypeVar("T")
+
+
+def say(message: str, *, who: str = "aces: ") -> None:
+    """One line on stderr. Losing it must not lose the work."""
+    try:
+        print(f"{who}{message}", file=sys.stderr, flush=True)
+    except OSError:
+        pass
+
+
+def abandon_stdout() -> None:
+    """Nobody reads any more: what is still buffered must not raise once again when Python ends."""
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+    except (OSError, ValueError, AttributeError):
+        pass  # not a file of the system (a test's)
+
+
+class Output:
+    """Bytes to stdout, or to a file that is none of the inputs. Raises `BrokenPipeError` when nobody reads any more."""
+
+    def __init__(self, path: str | None, inputs: Iterable[str] = ()) -> None:
+        self.path = path
+        self._file: BinaryIO | None = None
+        if path is not None and path != "-":
+            for name in inputs:
+                if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
+                    raise CallerError(f"--output {path} is one of the files to read; choose another name")
+            try:
+                self._file = open(path, "wb")  # noqa: SIM115 - closed by `close`
+            except OSError as error:
+                raise CallerError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+    @property
+    def is_terminal(self) -> bool:
+        return self._file is None and sys.stdout is not None and sys.stdout.isatty()
+
+    @property
+    def encoding(self) -> str:
+        """What people's text is written in."""
+        return "utf-8" if self._file is not None else getattr(sys.stdout, "encoding", None) or "utf-8"
+
+    def write(self, data: bytes) -> None:
+        file: Any = self._file if self._file is not None else sys.stdout
+        if not data or file is None:
+            return
+        with self._checked():
+            if self._file is not None or hasattr(file, "buffer"):
+                getattr(file, "buffer", file).write(data)
+            else:
+                file.write(data.decode("utf-8", "replace"))
+
+    def flush(self) -> None:
+        file: Any = self._file if self._file is not None else sys.stdout
+        if file is not None:
+            with self._checked():
+                file.flush()
+
+    @contextmanager
+    def _checked(self) -> Generator[None, None, None]:
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            if self._file is None:
+                abandon_stdout()
+            raise CallerError(
+                f"{self.path or 'standard output'}: writing stopped: {error.strerror or error}"
+            ) from error
+
+    def close(self) -> None:
+        self.flush()
+        if self._file is not None:
+            with self._checked():
+                self._file.close()
+
+
+def terminal_width() -> int:
+    """Columns of the terminal; 80 when it does not say."""
+    try:
+        wanted = int(os.environ.get("COLUMNS", ""))
+    except ValueError:
+        wanted = 0
+    if wanted > 0:
+        return wanted
+    try:
+        return os.get_terminal_size(sys.stdout.fileno()).columns or 80
+    except (OSError, ValueError, AttributeError):
+        return 80
+
+
+def wants_colour(chosen: bool | None, is_terminal: bool) -> bool:
+    """What the option says; else a terminal that can, and a user who has not set NO_COLOR (no-color.org)."""
+    if chosen is not None:
+        return chosen
+    return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+class Patience:
+    """While it is entered, Ctrl-C lets the work in hand be finished and ends the waiting for more.
+
+        with Patience() as patience:
+            for batch in patience.each(batches):
+                …                                  # never interrupted
+        patience.is_over                           # whether Ctrl-C ended it
+
+    A second Ctrl-C interrupts at once.
+    """
+
+    def __init__(self) -> None:
+        self.is_over = False
+        self._is_waiting = False
+        self._before: Any = None
+        self._is_ours = threading.current_thread() is threading.main_thread()
+
+    def __enter__(self) -> Patience:
+        if self._is_ours:
+            self._before = signal.signal(signal.SIGINT, self._interrupted)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._is_ours:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _interrupted(self, number: int, frame: FrameType | None) -> None:
+        if self.is_over or self._is_waiting:
+            self.is_over = True
+            raise KeyboardInterrupt
+        self.is_over = True
+
+    @contextmanager
+    def waiting(self) -> Generator[None, None, None]:
+        """Ctrl-C raises `KeyboardInterrupt` in here."""
+        self._is_waiting = True
+        try:
+            yield
+        finally:
+            self._is_waiting = False
+
+    def each(self, items: Iterable[T]) -> Iterator[T]:
+        """The items, until there are no more or Ctrl-C."""
+        iterator = iter(items)
+        while not self.is_over:
+            try:
+                with self.waiting():
+                    item = next(iterator)
+            except (StopIteration, KeyboardInterrupt):
+                return
+            yield item

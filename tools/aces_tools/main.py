@@ -1,0 +1,93 @@
+"""`aces VERB …`: finds the verb, runs it, turns what goes wrong into one line.
+
+1. A verb's module is imported when that verb runs and not before: `aces --help` imports argparse and nothing else.
+2. Whatever goes wrong on purpose (`AcesError`) is one line on stderr and status 2; a traceback is a bug.
+3. `main` returns a status and never exits, so that tests and programs can call it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from aces_bus import __version__
+from aces_bus.errors import AcesError, UnknownNameError
+
+from .console import abandon_stdout, say
+
+#: Verb → its module in this package, and what it is for. The module has `add_arguments(parser)` and `run(arguments)`,
+#: and describes itself in its docstring, which `aces VERB --help` shows.
+VERBS: dict[str, tuple[str, str]] = {
+    "decode": ("decode", "decode recordings: candump logs, serial captures, standard input"),
+    "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
+    "spec": ("spec", "tools for the authors of protocols: stubs for editors"),
+    "bench": ("bench", "measure decoding speed beside other libraries"),
+}
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"aces: {message} (see '{self.prog} --help')\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `aces` with these arguments (by default the program's) and return its exit status."""
+    try:
+        status = _run(list(sys.argv[1:] if argv is None else argv))
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return status
+    except SystemExit as ended:  # argparse has said what is wrong, or has printed the help
+        return ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 2
+    except AcesError as error:
+        say(str(error))
+        return 2
+    except BrokenPipeError:
+        abandon_stdout()
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+def _run(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        if arguments[1:] and arguments[1] in VERBS:
+            return _run([arguments[1], "--help"])
+        print(_help())
+        return 0
+    if arguments[0] in ("-V", "--version"):
+        print(f"aces {__version__}")
+        return 0
+    verb = arguments[0]
+    if verb.startswith("-"):
+        raise UnknownNameError("option", verb, ["--help", "--version"])
+    if verb not in VERBS:
+        raise UnknownNameError("verb", verb, VERBS)
+    module = import_module(f"{__package__}.{VERBS[verb][0]}")
+    parser = Parser(
+        prog=f"aces {verb}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    module.add_arguments(parser)
+    return int(module.run(parser.parse_intermixed_args(arguments[1:])))
+
+
+def _help() -> str:
+    width = max(map(len, VERBS))
+    verbs = "\n".join(f"  {verb:<{width}}  {text}" for verb, (_, text) in VERBS.items())
+    return (
+        f"aces {__version__}: devices on CAN and serial lines, from one declared protocol\n\n"
+        f"usage: aces VERB …\n\n{verbs}\n\n"
+        "'aces VERB --help' says more; 'aces --version' prints the version."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""Tables and indented paragraphs for a terminal of any width.
+
+1. Nothing is cut off. Where the last column has no room beside the others, it goes below them, indented.
+2. `width` None is no limit: one row, one line.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+from .text import Paint
+
+GAP = "  "
+#: The last column stands beside the others when it has at least this much room.
+LEAST = 28
+INDENT = 4
+
+
+def columns(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None, paint: Paint) -> list[str]:
+    """Rows below a head; columns that are empty throughout are left out."""
+    used = [index for index in range(len(head)) if any(row[index] for row in rows)]
+    if not used:
+        return []
+    *front, last = used
+    sizes = [max(len(head[index]), *(len(row[index]) for row in rows)) for index in front]
+    taken = sum(sizes) + len(GAP) * len(front)
+    room = None if width is None else width - taken
+    is_below = room is not None and room < min(LEAST, max(len(row[last]) for row in rows))
+    lines: list[str] = []
+    for row in [head, *rows]:
+        cells = [row[index].ljust(size) for index, size in zip(front, sizes, strict=True)]
+        text = "" if row is head and is_below else row[last]
+        parts = [""] if is_below else _wrapped(text, room)
+        line = GAP.join([*cells, parts[0]]).rstrip()
+        if row is head:
+            if line:
+                lines.append(paint("place", line))
+            continue
+        name = row[front[0]] if front else ""
+        lines.append(paint("message", name) + line[len(name) :] if name else line)
+        lines += [" " * taken + part for part in parts[1:]]
+        if is_below and text:
+            lines += [
+                " " * INDENT + part for part in _wrapped(text, None if width is None else width - INDENT)
+            ]
+    return lines
+
+
+def beside(name: str, texts: Sequence[str], width: int | None, style: str, paint: Paint) -> list[str]:
+    """A name, and beside it paragraphs."""
+    start = len(name) + len(GAP)
+    parts = [part for text in texts for part in _wrapped(text, None if width is None else width - start)]
+    lines = [paint(style, name) + GAP + (parts[0] if parts else "")]
+    return [line.rstrip() for line in lines] + [" " * start + part for part in parts[1:]]
+
+
+def _wrapped(text: str, width: int | None) -> list[str]:
+    if width is None or len(text) <= width:
+        return [text]
+    return textwrap.wrap(text, max(width, 16), break_long_words=False, break_on_hyphens=False) or [""]

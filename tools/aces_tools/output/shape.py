@@ -1,0 +1,140 @@
+"""What a record type holds, found once from its plan, so that writers need not look at every value.
+
+1. Nothing here looks at a record; it only prepares how records of a type are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+import msgspec
+
+from aces_bus.protocol import FlagSet, Record, Variant
+from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.codegen.load import records_of
+
+Convert = Callable[[Any], Any]
+
+
+def plans_of(variants: Sequence[Variant]) -> dict[type[Record], p.MessagePlan]:
+    """The plan of each record type that scanners of these variants give."""
+    return {
+        kind: flatten(variant.messages[name])
+        for variant in variants
+        for name, kind in records_of(variant).items()
+    }
+
+
+# ---------------------------------------------------------------------- plain values
+
+
+def flag_names(flags: Any) -> list[str]:
+    """The names of the set bits; bits without a name as one hexadecimal number."""
+    names = list(flags)
+    return [*names, f"{flags.unknown:#x}"] if flags.unknown else names
+
+
+def plain(value: Any) -> Any:
+    """Any value of a record as what JSON has."""
+    if value is None or isinstance(value, (bool, float)):
+        return value
+    if isinstance(value, FlagSet):
+        return flag_names(value)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return bytes(value).hex()
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, msgspec.Struct):
+        return {
+            name: plain(getattr(value, name)) for name in value.__struct_fields__ if not name.startswith("_")
+        }
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [plain(item) for item in value]
+    return str(value)
+
+
+def is_plain(node: p.Node) -> bool:
+    """Whether msgspec writes the values of this node as they are."""
+    if isinstance(node, p.Scalar):
+        return node.kind != "bytes" and not any(isinstance(step, p.FlagBits) for step in node.steps)
+    if isinstance(node, p.Many):
+        return all(map(is_plain, node.items))
+    if isinstance(node, p.Group):
+        return all(is_plain(field.node) for field in node.fields)
+    return isinstance(node, (p.FromIdentifier, p.Rest, p.Cell, p.MoreCells))
+
+
+# ---------------------------------------------------------------------- single values, by path
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One value of a record: `path` is as a condition or a column names it (`servos.0.id`), `get` reads it.
+
+    `conditional` says that the value is None while a selector has other values.
+    """
+
+    path: str
+    node: p.Node
+    get: Callable[[Any], Any]
+    conditional: bool = False
+
+
+def leaves(plan: p.MessagePlan) -> list[Leaf]:
+    """The values of a record, tuples and nested records taken apart; what has no fixed shape is one value."""
+    return list(_leaves(plan.fields, "", ()))
+
+
+def _leaves(
+    fields: Sequence[p.PlanField], prefix: str, way: tuple[str | int, ...], conditional: bool = False
+) -> Iterator[Leaf]:
+    for field in fields:
+        yield from _of_node(
+            field.node, prefix + field.name, (*way, field.name), conditional or field.when is not None
+        )
+
+
+def _of_node(node: p.Node, path: str, way: tuple[str | int, ...], conditional: bool) -> Iterator[Leaf]:
+    if isinstance(node, p.Many):
+        for index, item in enumerate(node.items):
+            yield from _of_node(item, f"{path}.{index}", (*way, index), conditional)
+    elif isinstance(node, p.Group):
+        yield from _leaves(node.fields, f"{path}.", way, conditional)
+    else:
+        yield Leaf(path, node, getter(way), conditional)
+
+
+def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
+    """Reads what stands at the end of `way` in a record; None where a part of the way is not there."""
+    if len(way) == 1 and isinstance(way[0], str):
+        return attrgetter(way[0])
+
+    def get(value: Any) -> Any:
+        for step in way:
+            if value is None:
+                return None
+            if isinstance(step, int):
+                value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
+            elif isinstance(value, Mapping):
+                value = value.get(step)
+            else:
+                value = getattr(value, step, None)
+        return value
+
+    return get
+
+
+def unit_of(node: p.Node) -> str:
+    """The unit of a single value, or of all items alike."""
+    if isinstance(node, p.Many):
+        units = {unit_of(item) for item in node.items}
+        return units.pop() if len(units) == 1 else ""
+    return str(getattr(node, "unit", ""))

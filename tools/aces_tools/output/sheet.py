@@ -1,0 +1,110 @@
+"""Comma-separated values, for spreadsheets.
+
+With one message: one row a record, one column a field (`position.0`, `status.mode`). Otherwise one row a value, in the
+columns `field`, `value` and `unit`, as pivot tables and data frames take it.
+
+1. The columns are known before the first record: they depend on the protocols and messages asked for, not on the data.
+2. What is not decoded has no message; its reason stands under `field`, its bytes under `value`. In the form with one
+   message there is no place for it.
+3. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.protocol.codegen.plan import MessagePlan
+
+from .shape import Leaf, flag_names, leaves, plain, unit_of
+
+
+class Sheet:
+    """`only` is the one message asked for, if it is one; `links` are those of the protocols in use."""
+
+    def __init__(
+        self,
+        plans: Mapping[type[Record], MessagePlan],
+        direction: str | None,
+        *,
+        only: str | None,
+        links: frozenset[str],
+    ) -> None:
+        self._direction = direction
+        self._leaves = {kind: leaves(plan) for kind, plan in plans.items()}
+        self._is_wide = only is not None
+        columns: dict[str, None] = {}
+        for kind, found in self._leaves.items():
+            if kind.__name__ == only:
+                columns.update(dict.fromkeys(leaf.path for leaf in found))
+        self._columns = list(columns)
+        self._has_can = "can" in links
+        self._has_streams = not links or any(link != "can" for link in links)
+        self._source = ""
+        self._is_begun = False
+
+    def begin(self, source: str, link: str, start: float | None = None) -> bytes:
+        self._source = source
+        if self._is_begun:
+            return b""
+        self._is_begun = True
+        head = ["source", "time", "channel", "direction"]
+        head += ["id"] if self._has_can else []
+        head += ["offset", "size"] if self._has_streams else []
+        head += ["protocol", "message"]
+        return self._rows([head + (self._columns if self._is_wide else ["field", "value", "unit"])])
+
+    def items(self, items: Sequence[Any]) -> bytes:
+        rows: list[list[Any]] = []
+        for item in items:
+            head = self._head(item)
+            if type(item) is Unknown:
+                if not self._is_wide:
+                    rows.append([*head, item.reason, item.meta.raw.hex(), ""])
+                continue
+            found = self._leaves[type(item)]
+            if self._is_wide:
+                cells = {leaf.path: cell(leaf.get(item)) for leaf in found}
+                rows.append([*head, *(cells.get(name, "") for name in self._columns)])
+            elif found:
+                rows += [[*head, *self._value(leaf, item)] for leaf in found]
+            else:
+                rows.append([*head, "", "", ""])
+        return self._rows(rows)
+
+    def _head(self, item: Any) -> list[Any]:
+        meta = item.meta
+        head = [self._source, meta.time, meta.channel, meta.direction or self._direction]
+        if self._has_can:
+            identifier = meta.identifier
+            head.append(None if identifier is None else f"{identifier:#0{10 if meta.extended else 5}x}")
+        if self._has_streams:
+            head += [meta.offset, meta.size]
+        return [*head, meta.protocol, meta.message]
+
+    @staticmethod
+    def _value(leaf: Leaf, item: Any) -> list[Any]:
+        return [leaf.path, cell(leaf.get(item)), unit_of(leaf.node)]
+
+    @staticmethod
+    def _rows(rows: list[list[Any]]) -> bytes:
+        out = io.StringIO()
+        csv.writer(out, lineterminator="\n").writerows(rows)
+        return out.getvalue().encode("utf-8", "replace")
+
+
+def cell(value: Any) -> Any:
+    """A value as one cell."""
+    if value is None or isinstance(value, (str, float)):
+        return value
+    if isinstance(value, FlagSet):
+        return "|".join(flag_names(value))
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, (int, bool)):
+        return value
+    return json.dumps(plain(value), ensure_ascii=False)

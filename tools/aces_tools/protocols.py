@@ -1,0 +1,438 @@
+"""List the installed protocols, the messages of one, and how a message is laid out.
+
+  aces protocols                        all protocols
+  aces protocols robotis                its messages and registers
+  aces protocols robotis Status         its bits as a picture, its fields as a table
+  aces protocols hubo:D08 NameInfo      in one dialect; also my_spec.py NameInfo
+
+`unchecked` protocols have no check in their packets: what looks like a packet is taken for one. Frames on CAN are
+checked by the bus itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from construct import ConstructError
+
+from aces_bus.errors import AcesError, UnknownNameError
+from aces_bus.protocol import (
+    Framing,
+    Message,
+    Protocol,
+    Register,
+    StreamScanner,
+    Variant,
+    draw,
+    list_protocols,
+    make_scanner,
+)
+from aces_bus.protocol.codegen.flatten import NotFlat, flatten, scalar_of
+from aces_bus.protocol.codegen.load import print_decoders
+from aces_bus.protocol.codegen.print_decode import Decoder
+
+from .console import Output, say, terminal_width, wants_colour
+from .output.columns import beside, columns
+from .output.text import Paint, make_paint, no_paint
+from .protocols_arg import named
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("protocol", nargs="?", metavar="NAME", help="as -p of `aces decode` takes it")
+    parser.add_argument("message", nargs="?", metavar="MESSAGE")
+    parser.add_argument("--json", action="store_true", help="for programs")
+    parser.add_argument(
+        "--source", action="store_true", help="print the Python generated from the spec to decode it"
+    )
+    parser.add_argument(
+        "--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    name: str | None = arguments.protocol
+    if name is None:
+        return _list(arguments)
+    chosen = named(name)
+    protocol, messages = chosen.protocol, chosen.protocol.declared
+    if chosen.dialect is not None or chosen.configuration is not None:
+        messages = list(chosen.variant().messages.values())
+    if arguments.message is not None:
+        known = [message.name for message in messages]
+        messages = [message for message in messages if message.name == arguments.message]
+        if not messages:
+            raise UnknownNameError(f"message of {name}", arguments.message, known)
+    if arguments.source:
+        _print_source(chosen.variant(), arguments)
+    elif arguments.json:
+        described = [_of_message(m, is_whole=arguments.message is not None) for m in messages]
+        _print_json(
+            described if arguments.message is not None else {**_of_protocol(protocol), "messages": described}
+        )
+    elif arguments.message is not None:
+        _print_messages(messages, Page(arguments.color))
+    else:
+        _print_protocol(protocol, messages, Page(arguments.color))
+    return 0
+
+
+class Page:
+    """Lines for people on stdout: coloured and wrapped on a terminal, neither elsewhere."""
+
+    def __init__(self, colour: bool | None) -> None:
+        is_terminal = Output(None).is_terminal
+        self.is_coloured = wants_colour(colour, is_terminal)
+        self.width = terminal_width() if is_terminal else None
+        self.paint: Paint = make_paint() if self.is_coloured else no_paint
+
+    def lines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            print(line)
+
+    def beside(self, name: str, texts: Sequence[str], style: str) -> None:
+        self.lines(beside(name, texts, self.width, style, self.paint))
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        self.lines(columns(head, rows, self.width, self.paint))
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, ensure_ascii=False, indent=2))
+
+
+# ---------------------------------------------------------------------- all protocols
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    found: list[Protocol] = []
+    status = 0
+    for name in list_protocols():
+        try:
+            found.append(named(name).protocol)
+        except AcesError as error:
+            say(str(error))
+            status = 2
+    if arguments.json:
+        _print_json([{**_of_protocol(protocol), "messages": len(protocol.declared)} for protocol in found])
+        return status
+    page = Page(arguments.color)
+    width = max([len(protocol.name) for protocol in found], default=0)
+    for protocol in found:
+        page.beside(protocol.name.ljust(width), _facts(protocol), "message")
+    return status
+
+
+def _facts(protocol: Protocol) -> list[str]:
+    speed = _speed(protocol)
+    lines = [
+        " · ".join(filter(None, [_LINKS[protocol.link], speed, _count(len(protocol.declared), "message")]))
+    ]
+    if protocol.doc:
+        lines.append(_first_line(protocol.doc))
+    if protocol.dialects:
+        lines.append(f"dialects: {_defaulted(protocol.dialects, protocol.dialect)}")
+    if protocol.configurations:
+        lines.append(f"configurations: {_defaulted(protocol.configurations, protocol.configuration)}")
+    for framing in protocol.framings:
+        lines.append(f"packets: {_framing(framing)}")
+    lines.append(f"check: {_check(protocol)}")
+    return lines
+
+
+_LINKS = {"can": "CAN", "serial": "serial", "datagram": "datagrams"}
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _speed(protocol: Protocol) -> str:
+    if protocol.bitrate is not None:
+        return (
+            f"{protocol.bitrate / 1000:g} kbit/s"
+            if protocol.bitrate < 1_000_000
+            else f"{protocol.bitrate / 1e6:g} Mbit/s"
+        )
+    return f"{protocol.baud} baud" if protocol.baud is not None else ""
+
+
+def _defaulted(names: Iterable[str], default: str | None) -> str:
+    return ", ".join(f"{name} (default)" if name == default else name for name in names)
+
+
+def _framing(framing: Framing) -> str:
+    parts = [f"begin with {framing.sync.hex(' ').upper()}"] if framing.sync else []
+    if framing.fixed_size is not None:
+        parts.append(f"{framing.fixed_size} bytes")
+    elif framing.affine is not None:
+        parts.append(f"size by {framing.affine.length.name}, at most {framing.max_size} bytes")
+    elif framing.end:
+        parts.append(f"end with {framing.end.hex(' ').upper()}, at most {framing.max_size} bytes")
+    else:
+        parts.append(f"end by silence, at most {framing.max_size} bytes")
+    if framing.stuffing is not None:
+        parts.append(f"stuffed ({type(framing.stuffing).__name__})")
+    if framing.gap:
+        parts.append(f"at most {framing.gap:g} s between bytes")
+    return ", ".join(parts)
+
+
+def _check(protocol: Protocol) -> str:
+    checks = [framing.check for framing in protocol.framings] + [m.check for m in protocol.declared]
+    found = list(dict.fromkeys(check.describe for check in checks if check is not None))
+    if protocol.link == "can":
+        return ", ".join(["by the bus", *found])
+    bare = [framing for framing in protocol.framings if framing.check is None]
+    some = [m for m in protocol.declared if m.framing in bare and m.check is None]
+    if not some:
+        return ", ".join(found)
+    return "unchecked" if not found else f"{', '.join(found)}; {_count(len(some), 'message')} unchecked"
+
+
+def _joined(doc: str, names: str) -> str:
+    return f"{doc}{' ' if doc.endswith('.') else '; '}{names}" if doc and names else doc or names
+
+
+def _first_line(text: str) -> str:
+    return text.strip().partition("\n")[0]
+
+
+# ---------------------------------------------------------------------- one protocol
+
+
+def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page) -> None:
+    facts = [
+        *_facts(protocol),
+        *([f"source: {protocol.source}"] if protocol.source else []),
+        f"declared in {protocol.place}",
+    ]
+    page.beside(protocol.name, facts, "message")
+    page.lines([""])
+    rows = []
+    for message in messages:
+        how = _told_by(message)
+        kinds = "".join(f" {k}" for k, given in (("remote", message.remote), ("FD", message.fd)) if given)
+        dialects = ", ".join(sorted(message.dialects)) if message.dialects is not None else ""
+        rows.append(
+            (
+                message.name,
+                how + kinds,
+                _lengths(message),
+                _ARROWS[message.direction],
+                dialects,
+                _first_line(message.doc),
+            )
+        )
+    page.table(("message", "told by", "bytes", "", "dialect", ""), rows)
+    if protocol.register_map is not None:
+        page.lines([""])
+        _print_registers(list(protocol.register_map.values()), page)
+
+
+_ARROWS = {None: "", "to device": "→", "from device": "←"}
+
+
+def _told_by(message: Message) -> str:
+    """What tells a message from others: identifier, matched head fields, constants of the payload."""
+    parts = []
+    if message.protocol.link == "can":
+        parts.append(message.identifier.describe(8 if message.extended else 3))
+    covered = set()
+    for head in message.heads_written:
+        if head.pattern is not None:
+            covered |= set(range(head.offset, head.offset + head.size))
+            own = head.pattern.describe(2 * head.size)
+            if head.is_own and not head.is_constant:
+                own = draw.captured_values(message)[head.pattern.captures[0].name]
+            parts.append(f"{head.name}={own}" if head.name else own)
+    framing = message.framing
+    start = len(framing.sync) if framing is not None else 0
+    for constant in flatten(message).constants:
+        if constant.offset >= start and constant.offset not in covered:
+            mask = "" if constant.mask == 0xFF else f" & {constant.mask:#04x}"
+            parts.append(f"byte {constant.offset}{mask}={constant.value:#04x}")
+    return ", ".join(parts)
+
+
+def _lengths(message: Message) -> str:
+    plan = flatten(message)
+    if message.lengths is not None:
+        return message.describe_lengths.removesuffix(" bytes")
+    if plan.lengths is None:
+        return f"{plan.least}…"
+    return ", ".join(map(str, plan.lengths))
+
+
+def _print_registers(registers: Sequence[Register], page: Page) -> None:
+    rows = []
+    for one in sorted(registers, key=lambda r: r.address):
+        row = _of_register(one)
+        access = {"read": "r", "write": "w", "read-write": "rw"}[one.access]
+        default = f"Default: {row['default']}." if row["default"] else ""
+        doc = " ".join(filter(None, [_joined(one.doc, row["names"]), default]))
+        rows.append((f"{one.address:#04x}", one.name, row["type"], access, row["range"], row["unit"], doc))
+    page.table(("address", "register", "type", "", "range", "unit", ""), rows)
+
+
+def _of_register(register: Register) -> dict[str, Any]:
+    try:
+        row = draw.row_of(register.name, scalar_of(register.field, register.address), register.doc)
+        kind, span, names = row.type, row.range, row.names
+    except NotFlat:
+        kind, span, names = _count(register.size, "byte"), "", ""
+    default: Any = ""
+    if register.default is not None:
+        try:
+            default = register.decode(register.encode(register.default, raw=True))
+            default = f"{default:g}" if isinstance(default, float) else str(default)
+        except (AcesError, ConstructError):
+            default = str(register.default)
+    unit = register.unit or str(getattr(register.field, "unit", ""))
+    return {
+        "address": register.address,
+        "name": register.name,
+        "size": register.size,
+        "type": kind,
+        "access": register.access,
+        "range": span,
+        "unit": unit,
+        "default": default,
+        "names": names,
+        "doc": register.doc,
+        "source": register.source,
+    }
+
+
+# ---------------------------------------------------------------------- one message
+
+
+def _print_messages(messages: Sequence[Message], page: Page) -> None:
+    for index, message in enumerate(messages):
+        if index:
+            page.lines([""])
+        page.beside(f"{message.protocol.name}.{message.name}", [_first_line(message.doc)], "message")
+        for name, text in _template(message):
+            page.beside(f"  {name:<11}", [text], "place")
+        page.lines(["", *draw.picture(message), ""])
+        rows = draw.table(flatten(message), draw.captured_values(message))
+        cells = [
+            (r.name, r.place, r.type, r.unit, r.scale, r.offset, r.range, _joined(r.doc, r.names))
+            for r in rows
+        ]
+        page.table(("field", "place", "type", "unit", "scale", "offset", "range", ""), cells)
+
+
+def _template(message: Message) -> list[tuple[str, str]]:
+    """What says which words are this message."""
+    facts: list[tuple[str, str]] = []
+    if message.protocol.link == "can":
+        values = draw.captured_values(message)
+        parts = [f"{capture.name} {values[capture.name]}" for capture in message.identifier.captures]
+        parts += [
+            k
+            for k, given in (
+                ("29 bits", message.extended),
+                ("remote", message.remote),
+                ("CAN FD", message.fd),
+            )
+            if given
+        ]
+        if parts:
+            facts.append(("identifier", ", ".join(parts)))
+    if told := _told_by(message):
+        facts.append(("told by", told))
+    facts.append(("length", f"{_lengths(message)} bytes"))
+    if message.direction is not None:
+        facts.append(("direction", message.direction))
+    if message.dialects is not None:
+        facts.append(("dialect", ", ".join(sorted(message.dialects))))
+    for condition in message.when:
+        entries = ", ".join(map(str, sorted(condition.values, key=str)))
+        facts.append(("only where", f"{condition.key} of {condition.capture} is {entries}"))
+    if message.reply_to:
+        within = f", within {message.within:g} s" if message.within is not None else ""
+        facts.append(("reply to", ", ".join(map(str, message.reply_to)) + within))
+    if message.after:
+        facts.append(("after", ", ".join(map(str, message.after))))
+    if message.framing is not None and message.framing.stuffing is not None:
+        facts.append(("note", "bytes are counted without stuffing"))
+    plan = flatten(message)
+    if not plan.is_flat:
+        facts.append(("decoded by", f"construct, slower: {plan.opaque}"))
+    if message.source:
+        facts.append(("source", message.source))
+    facts.append(("declared in", str(message.place)))
+    return facts
+
+
+def _print_source(variant: Variant, arguments: argparse.Namespace) -> None:
+    if arguments.message is None:
+        source = print_decoders(variant)
+        if variant.link != "can":
+            scanner = make_scanner([variant], direction="both")
+            assert isinstance(scanner, StreamScanner)
+            source += f"\n\n{scanner.source}"
+    else:
+        setup, lines = Decoder(flatten(variant[arguments.message]), raw=False, guard=True).print()
+        source = "\n".join([*setup, "", "", *lines] if setup else lines) + "\n"
+    if not Page(arguments.color).is_coloured:
+        print(source, end="")
+        return
+    from rich.console import Console
+    from rich.syntax import Syntax
+
+    console = Console(force_terminal=True, width=max(map(len, source.split("\n"))) + 1)
+    console.print(Syntax(source, "python", background_color="default"))
+
+
+# ---------------------------------------------------------------------- for programs
+
+
+def _of_protocol(protocol: Protocol) -> dict[str, Any]:
+    return {
+        "name": protocol.name,
+        "link": protocol.link,
+        "bitrate": protocol.bitrate,
+        "baud": protocol.baud,
+        "dialects": protocol.dialects,
+        "dialect": protocol.dialect,
+        "configurations": list(protocol.configurations),
+        "configuration": protocol.configuration,
+        "framings": [_framing(framing) for framing in protocol.framings],
+        "check": _check(protocol),
+        "doc": protocol.doc,
+        "source": protocol.source,
+        "registers": [_of_register(r) for r in (protocol.register_map or {}).values()],
+    }
+
+
+def _of_message(message: Message, *, is_whole: bool) -> dict[str, Any]:
+    plan = flatten(message)
+    is_can = message.protocol.link == "can"
+    lengths = message.lengths if message.lengths is not None else plan.lengths
+    found: dict[str, Any] = {
+        "name": message.name,
+        "identifier": message.identifier.describe(8 if message.extended else 3) if is_can else None,
+        "told_by": _told_by(message),
+        "extended": message.extended,
+        "remote": message.remote,
+        "fd": message.fd,
+        "lengths": None if lengths is None else list(lengths),
+        "direction": message.direction,
+        "dialects": sorted(message.dialects) if message.dialects is not None else None,
+        "reply_to": [str(request) for request in message.reply_to],
+        "after": [str(request) for request in message.after],
+        "is_flat": plan.is_flat,
+        "doc": message.doc,
+        "source": message.source,
+        "declared": message.place.stable,
+        "fields": list(message.fields),
+    }
+    if is_whole:
+        rows = draw.table(plan, draw.captured_values(message))
+        found["fields"] = [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows]
+        found["picture"] = draw.picture(message)
+    return found

@@ -1,0 +1,231 @@
+"""`-p`: which protocol, in which dialect and configuration.
+
+    hubo                    an installed protocol (`aces protocols` lists them), default dialect and configuration
+    hubo:D08                a dialect
+    hubo:D08@hubo2          a configuration that ships with the protocol
+    hubo@robot.toml         a configuration of your own, from a file
+    my_spec.py              the one protocol that a Python file declares; my_spec.py:NAME where there are several;
+                            dialect and configuration follow as above (my_spec.py:NAME:D08@robot.toml)
+
+A Python file is executed, with all your rights, like any program that you start: name only files that you trust.
+
+A configuration file holds the tables that the protocol's configurations hold, and with `base` only what differs:
+
+    base = "hubo2plus"      # optional: start from this shipped configuration, change the entries below
+    [channels]
+    0x00 = 2
+    0x24 = 3
+
+1. A table that the file names replaces the shipped one; without `base`, all that the protocol needs must be there.
+2. Every complaint names the file, and what would have worked.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import traceback
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
+from aces_bus.protocol import Protocol, Variant, list_protocols, load_protocol
+
+_FILE = re.compile(
+    r"(?P<path>.+\.(?P<kind>py|dbc))(?P<names>(?::[^:@/\\]+)*)(?:@(?P<configuration>.+))?", re.IGNORECASE
+)
+_NAME = re.compile(r"(?P<name>[^:@]+)(?::(?P<dialect>[^:@]+))?(?:@(?P<configuration>.+))?")
+
+SYNTAX = "write NAME, NAME:DIALECT, NAME@CONFIGURATION, NAME@robot.toml or my_spec.py"
+
+
+class Named(NamedTuple):
+    """What a `-p` names: None for what it leaves to the protocol."""
+
+    protocol: Protocol
+    dialect: str | None
+    configuration: str | None
+
+    def variant(self) -> Variant:
+        """The protocol in this dialect and configuration; raises `CallerError` for one that it does not have."""
+        configuration = self.configuration
+        if configuration is None or not configuration.lower().endswith(".toml"):
+            return self.protocol.variant(self.dialect, configuration)
+        return self.protocol.variant(self.dialect, read_configuration(configuration, self.protocol))
+
+
+def parse_protocols(texts: Iterable[str]) -> list[Variant]:
+    """The variants of several `-p`, each once, in the order given."""
+    return list(dict.fromkeys(named(text).variant() for text in texts))
+
+
+def named(text: str) -> Named:
+    """What a `-p` names; raises `CallerError` with what would have worked."""
+    if found := _FILE.fullmatch(text):
+        if found["kind"].lower() == "dbc":
+            raise CallerError(
+                f"{found['path']}: DBC files cannot be used as a protocol yet;"
+                " declare the messages in a Python file and name that: -p my_spec.py"
+            )
+        names = found["names"].split(":")[1:]
+        protocol = _of_file(found["path"], names)
+        if len(names) > 1:
+            raise CallerError(f"-p {text}: nothing named {names[1]!r} is left to choose; {SYNTAX}")
+        return Named(protocol, names[0] if names else None, found["configuration"])
+    found = _NAME.fullmatch(text)
+    if found is None:
+        raise CallerError(f"-p {text!r} is not understood; {SYNTAX}")
+    return Named(_installed(found["name"]), found["dialect"], found["configuration"])
+
+
+def _installed(name: str) -> Protocol:
+    try:
+        return load_protocol(name)
+    except UnknownNameError as unknown:
+        if os.path.exists(f"{name}.py"):
+            raise CallerError(f"{unknown}; the file of that name: -p {name}.py") from None
+        raise
+    except AcesError:
+        raise
+    except Exception as error:  # whatever a package's import may raise
+        raise CallerError(
+            f"protocol {name} ({list_protocols()[name].value}) cannot be imported: {_said(error)}"
+        ) from error
+
+
+# ---------------------------------------------------------------------- Python files
+
+_modules: dict[Path, ModuleType] = {}
+
+
+def _of_file(path: str, names: list[str]) -> Protocol:
+    """The protocol that a Python file declares; takes its name off `names` when that is what comes first there."""
+    module = load_file(path)
+    own = Path(path).resolve()
+    found = {name: value for name, value in vars(module).items() if isinstance(value, Protocol)}
+    if names and names[0] in found:
+        return found[names.pop(0)]
+    declared = {p.name: p for p in found.values() if Path(p.place.file).resolve() == own} or {
+        p.name: p for p in found.values()
+    }
+    if len(declared) == 1:
+        protocol = next(iter(declared.values()))
+        if names and names[0] not in protocol.dialects:
+            raise UnknownNameError(f"dialect or protocol in {path}", names[0], [*protocol.dialects, *found])
+        return protocol
+    if not declared:
+        raise CallerError(f"{path}: declares no Protocol at its top level")
+    if names:
+        raise UnknownNameError(f"protocol in {path}", names[0], found)
+    raise CallerError(
+        f"{path}: declares several protocols; say which: {', '.join(f'{path}:{name}' for name in found)}"
+    )
+
+
+def load_file(path: str) -> ModuleType:
+    """Run a Python file as a module; one inside a package is imported as part of it."""
+    file = Path(path).resolve()
+    if file not in _modules:
+        if not file.is_file():
+            raise CallerError(f"{path}: {'a folder, not a Python file' if file.is_dir() else 'no such file'}")
+        try:
+            _modules[file] = _imported(file)
+        except AcesError:
+            raise
+        except SyntaxError as error:
+            raise CallerError(f"{error.filename or path}:{error.lineno}: {error.msg}") from error
+        except Exception as error:  # whatever the user's own program may raise
+            raise CallerError(f"{_where(error, path)}: {_said(error)}") from error
+    return _modules[file]
+
+
+def _imported(file: Path) -> ModuleType:
+    top, parts = file.parent, [file.stem]
+    while (top / "__init__.py").exists():
+        parts.insert(0, top.name)
+        top = top.parent
+    if str(top) not in sys.path:
+        sys.path.append(str(top))  # last: a file of the user's must not hide a module of ours
+    if len(parts) > 1:
+        module = import_module(".".join(parts))
+        if module.__file__ is None or Path(module.__file__).resolve() != file:
+            raise CallerError(f"{file}: Python finds another {'.'.join(parts)} first: {module.__file__}")
+        return module
+    name = f"aces_spec_{file.stem}_{len(_modules)}"
+    spec = spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _where(error: Exception, path: str) -> str:
+    """The innermost line of the user's file in a traceback."""
+    own = Path(path).resolve()
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).resolve() == own]
+    return f"{path}:{lines[-1]}" if lines else path
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+# ---------------------------------------------------------------------- configuration files
+
+
+def read_configuration(path: str, protocol: Protocol) -> dict[str, Mapping[int, Any]]:
+    """The configuration tables of a TOML file; raises `CallerError` naming file and entry."""
+    import tomllib
+
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise CallerError(f"{path}: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CallerError(f"{path}: not a TOML file: {error}") from error
+    needed = {key for tables in protocol.configurations.values() for key in tables}
+    needed |= {condition.key for message in protocol.declared for condition in message.when}
+    if not needed:
+        raise CallerError(f"{path}: {protocol.name} takes no configuration")
+    base = content.get("base")
+    if base is not None and (not isinstance(base, str) or base not in protocol.configurations):
+        raise UnknownNameError(
+            f"configuration of {protocol.name} (base in {path})", str(base), protocol.configurations
+        )
+    tables: dict[str, Mapping[int, Any]] = dict(protocol.configurations[base]) if base is not None else {}
+    for key in needed & content.keys():
+        given = content[key]
+        if not isinstance(given, dict):
+            raise CallerError(f"{path}: {key} is a table, written as [{key}] with lines such as 0x00 = 2")
+        table = dict(tables.get(key, {}))
+        for number, entry in _numbered(path, key, given).items():
+            table[number] = entry
+        tables[key] = table
+    if missing := sorted(needed - tables.keys()):
+        has = ", ".join(f"[{name}]" for name, value in content.items() if isinstance(value, dict)) or "none"
+        raise CallerError(f"{path}: {protocol.name} needs a table [{missing[0]}] (the file has: {has})")
+    return tables
+
+
+def _numbered(path: str, table: str, given: Mapping[str, Any]) -> dict[int, Any]:
+    found: dict[int, Any] = {}
+    for text, entry in given.items():
+        try:
+            number = int(text, 0) if not text.isdecimal() else int(text)
+        except ValueError:
+            raise CallerError(f"{path}: [{table}] {text!r} is not a number; write 0x2A or 42") from None
+        if number in found:
+            raise CallerError(f"{path}: [{table}] names {number:#04x} twice")
+        found[number] = entry
+    return found
