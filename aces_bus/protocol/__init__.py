@@ -6,9 +6,9 @@ A spec imports its words from here; they are construct's own beside ours. See th
 from __future__ import annotations
 
 from ..frame import Frame as Frame
+from .records import record_types as record_types
 from .scan.can import CanScanner as CanScanner
 from .scan.counts import Counts as Counts
-from .records import record_types as record_types
 from .scan.record import Meta as Meta
 from .scan.record import Part as Part
 from .scan.record import Record as Record

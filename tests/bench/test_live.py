@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from aces_tools.benchmarks.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
-from aces_tools.benchmarks.timing import fastest
 
 from aces_bus.protocol import load_protocol
+from aces_tools.benchmarks.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
+from aces_tools.benchmarks.timing import fastest
 
 Benchmark = Callable[..., Any]
 

@@ -16,7 +16,17 @@ import pytest
 from construct import Array, Byte, Int16ul, Int32sl, Struct
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol import BitLayout, Capture, Flags, Frame, Protocol, Quantity, StreamScanner, bits, load_protocol
+from aces_bus.protocol import (
+    BitLayout,
+    Capture,
+    Flags,
+    Frame,
+    Protocol,
+    Quantity,
+    StreamScanner,
+    bits,
+    load_protocol,
+)
 from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.codegen.load import codec, print_decoders
 from aces_bus.protocol.codegen.print_records import print_records
@@ -39,7 +49,12 @@ def small() -> Protocol:
     protocol.message(
         "Mode",
         id=0x100,
-        payload=BitLayout(3, "mode" / bits(3), "speed" / Quantity(bits(12, signed=True), unit="rpm", scale=0.5), "level" / bits(9)),
+        payload=BitLayout(
+            3,
+            "mode" / bits(3),
+            "speed" / Quantity(bits(12, signed=True), unit="rpm", scale=0.5),
+            "level" / bits(9),
+        ),
     )
     return protocol
 
@@ -48,7 +63,10 @@ def small() -> Protocol:
 def test_generated_source_is_golden(name: str, golden: Golden) -> None:
     """What the printers print for our protocols changes only on purpose."""
     variant = load_protocol(name).variant()
-    golden(f"{name}/records.py.txt", print_records(variant.label, [flatten(m) for m in variant.messages.values()]))
+    golden(
+        f"{name}/records.py.txt",
+        print_records(variant.label, [flatten(m) for m in variant.messages.values()]),
+    )
     golden(f"{name}/decoders.py.txt", print_decoders(variant))
     golden(f"{name}/encoders.py.txt", variant.encoder.source)
     if variant.link != "can":
@@ -71,7 +89,12 @@ def test_the_same_spec_prints_the_same_bytes_in_every_process() -> None:
     for seed, folder in (("0", ROOT), ("12345", ROOT.parent)):
         environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": path}
         done = subprocess.run(
-            [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, check=True
+            [sys.executable, "-c", program],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         outputs.add(done.stdout)
     assert len(outputs) == 1
@@ -146,6 +169,8 @@ def test_two_flag_fields_of_one_name_keep_their_own_names() -> None:
     """Nested records may repeat a field name; each keeps its own flags."""
     protocol = Protocol("twins", link="can")
     motor = {"left": Flags(Byte, hot=0), "right": Flags(Byte, jam=0)}
-    protocol.message("M", id=1, payload=Struct(*(side / Struct("fault" / field) for side, field in motor.items())))
+    protocol.message(
+        "M", id=1, payload=Struct(*(side / Struct("fault" / field) for side, field in motor.items()))
+    )
     record = protocol.scanner().feed([Frame(1, b"\x01\x01")])[0]
     assert (list(record.left.fault), list(record.right.fault)) == (["hot"], ["jam"])

@@ -94,7 +94,7 @@ can.message("M", id=Capture("node", range(64)) << 4 | Capture("command", range(3
         """
 can.message("First", id=0x100, payload=Struct("a" / Int16ul))
 can.message("Second", id=0x0F0 + Capture("node", range(32)), payload=Struct("b" / Int16sl))""",
-        r"{line 3}: message 'Second' is ambiguous with 'First' \({line 2}\): both accept 100#0000; say what tells them apart",
+        r"{line 3}: message 'Second' is ambiguous with 'First' \({line 2}\): both accept 100#0000; say what tells",
     ),
     "two stream messages nobody can tell apart": (
         """

@@ -6,7 +6,16 @@ import pytest
 from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Crc, Frame, InvertedSum, Protocol, Reference, StreamScanner, Unknown, make_scanner
+from aces_bus.protocol import (
+    Crc,
+    Frame,
+    InvertedSum,
+    Protocol,
+    Reference,
+    StreamScanner,
+    Unknown,
+    make_scanner,
+)
 
 
 def servo(gap: float | None = 0.1) -> Protocol:
@@ -108,7 +117,9 @@ def test_a_packet_without_a_message_is_left_to_the_next_protocol() -> None:
 
     def numbered(name: str, opcode: int) -> Protocol:
         protocol = Protocol(name, link="serial")
-        packet = protocol.framing(sync=b"\x55", header=Struct("length" / Byte), size=this.length + 2, max_size=20)
+        packet = protocol.framing(
+            sync=b"\x55", header=Struct("length" / Byte), size=this.length + 2, max_size=20
+        )
         packet(name.title(), payload=Struct(Const(opcode, Byte), "rest" / GreedyBytes))
         return protocol
 
@@ -155,4 +166,8 @@ def test_a_reply_that_its_bytes_tell_uses_up_its_request() -> None:
     assert names(protocol.scanner(everything=True).feed([asked, long])) == ["Ask", "Long1"]
     stray = protocol.scanner(everything=True).feed([asked, short, long])
     assert names(stray) == ["Ask", "Short", "unknown: needs request Ask"]
-    assert [f.message for f in Reference([protocol.variant()]).frames([asked, short, long])] == ["Ask", "Short", None]
+    assert [f.message for f in Reference([protocol.variant()]).frames([asked, short, long])] == [
+        "Ask",
+        "Short",
+        None,
+    ]

@@ -8,8 +8,14 @@ from dataclasses import asdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("subject", choices=["live"], help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk")
-    parser.add_argument("--quick", action="store_true", help="a few seconds instead of a minute; rougher figures")
+    parser.add_argument(
+        "subject",
+        choices=["live"],
+        help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk",
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="a few seconds instead of a minute; rougher figures"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a row instead of the table")
 
 
@@ -37,5 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
         ratio = f"{row.ratio:.2f} ×" if row.ratio is not None else ""
         table.add_row(f"  {row.contender}", f"{row.value:.3g}", row.unit, ratio, row.target, mark)
     console.print(table)
-    console.print("Fastest of several rounds, contenders in turn; only the ratios carry over to other machines.", style="dim")
+    console.print(
+        "Fastest of several rounds, contenders in turn; only the ratios carry over to other machines.",
+        style="dim",
+    )
     return 0

@@ -76,7 +76,9 @@ class Encoder:
         try:
             return bytes(message.struct.build(fields, raw=raw))
         except FieldError as error:
-            raise FieldError(f"{message.name}: {_short(str(error)).removeprefix(f'{message.name}: ')}") from None
+            raise FieldError(
+                f"{message.name}: {_short(str(error)).removeprefix(f'{message.name}: ')}"
+            ) from None
         except (ConstructError, KeyError, TypeError, AttributeError, ValueError) as error:
             raise FieldError(f"{message.name}: {_explain(error, message, fields)}") from None
 
@@ -95,10 +97,22 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
 
 
 #: What printed encoders raise for a value that they leave to construct.
-USUAL_FAILURES = (Unusual, struct.error, AcesError, ConstructError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
+USUAL_FAILURES = (
+    Unusual,
+    struct.error,
+    AcesError,
+    ConstructError,
+    KeyError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+)
 
 
-def quick_encoders(variant: Variant) -> tuple[dict[str, Callable[[dict[str, Any]], Any]], str, dict[str, str]]:
+def quick_encoders(
+    variant: Variant,
+) -> tuple[dict[str, Callable[[dict[str, Any]], Any]], str, dict[str, str]]:
     """The printed encoders of a variant, their source, and why the other messages go through construct."""
     lines = [f'"""Encoders of {variant.label}: generated from its spec."""', ""]
     names: dict[str, Any] = {"Struct": struct.Struct, "Unusual": Unusual}

@@ -30,8 +30,13 @@ def flatten(message: Message) -> p.MessagePlan:
     """The plan of a message."""
     framing = message.framing
     tail = framing.check_size + len(framing.end) if framing is not None else 0
-    base = message.identifier.constant + key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
-    fields = [_capture_field(capture, base, message.identifier.captures, None) for capture in message.identifier.captures]
+    base = message.identifier.constant + key_of(
+        0, extended=message.extended, remote=message.remote, fd=message.fd
+    )
+    fields = [
+        _capture_field(capture, base, message.identifier.captures, None)
+        for capture in message.identifier.captures
+    ]
     fields += [p.PlanField(name, p.FromRequest()) for name in message.request_fields]
     constants: list[p.Constant] = []
     one_of: list[p.OneOf] = []
@@ -112,8 +117,12 @@ def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, 
     return list(dict.fromkeys(found))
 
 
-def _head(head: Head, is_shown: bool, fields: list[p.PlanField], constants: list[p.Constant], one_of: list[p.OneOf]) -> None:
-    number = p.Scalar("uint", head.offset, head.size, _order(head.order), _int_bits(head.offset, head.size, head.order))
+def _head(
+    head: Head, is_shown: bool, fields: list[p.PlanField], constants: list[p.Constant], one_of: list[p.OneOf]
+) -> None:
+    number = p.Scalar(
+        "uint", head.offset, head.size, _order(head.order), _int_bits(head.offset, head.size, head.order)
+    )
     pattern = head.pattern
     if pattern is not None and not pattern.captures:
         raw = head.bytes(pattern.constant)
@@ -124,7 +133,9 @@ def _head(head: Head, is_shown: bool, fields: list[p.PlanField], constants: list
         if values is not None:
             one_of.append(p.OneOf(number, values))
         if not head.is_own:
-            fields.extend(_capture_field(cap, pattern.constant, pattern.captures, number) for cap in pattern.captures)
+            fields.extend(
+                _capture_field(cap, pattern.constant, pattern.captures, number) for cap in pattern.captures
+            )
             return
     if head.name is not None and is_shown:
         scalar = _scalar(head.field, head.offset)
@@ -141,19 +152,28 @@ def _numbers(pattern: Pattern) -> tuple[int, ...] | range | None:
     return tuple(sorted(pattern)) if len(pattern) <= 65536 else None
 
 
-def _capture_field(capture: Capture, constant: int, captures: tuple[Capture, ...], number: p.Scalar | None) -> p.PlanField:
+def _capture_field(
+    capture: Capture, constant: int, captures: tuple[Capture, ...], number: p.Scalar | None
+) -> p.PlanField:
     steps: tuple[p.Step, ...] = ()
     if isinstance(capture.quantity, Enumeration):
         steps = (p.Names(tuple((v, k) for k, v in capture.quantity.names.items())),)
     elif capture.quantity is not None:
         steps = (_scale(capture.quantity),)
-    node = p.FromIdentifier(constant, capture.shift, capture.width, len(captures) == 1, steps, capture.unit, number)
+    node = p.FromIdentifier(
+        constant, capture.shift, capture.width, len(captures) == 1, steps, capture.unit, number
+    )
     return p.PlanField(capture.name, node, doc=capture.doc)
 
 
 def _scale(quantity: Quantity) -> p.Scale:
     return p.Scale(
-        quantity.scale, quantity.offset, quantity.unknown, quantity.range, quantity.raw_range, quantity.rounding
+        quantity.scale,
+        quantity.offset,
+        quantity.unknown,
+        quantity.range,
+        quantity.raw_range,
+        quantity.rounding,
     )
 
 
@@ -162,7 +182,9 @@ def _order(order: str) -> Any:
 
 
 def _int_bits(offset: int, size: int, order: str) -> tuple[int, ...]:
-    return p.big_endian_bits(offset, size) if order == "big" else tuple(range(8 * offset, 8 * (offset + size)))
+    return (
+        p.big_endian_bits(offset, size) if order == "big" else tuple(range(8 * offset, 8 * (offset + size)))
+    )
 
 
 def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
@@ -213,12 +235,24 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
         if kind in "BbHhLlQq":
             signed = kind.islower()
             return p.Scalar(
-                "int" if signed else "uint", offset, inner.length, _order(order), _int_bits(offset, inner.length, order), found, unit
+                "int" if signed else "uint",
+                offset,
+                inner.length,
+                _order(order),
+                _int_bits(offset, inner.length, order),
+                found,
+                unit,
             )
-    if isinstance(inner, c.BytesInteger) and isinstance(inner.length, int) and isinstance(inner.swapped, bool):
+    if (
+        isinstance(inner, c.BytesInteger)
+        and isinstance(inner.length, int)
+        and isinstance(inner.swapped, bool)
+    ):
         order = "little" if inner.swapped else "big"
         kind_ = "int" if inner.signed else "uint"
-        return p.Scalar(kind_, offset, inner.length, _order(order), _int_bits(offset, inner.length, order), found, unit)  # type: ignore[arg-type]
+        return p.Scalar(
+            kind_, offset, inner.length, _order(order), _int_bits(offset, inner.length, order), found, unit
+        )  # type: ignore[arg-type]
     if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:
@@ -318,7 +352,11 @@ class _Builder:
 
     def _select(self, selector: str, fields: list[p.PlanField]) -> None:
         for field in fields:
-            if field.name == selector and isinstance(field.node, p.Scalar) and field.node.kind in ("uint", "int"):
+            if (
+                field.name == selector
+                and isinstance(field.node, p.Scalar)
+                and field.node.kind in ("uint", "int")
+            ):
                 self.selectors[selector] = field.node
                 return
         raise NotFlat(f"selector {selector!r} is not a plain integer")
@@ -359,7 +397,15 @@ class _Builder:
             inner, steps, unit, doc = _peel(slot.field)
             assert isinstance(inner, Bits)
             bits = tuple(base + q for q in slot.positions)
-            scalar = p.Scalar("int" if inner.signed else "uint", self.offset, layout.size, "little", bits, tuple(steps), unit)
+            scalar = p.Scalar(
+                "int" if inner.signed else "uint",
+                self.offset,
+                layout.size,
+                "little",
+                bits,
+                tuple(steps),
+                unit,
+            )
             found.setdefault(slot.name, []).append(scalar)
             docs[slot.name] = doc
             mask = sum(1 << q for q in slot.positions)
@@ -381,7 +427,13 @@ class _Builder:
             fields.append(p.PlanField(name, node, docs[name], whens[name]))
         if layout.has_reserved:
             claimed: list[tuple[int | None, int]] = [(v, always | m) for v, m in sorted(by_value.items())]
-            fields.append(p.PlanField("reserved", p.Rest(self.offset, layout.size, (*claimed, (None, always)), selector), "bits without a field"))
+            fields.append(
+                p.PlanField(
+                    "reserved",
+                    p.Rest(self.offset, layout.size, (*claimed, (None, always)), selector),
+                    "bits without a field",
+                )
+            )
         self._advance(layout.size)
         return fields
 
@@ -402,8 +454,14 @@ class _Builder:
             names = tuple(field.values.items()) if isinstance(field, d.AsciiEnumeration) else ()
             form = "" if conversion in ("text", "names") else field.form
             self.fields.append(
-                p.PlanField(item.name, p.Cell(index, conversion, form, names, field.unit, index >= con.least), item.docs or field.docs or "")
+                p.PlanField(
+                    item.name,
+                    p.Cell(index, conversion, form, names, field.unit, index >= con.least),
+                    item.docs or field.docs or "",
+                )
             )
         if con.more:
-            self.fields.append(p.PlanField("more", p.MoreCells(len(con.fields)), "fields beyond the declared ones"))
+            self.fields.append(
+                p.PlanField("more", p.MoreCells(len(con.fields)), "fields beyond the declared ones")
+            )
         self.is_open = True

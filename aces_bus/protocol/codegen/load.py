@@ -96,7 +96,11 @@ class Codec:
                 names[f"opaque_{plan.name}"] = _opaque(variant.messages[plan.name], variant, raw=raw)
             if plan.is_checked:
                 names[f"holds_{plan.name}"] = _holds(variant.messages[plan.name])
-        space = load(self.source, f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders", names)
+        space = load(
+            self.source,
+            f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders",
+            names,
+        )
         self.decoders: dict[str, Decode] = {name: space[f"decode_{name}"] for name in self.plans}
 
 
@@ -108,7 +112,9 @@ def _holds(message: Message) -> Callable[[bytes, int], bool]:
     end = start + size
 
     def holds(data: bytes, key: int) -> bool:
-        return int.from_bytes(data[start:end], order) == check.compute(message.covered(data, key & 0x1FFF_FFFF))
+        return int.from_bytes(data[start:end], order) == check.compute(
+            message.covered(data, key & 0x1FFF_FFFF)
+        )
 
     return holds
 
@@ -127,9 +133,15 @@ def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -
 def _all_types(variant: Variant) -> dict[str, Any]:
     plans = [flatten(message) for message in variant.messages.values()]
     source = print_records(variant.label, plans)
-    space = load(source, f"aces {variant.label} records", {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any})
+    space = load(
+        source,
+        f"aces {variant.label} records",
+        {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any},
+    )
     found: dict[str, Any] = {
-        k: v for k, v in space.items() if isinstance(v, type) and issubclass(v, (Record, Part)) and v not in (Record, Part)
+        k: v
+        for k, v in space.items()
+        if isinstance(v, type) and issubclass(v, (Record, Part)) and v not in (Record, Part)
     }
     for name, message in variant.messages.items():
         found[name]._protocol = variant.name
@@ -162,7 +174,11 @@ def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     ) -> Any:
         if framing is None:
             image = can_image(
-                key & 0x1FFF_FFFF, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
+                key & 0x1FFF_FFFF,
+                data,
+                extended=bool(key & EXTENDED),
+                remote=bool(key & REMOTE),
+                fd=bool(key & FD),
             )
         else:
             # Stuffed packets come here without stuffing; construct wants what stood on the wire.

@@ -79,7 +79,9 @@ class Scalar:
 
 def big_endian_bits(offset: int, size: int) -> tuple[int, ...]:
     """Canonical bit numbers of a big-endian number of `size` bytes, lowest bit first."""
-    return tuple(p for byte in range(offset + size - 1, offset - 1, -1) for p in range(8 * byte, 8 * byte + 8))
+    return tuple(
+        p for byte in range(offset + size - 1, offset - 1, -1) for p in range(8 * byte, 8 * byte + 8)
+    )
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Prints the check of a framing's packets: a function that says why a packet's check fails, or None.
 
 1. It reads what stands on the wire, and agrees with `Framing.judge`.
-2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number), `texts_N`
-   (numbers as characters).
+2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number),
+   `texts_N` (numbers as characters).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
         key = f"packet[{head.offset}]"
         if head.size > 1:
             key = f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
-        out.line(f"extra = extras_{number}({key})")
+        out.line(f"message = {key}")
+        out.line(f"extra = extras_{number}(message)")
         out.line("if extra is None:")
-        out.line(f'    return f"malformed: no message {{{key}}} to check by"'.replace('"little"', "'little'").replace('"big"', "'big'"))
+        out.line("    return f'malformed: no message {message} to check by'")
     found = computed(check, number, _covered(check, len(framing.sync), back))
     out.line(f"if {_wanted(check, number, found)} != {_stored(check, back)}:")
     out.line("    return 'malformed: checksum'")
@@ -58,7 +59,9 @@ def _covered(check: Check, sync: int, back: int) -> str:
     parts = []
     for part in check.over:
         if isinstance(part, slice):
-            parts.append(f"packet[{'' if part.start is None else part.start}:{'' if part.stop is None else part.stop}]")
+            parts.append(
+                f"packet[{'' if part.start is None else part.start}:{'' if part.stop is None else part.stop}]"
+            )
         elif isinstance(part, bytes):
             parts.append(repr(part))
         else:
@@ -69,7 +72,9 @@ def _covered(check: Check, sync: int, back: int) -> str:
 def _wanted(check: Check, number: int, found: str) -> str:
     if check.text is None:
         return f"({found})" if "&" in found else found
-    return f"texts_{number}[{found}]" if check.bytes == 1 else f'{check.text!r}.format({found}).encode("ascii")'
+    return (
+        f"texts_{number}[{found}]" if check.bytes == 1 else f'{check.text!r}.format({found}).encode("ascii")'
+    )
 
 
 def _stored(check: Check, back: int) -> str:

@@ -7,13 +7,20 @@ from dataclasses import dataclass
 
 from ..spec.pattern import bounds
 from . import plan as p
-from .print_records import groups_of
 from .source import Source, first_line
 
 FORMATS = {
-    **{("uint", 1): "B", ("uint", 2): "H", ("uint", 4): "I", ("uint", 8): "Q"},
-    **{("int", 1): "b", ("int", 2): "h", ("int", 4): "i", ("int", 8): "q"},
-    **{("float", 2): "e", ("float", 4): "f", ("float", 8): "d"},
+    ("uint", 1): "B",
+    ("uint", 2): "H",
+    ("uint", 4): "I",
+    ("uint", 8): "Q",
+    ("int", 1): "b",
+    ("int", 2): "h",
+    ("int", 4): "i",
+    ("int", 8): "q",
+    ("float", 2): "e",
+    ("float", 4): "f",
+    ("float", 8): "d",
 }
 
 TRANSPORT = "time, channel, key, raw, rx"
@@ -34,7 +41,8 @@ class Decoder:
 
     The function is `decode_Name(data, key, time, channel, raw, rx)`: `data` are the frame's data bytes or the packet
     without stuffing, the rest is the transport's; messages that show fields of their request take it last. It gives the
-    record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`, which raises `struct.error`.
+    record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`,
+    which raises `struct.error`.
     """
 
     def __init__(self, plan: p.MessagePlan, *, raw: bool, guard: bool = True) -> None:
@@ -53,7 +61,9 @@ class Decoder:
         """(module-level lines, function lines)."""
         plan, out = self.plan, self.body
         needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
-        out.line(f"def decode_{plan.name}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):")
+        out.line(
+            f"def decode_{plan.name}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):"
+        )
         out.depth = 1
         out.line(f'"""{first_line(plan.doc) or plan.name} ({plan.place})"""')
         if not plan.is_flat:
@@ -162,7 +172,7 @@ class Decoder:
         loose = [s for s in dict.fromkeys(present) if s.kind in ("uint", "int") and s not in whole]
         for start, end, order in _clusters(loose):
             size = end - start
-            if size > 4 and size < 8 or size > 8 or any(a < end and start < b for a, b in taken):
+            if (size > 4 and size < 8) or size > 8 or any(a < end and start < b for a, b in taken):
                 continue
             chunks.append((start, end, order if size > 1 else "", None))
             taken.append((start, end))
@@ -172,7 +182,9 @@ class Decoder:
         for order in sorted(orders, reverse=True) or ([""] if chunks else []):
             mine = [c for c in chunks if c[2] == order or (c[2] == "" and order == max(orders, default=""))]
             self._unpack_call(sorted(mine, key=lambda c: c[0]), order)
-        for start, end, order in _clusters([s for s in loose if self._cell_of(s) is None and not _one_byte(s)]):
+        for start, end, order in _clusters(
+            [s for s in loose if self._cell_of(s) is None and not _one_byte(s)]
+        ):
             if sum(start <= s.bits[0] // 8 < end for s in loose) > 1:
                 name = f"word{len(self.cells)}"
                 self.cells.append(Cell(name, start, end, order or "little"))
@@ -200,7 +212,11 @@ class Decoder:
             elif size == 3:
                 text += "BH" if order == "big" else "HB"
                 names += [f"{name}a", f"{name}b"]
-                after.append(f"{name} = {name}a << 16 | {name}b" if order == "big" else f"{name} = {name}a | {name}b << 16")
+                after.append(
+                    f"{name} = {name}a << 16 | {name}b"
+                    if order == "big"
+                    else f"{name} = {name}a | {name}b << 16"
+                )
             else:
                 text += FORMATS["uint", size]
                 names.append(name)
@@ -218,7 +234,11 @@ class Decoder:
         first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
         order = _run_order(scalar)
         for cell in self.cells:
-            if cell.start <= first and last < cell.end and (cell.order == order or cell.end - cell.start == 1):
+            if (
+                cell.start <= first
+                and last < cell.end
+                and (cell.order == order or cell.end - cell.start == 1)
+            ):
                 return cell
         return None
 
@@ -254,7 +274,11 @@ class Decoder:
         order = _run_order(scalar)
         if cell is None:
             first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
-            text = f"data[{first}]" if first == last else f'from_bytes({self._slice(first, last + 1)}, "{order}")'
+            text = (
+                f"data[{first}]"
+                if first == last
+                else f'from_bytes({self._slice(first, last + 1)}, "{order}")'
+            )
             cell = Cell(text, first, last + 1, order)
         if cell.order == "little" or cell.end - cell.start == 1:
             positions = [b - 8 * cell.start for b in scalar.bits]
@@ -304,7 +328,11 @@ class Decoder:
 
     def _scalar(self, scalar: p.Scalar, name: str) -> str:
         if scalar.kind in ("bytes", "text"):
-            end = f"{scalar.offset + scalar.size}" if scalar.size is not None else (f"-{self.plan.tail}" if self.plan.tail else "")
+            end = (
+                f"{scalar.offset + scalar.size}"
+                if scalar.size is not None
+                else (f"-{self.plan.tail}" if self.plan.tail else "")
+            )
             text = f"data[{scalar.offset}:{end}]"
             if scalar.kind == "bytes" or self.raw:
                 return text
@@ -349,7 +377,11 @@ class Decoder:
                 if small:
                     number = f"{table}[{number}]"
                 else:
-                    number = f"{table}({number}, {number})" if number.isidentifier() else f"{table}((n := {number}), n)"
+                    number = (
+                        f"{table}({number}, {number})"
+                        if number.isidentifier()
+                        else f"{table}((n := {number}), n)"
+                    )
             else:
                 table = self._table(f"_flags_{self.plan.name}_{name}", f"flags({dict(step.bits)!r})")
                 number = f"{table}[{number}]"
@@ -370,7 +402,12 @@ class Decoder:
         before = number
         if step.unknown:
             before = "q"
-        text = before if before.isidentifier() or before.startswith("(") and before.endswith(")") and _balanced(before) else f"({before})"
+        text = (
+            before
+            if before.isidentifier()
+            or (before.startswith("(") and before.endswith(")") and _balanced(before))
+            else f"({before})"
+        )
         if step.offset:
             text = f"{text} * {step.scale!r}" if step.scale != 1 else text
             text += f" - {-step.offset!r}" if step.offset < 0 else f" + {step.offset!r}"
@@ -419,7 +456,11 @@ class Decoder:
         start = split.start + (len(split.separator) if split.lead else 0)
         out.line(f"cells = data[{start}:{end}].split({split.separator!r})")
         out.line("count = len(cells)")
-        out.line(f"if count < {split.least}:" if split.most is None else f"if not {split.least} <= count <= {split.most}:")
+        out.line(
+            f"if count < {split.least}:"
+            if split.most is None
+            else f"if not {split.least} <= count <= {split.most}:"
+        )
         out.line("    return None")
         for field in self.plan.fields:
             node = field.node
@@ -462,7 +503,9 @@ def format_of(scalar: p.Scalar) -> str:
 
 def _clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:
     """Byte ranges that the scalars cover, merged where they overlap, with the byte order that suits all in it."""
-    spans = sorted((min(s.bits) // 8, max(s.bits) // 8 + 1, "" if _one_byte(s) else _run_order(s)) for s in scalars)
+    spans = sorted(
+        (min(s.bits) // 8, max(s.bits) // 8 + 1, "" if _one_byte(s) else _run_order(s)) for s in scalars
+    )
     found: list[tuple[int, int, str]] = []
     for start, end, order in spans:
         if found and start < found[-1][1]:

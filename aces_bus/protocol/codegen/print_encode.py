@@ -62,12 +62,16 @@ class _Encoder:
         out.depth = 1
         out.line(f"if len(fields) != {len(names)}:")
         out.line("    raise Unusual")
-        identifier = self._number(message.identifier.constant, [(c.name, c.shift) for c in message.identifier.captures])
+        identifier = self._number(
+            message.identifier.constant, [(c.name, c.shift) for c in message.identifier.captures]
+        )
         head, start = self._head(), message.payload_start
         scalars: list[tuple[p.Scalar, str, str]] = []
         for field in plan.fields:
             node = field.node
-            if isinstance(node, (p.FromIdentifier, p.FromRequest)) or field.name in {h.name for h in message.heads}:
+            if isinstance(node, (p.FromIdentifier, p.FromRequest)) or field.name in {
+                h.name for h in message.heads
+            }:
                 continue
             if field.name == "reserved" and isinstance(node, p.Rest):
                 if any(value is not None for value, _ in node.claimed):
@@ -77,7 +81,9 @@ class _Encoder:
                 scalars.append((node, field.name, f'fields["{field.name}"]'))
             elif isinstance(node, p.Many):
                 variables = [self._temporary() for _ in node.items]
-                out.line(f'{", ".join(variables)}{"," if len(variables) == 1 else ""} = fields["{field.name}"]')
+                out.line(
+                    f'{", ".join(variables)}{"," if len(variables) == 1 else ""} = fields["{field.name}"]'
+                )
                 for item, variable in zip(node.items, variables, strict=True):
                     if not isinstance(item, p.Scalar):
                         raise NoEncoder("nested records")
@@ -102,7 +108,11 @@ class _Encoder:
     def _head(self) -> str:
         """The header and prefix; the length is written by the framing."""
         message = self.message
-        derived = message.framing.affine.length.name if message.framing is not None and message.framing.affine else None
+        derived = (
+            message.framing.affine.length.name
+            if message.framing is not None and message.framing.affine
+            else None
+        )
         parts = []
         for head in message.heads_written:
             if derived is not None and head.name == derived:
@@ -147,7 +157,13 @@ class _Encoder:
             pieces = words.setdefault(key, [])
             for at, to, width in runs_of(positions):
                 whole = width == len(scalar.bits)
-                piece = masked if whole else f"({masked} >> {to} & {(1 << width) - 1:#x})" if to else f"({masked} & {(1 << width) - 1:#x})"
+                piece = (
+                    masked
+                    if whole
+                    else f"({masked} >> {to} & {(1 << width) - 1:#x})"
+                    if to
+                    else f"({masked} & {(1 << width) - 1:#x})"
+                )
                 pieces.append(f"{piece} << {at}" if at else piece)
         return self._packed(cells, words, constants, start, size) + (f" + {tail}" if tail else "")
 
@@ -169,7 +185,11 @@ class _Encoder:
         runs: list[list[_Packed]] = []
         for cell in sorted(cells, key=lambda c: c.offset):
             order = runs[-1][0].order if runs else ""
-            if runs and runs[-1][-1].end == cell.offset and (not cell.order or not order or cell.order == order):
+            if (
+                runs
+                and runs[-1][-1].end == cell.offset
+                and (not cell.order or not order or cell.order == order)
+            ):
                 runs[-1].append(cell)
                 if not order:
                     runs[-1][0] = replace(runs[-1][0], order=cell.order)
@@ -206,7 +226,7 @@ class _Encoder:
                 text = self._unscaled(step, text, scalar.kind == "float")
             elif isinstance(step, p.Names):
                 table = f"_numbers_{self.plan.name}_{name}"
-                line = f"{table} = {({v: k for k, v in step.values})!r}"
+                line = f"{table} = { ({v: k for k, v in step.values})!r}"
                 if line not in self.setup:
                     self.setup.append(line)
                 text = f"{table}.get({text}, {text})"
@@ -240,7 +260,11 @@ class _Encoder:
         if step.scale == 1 and not step.offset:
             number = given
         else:
-            number = f"({given} - {step.offset!r}) / {step.scale!r}" if step.offset else f"{given} / {step.scale!r}"
+            number = (
+                f"({given} - {step.offset!r}) / {step.scale!r}"
+                if step.offset
+                else f"{given} / {step.scale!r}"
+            )
         if not is_float:
             number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
         if step.raw_bounds is not None:

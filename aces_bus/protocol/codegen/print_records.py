@@ -35,7 +35,9 @@ def type_of(node: p.Node, *, raw: bool = False) -> str:
     if isinstance(node, p.Cell):
         if raw:
             return "str | None"
-        kind = {"text": "str", "number": "float", "integer": "int", "degrees": "float", "names": "str"}[node.conversion]
+        kind = {"text": "str", "number": "float", "integer": "int", "degrees": "float", "names": "str"}[
+            node.conversion
+        ]
         return f"{kind} | None"
     if isinstance(node, p.MoreCells):
         return "tuple[str, ...]"
@@ -43,7 +45,13 @@ def type_of(node: p.Node, *, raw: bool = False) -> str:
 
 
 def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
-    base = {"uint": "int", "int": "int", "float": "float", "bytes": "bytes", "text": "bytes" if raw else "str"}[kind]
+    base = {
+        "uint": "int",
+        "int": "int",
+        "float": "float",
+        "bytes": "bytes",
+        "text": "bytes" if raw else "str",
+    }[kind]
     if raw:
         return base
     for step in steps:
@@ -81,7 +89,9 @@ def groups_of(fields: Iterable[p.PlanField]) -> list[p.Group]:
 def part_names(plan: p.MessagePlan) -> list[str]:
     """Names of the nested records of an opaque message: their path, numbered where one path has several shapes."""
     paths = [path for path, _ in plan.parts]
-    return [path if paths.count(path) == 1 else f"{path}_{paths[:n].count(path)}" for n, path in enumerate(paths)]
+    return [
+        path if paths.count(path) == 1 else f"{path}_{paths[:n].count(path)}" for n, path in enumerate(paths)
+    ]
 
 
 def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:

@@ -15,7 +15,6 @@ from .choose import Choice
 from .print_check import computed, print_check
 from .source import Source
 
-
 ARGUMENTS = "data, key, time, channel, raw, rx"
 
 
@@ -58,7 +57,9 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
             print_check(out, number, framing)
     out.line("def scan(buffer, base, i, stop, silent, time, emit, lose, state):")
     out.depth = 1
-    out.line('"""Decide `buffer` from `i` to `stop`, or as far as can be; `base` is its offset in the stream."""')
+    out.line(
+        '"""Decide `buffer` from `i` to `stop`, or as far as can be; `base` is its offset in the stream."""'
+    )
     out.line("end = len(buffer)")
     out.line("starts = buffer.startswith")
     out.line("while i < stop:")
@@ -237,7 +238,9 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
             start = f"i + {plain}" if plain else "i"
             stored = _stored(check, "j")
             out.line(f"if base + {start} <= sums_{number}.end:")
-            out.line(f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}")
+            out.line(
+                f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}"
+            )
             out.line("else:")
             out.line(f"    good = {computed(check, number, f'buffer[{start}:{end}]')} == {stored}")
             out.line("    if not good:")
@@ -319,7 +322,6 @@ def plain_cover(check: Check, sync: int, size: int) -> int | None:
     if part.stop not in (-size,) or (part.start or 0) < 0:
         return None
     return part.start or 0
-
 
 
 def _stored(check: Check, end: str) -> str:

@@ -20,7 +20,7 @@ from ..spec.message import Direction, Message
 from ..spec.packet import LengthError, WrongCheckError, can_image
 from ..spec.protocol import Variant
 from .counts import Counts
-from .decider import REMEMBERED, Decode, Decider
+from .decider import REMEMBERED, Decider, Decode
 from .record import Meta, Unknown
 
 #: Identifier patterns up to this many numbers are spelt out in the table; larger ones are matched and then remembered.
@@ -59,7 +59,8 @@ class _Wire(Decider):
         return [
             m
             for m in messages
-            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key and m.identifier.match(identifier) is not None
+            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key
+            and m.identifier.match(identifier) is not None
         ]
 
     def lookup(self, key: int) -> Decode | None:
@@ -79,7 +80,9 @@ class _Wire(Decider):
             self.forget_need()
             return need
         identifier = key & 0x1FFF_FFFF
-        image = can_image(identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD))
+        image = can_image(
+            identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
+        )
         for message in self.candidates(key):
             try:
                 message.struct.parse(image, raw=True)

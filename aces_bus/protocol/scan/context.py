@@ -41,7 +41,9 @@ class Link:
 class Context:
     """What has been asked on each channel."""
 
-    def __init__(self, messages: Sequence[Message], names: frozenset[str], broadcast: Mapping[str, int]) -> None:
+    def __init__(
+        self, messages: Sequence[Message], names: frozenset[str], broadcast: Mapping[str, int]
+    ) -> None:
         self._links: dict[str, list[Link]] = {}
         self._kinds: dict[str, set[tuple[str, ...]]] = {}
         self._seen: dict[tuple[Any, ...], list[Entry]] = {}
@@ -124,7 +126,9 @@ class Context:
                         return message, latest.values
         return None
 
-    def pending(self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None) -> Mapping[str, Any] | None:
+    def pending(
+        self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
+    ) -> Mapping[str, Any] | None:
         """The request that a reply with these outer fields would answer: for payloads whose layout is in their request."""
         latest: Entry | None = None
         for link in self._links[message.name]:

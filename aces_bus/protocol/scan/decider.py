@@ -95,7 +95,11 @@ class Decider:
             name = f"choose_{len(self._chosen)}"
             print_choice(out, name, choice)
             self.source += out.text()
-            space = load(out.text(), f"aces {self.variant.label} {name}", {f"decode_{n}": f for n, f in functions.items()})
+            space = load(
+                out.text(),
+                f"aces {self.variant.label} {name}",
+                {f"decode_{n}": f for n, f in functions.items()},
+            )
             decode = space[name]
         if bound:
             return self._with_context(bound, decode)
@@ -137,10 +141,18 @@ class Decider:
             fitting = []
             for message in bound:
                 seen = raw[message.name](data, key, time, channel, packet, rx)
-                if seen is None and message.request_fields and (outer := message.outer(data, key & 0x1FFF_FFFF)) is not None:
+                if (
+                    seen is None
+                    and message.request_fields
+                    and (outer := message.outer(data, key & 0x1FFF_FFFF)) is not None
+                ):
                     # The layout may be in the request.
                     request = context.pending(message, outer, channel, time)
-                    seen = raw[message.name](data, key, time, channel, packet, rx, request) if request is not None else None
+                    seen = (
+                        raw[message.name](data, key, time, channel, packet, rx, request)
+                        if request is not None
+                        else None
+                    )
                 if seen is not None:
                     fitting.append((message, _values(seen)))
             if fitting:

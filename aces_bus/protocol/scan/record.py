@@ -113,7 +113,9 @@ def _plain(value: Any) -> Any:
 def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
     """What construct parsed, as records have it: containers become nested records, lists tuples."""
     if isinstance(value, dict):
-        inside = {k: from_container(v, types, f"{path}_{k}") for k, v in value.items() if not str(k).startswith("_")}
+        inside = {
+            k: from_container(v, types, f"{path}_{k}") for k, v in value.items() if not str(k).startswith("_")
+        }
         return types[path, tuple(inside)](**inside)
     if isinstance(value, list):
         return tuple(from_container(item, types, path) for item in value)

@@ -60,7 +60,9 @@ class Reference:
 
     # ------------------------------------------------------------------ one packet
 
-    def _decode(self, image: bytes, channel: Any, time: float | None, framing: Framing | None) -> tuple[str, Message | None, Any]:
+    def _decode(
+        self, image: bytes, channel: Any, time: float | None, framing: Framing | None
+    ) -> tuple[str, Message | None, Any]:
         """(reason, message, fields) of one whole packet."""
         lost = "unknown"
         for _, messages, contextual, context in self.sides:
@@ -76,13 +78,19 @@ class Reference:
                     continue
                 except LengthError:
                     size = len(image) - 5
-                    problem = problem or f"malformed: length {size}, {message.name} has {message.describe_lengths}"
+                    problem = (
+                        problem or f"malformed: length {size}, {message.name} has {message.describe_lengths}"
+                    )
                     continue
                 except WrongCheckError:
                     problem = problem or "malformed: checksum"
                     continue
                 except (ConstructError, AcesError):
-                    values = self._by_request(context, message, image, channel, time) if message.name in contextual else None
+                    values = (
+                        self._by_request(context, message, image, channel, time)
+                        if message.name in contextual
+                        else None
+                    )
                     if values is None:
                         continue
                 if message.name in contextual:
@@ -104,13 +112,19 @@ class Reference:
         return lost, None, None
 
     @staticmethod
-    def _by_request(context: Context, message: Message, image: bytes, channel: Any, time: float | None) -> Any:
+    def _by_request(
+        context: Context, message: Message, image: bytes, channel: Any, time: float | None
+    ) -> Any:
         """A reply whose layout is in its request, read with the request that is waiting for it; None when it is not one."""
         if message.framing is None:
             outer = message.outer(image[5:], int.from_bytes(image[:4], "big") & 0x1FFF_FFFF)
         else:
             outer = message.outer(message.framing.logical(image), 0)
-        request = context.pending(message, outer, channel, time) if outer is not None and message.request_fields else None
+        request = (
+            context.pending(message, outer, channel, time)
+            if outer is not None and message.request_fields
+            else None
+        )
         try:
             return message.struct.parse(image, raw=True, request=request) if request is not None else None
         except (ConstructError, AcesError):
@@ -157,7 +171,9 @@ class Reference:
             )
             reason, message, fields = self._decode(image, frame.channel, frame.timestamp, None)
             name = message.name if message is not None else None
-            found.append(Found(number, 1, name, fields, reason, message.protocol.name if message is not None else None))
+            found.append(
+                Found(number, 1, name, fields, reason, message.protocol.name if message is not None else None)
+            )
         return found
 
     # ------------------------------------------------------------------ bytes
@@ -180,9 +196,14 @@ class Reference:
         start = self._until(data, start, found, silent=True)
         for index, item in enumerate(found):
             behind = found[index:]
-            if item.reason == "malformed: incomplete" and not any(f.message or f.reason.startswith("unknown") for f in behind):
+            if item.reason == "malformed: incomplete" and not any(
+                f.message or f.reason.startswith("unknown") for f in behind
+            ):
                 if item.offset >= (max(idle_at) if idle_at else 0) or not idle_at:
-                    return [*found[:index], Found(item.offset, len(data) - item.offset, None, None, "pending")]
+                    return [
+                        *found[:index],
+                        Found(item.offset, len(data) - item.offset, None, None, "pending"),
+                    ]
         return found
 
     def _until(self, data: bytes, start: int, found: list[Found], *, silent: bool) -> int:

@@ -21,7 +21,6 @@ from .stream import StreamScanner
 GROUP = "aces_bus.protocols"
 
 
-
 class Scanner(typing.Protocol):
     """What every scanner does; `CanScanner` and `StreamScanner` say how."""
 
@@ -92,7 +91,9 @@ def list_protocols() -> dict[str, EntryPoint]:
     for point in entry_points(group=GROUP):
         other = found.get(point.name)
         if other is not None and other.value != point.value:
-            raise SpecError(f"two packages claim the protocol name {point.name!r}: {other.value} and {point.value}")
+            raise SpecError(
+                f"two packages claim the protocol name {point.name!r}: {other.value} and {point.value}"
+            )
         found[point.name] = point
     return found
 

@@ -85,7 +85,11 @@ class StreamScanner:
         self._failure: Callable[[bytes], str | None] | None = None
         if len(framings) == 1 and has_size(self.framings[0]) and self.framings[0].stuffing is None:
             framing = self.framings[0]
-            cover = plain_cover(framing.check, len(framing.sync), framing.check_size) if framing.check is not None else None
+            cover = (
+                plain_cover(framing.check, len(framing.sync), framing.check_size)
+                if framing.check is not None
+                else None
+            )
             from .find import Finder  # NumPy is loaded only where a stream is read
 
             self._finder = Finder(framing, cover)
@@ -109,7 +113,9 @@ class StreamScanner:
         for decider in self._deciders:
             decider.reset()
 
-    def _bind(self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]) -> None:
+    def _bind(
+        self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]
+    ) -> None:
         """The helpers that the printed text calls by name."""
         check = framing.check
         extras: dict[int, bytes] | None = None
@@ -183,7 +189,9 @@ class StreamScanner:
         if self._finder is not None and len(data) >= WORTH and 2 * len(data) >= len(buffer):
             reached = self._stride(buffer, base, time, found, lose)
         if reached < len(buffer):
-            reached = self._scan(buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state)
+            reached = self._scan(
+                buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state
+            )
         self._base += reached
         self._buffer = buffer[reached:]
         self.counts.decoded += reached - lost
@@ -202,7 +210,12 @@ class StreamScanner:
         return found
 
     def _stride(
-        self, buffer: bytes, base: int, time: float | None, found: list[Any], lose: Callable[[int, int, str], None]
+        self,
+        buffer: bytes,
+        base: int,
+        time: float | None,
+        found: list[Any],
+        lose: Callable[[int, int, str], None],
     ) -> int:
         """Accept what `Finder` proposes, in order; the bytes between are left to the scan function. Gives what is done."""
         assert self._finder is not None
@@ -212,7 +225,13 @@ class StreamScanner:
             # The scan function asks them too, for what stands between.
             self._sums[0].lend(base, base + finder.summed, *finder.sums)
             self._state.work += finder.summed
-        decode, scan, emit, state, failure = self._decode, self._scan, found.append, self._state, self._failure
+        decode, scan, emit, state, failure = (
+            self._decode,
+            self._scan,
+            found.append,
+            self._state,
+            self._failure,
+        )
         mark = self.framings[0].sync[:1]
         at = 0
         for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
@@ -308,7 +327,9 @@ class StreamScanner:
 
     def _unknown(self, offset: int, reason: str, data: bytes) -> Unknown:
         direction = self.direction if self.direction != "both" else None
-        return Unknown(reason, Meta(None, None, self._time, None, direction, data, offset=offset, size=len(data)))
+        return Unknown(
+            reason, Meta(None, None, self._time, None, direction, data, offset=offset, size=len(data))
+        )
 
     # ------------------------------------------------------------------ requests, and what tests look at
 
@@ -344,7 +365,9 @@ def _fletcher(data: bytes) -> int:
     return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
 
 
-def _judge(framing: Framing, extras: dict[int, bytes] | None) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
+def _judge(
+    framing: Framing, extras: dict[int, bytes] | None
+) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
     def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
         judged = framing.judge(buffer, start, silent=silent, extras=extras)
         if judged.verdict is Verdict.WHOLE:

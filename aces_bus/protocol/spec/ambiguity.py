@@ -49,7 +49,8 @@ def check_against(made: Message, declared: Sequence[Message]) -> None:
         if found is not None:
             raise SpecError(
                 f"{made.place}: message {made.name!r} is ambiguous with {other.name!r} ({other.place}): {found.how};"
-                f" say what tells them apart (direction, dialect, when, reply_to, after) or order them with over={other.name!r}"
+                " say what tells them apart (direction, dialect, when, reply_to, after)"
+                f" or order them with over={other.name!r}"
             )
 
 
@@ -105,7 +106,9 @@ def needing_context(messages: Sequence[Message]) -> frozenset[str]:
     for message in messages:
         if not message.reply_to and not message.after:
             continue
-        if message.request_fields or any(conflict(message, other) for other in messages if other is not message):
+        if message.request_fields or any(
+            conflict(message, other) for other in messages if other is not message
+        ):
             found.add(message.name)
     return frozenset(found)
 
@@ -133,13 +136,18 @@ def _demands(message: Message, length: int | None) -> tuple[dict[int, int], list
         for bit in range(8):
             if constant.mask >> bit & 1:
                 fixed[8 * constant.offset + bit] = constant.value >> bit & 1
-    choices = [_Choice(one.number.bits, one.values if isinstance(one.values, range) else frozenset(one.values)) for one in plan.one_of]
+    choices = [
+        _Choice(one.number.bits, one.values if isinstance(one.values, range) else frozenset(one.values))
+        for one in plan.one_of
+    ]
     if plan.lengths_by is not None and length is not None:
         name, table, other = plan.lengths_by
         bits = dict(plan.selectors)[name].bits
         known = {value & ((1 << len(bits)) - 1): size for value, size in table}
         if other == length:
-            choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size != length), excluded=True))
+            choices.append(
+                _Choice(bits, frozenset(v for v, size in known.items() if size != length), excluded=True)
+            )
         else:
             choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size == length)))
     return fixed, choices
@@ -186,7 +194,9 @@ def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
             yield number
         return
     if not choice.excluded:
-        yield from (n for n in sorted(choice.values) if all(n >> i & 1 == value for i, value in known.items()))
+        yield from (
+            n for n in sorted(choice.values) if all(n >> i & 1 == value for i, value in known.items())
+        )
         return
     base = sum(value << i for i, value in known.items())
     free = [i for i in range(len(choice.bits)) if i not in known]
@@ -215,7 +225,8 @@ def _can_conflict(one: Message, other: Message) -> Conflict | None:
 
 def _framings_conflict(one: Message, other: Message) -> Conflict | None:
     a, b = one.framing, other.framing
-    assert isinstance(a, Framing) and isinstance(b, Framing)
+    assert isinstance(a, Framing)
+    assert isinstance(b, Framing)
     # Stuffing of whole packets moves their bytes: then only what stands on the wire can be compared.
     moved = any(isinstance(f.stuffing, Stuffing) and not isinstance(f.stuffing, Insert) for f in (a, b))
     if not moved and _merge(one, other, None) is None:
@@ -224,7 +235,11 @@ def _framings_conflict(one: Message, other: Message) -> Conflict | None:
     if a.sync[:shared] != b.sync[:shared]:
         return None
     for first, second in ((a, b), (b, a)):
-        if first.not_next and len(second.sync) > len(first.sync) and second.sync[len(first.sync)] in first.not_next:
+        if (
+            first.not_next
+            and len(second.sync) > len(first.sync)
+            and second.sync[len(first.sync)] in first.not_next
+        ):
             return None
     for message, against in ((one, other), (other, one)):
         witness = _search(message, against)
@@ -256,9 +271,15 @@ def _search(one: Message, other: Message) -> bytes | None:
     rng = random.Random(0)
     for size in [*range(24), 32, 48, 64]:
         for attempt in range(12):
-            head = bytes(fixed.get(framing.head_end - sum(h.size for h in framing.heads) + i, 0) for i in range(sum(h.size for h in framing.heads)))
+            head = bytes(
+                fixed.get(framing.head_end - sum(h.size for h in framing.heads) + i, 0)
+                for i in range(sum(h.size for h in framing.heads))
+            )
             body = bytes(
-                fixed.get(framing.head_end + i, 0 if attempt == 0 else 0x2C if attempt == 1 else rng.randrange(256)) for i in range(size)
+                fixed.get(
+                    framing.head_end + i, 0 if attempt == 0 else 0x2C if attempt == 1 else rng.randrange(256)
+                )
+                for i in range(size)
             )
             try:
                 packet = one.struct.framed(framing, head, body)

@@ -11,8 +11,7 @@ from __future__ import annotations
 import io
 from typing import Any
 
-from construct import Construct, Container, IntegerError, ListContainer, Renamed
-from construct import stream_read
+from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
 
 from ...errors import FieldError, SpecError
 from .fields import Multiplexed, innermost
@@ -23,7 +22,12 @@ class Bits(Construct):
     """An integer of `width` bits in a `BitLayout`; see `bits` and `Split`, which make it."""
 
     def __init__(
-        self, width: int, pieces: tuple[tuple[int, int], ...] | None, *, signed: bool = False, order: str | None = None
+        self,
+        width: int,
+        pieces: tuple[tuple[int, int], ...] | None,
+        *,
+        signed: bool = False,
+        order: str | None = None,
     ) -> None:
         super().__init__()
         self.place = caller()
@@ -86,7 +90,9 @@ class Tuple(Construct):
 class Slot:
     """A field's place in a layout: its name, its construct and the canonical numbers of its bits."""
 
-    def __init__(self, name: str, field: Construct, positions: tuple[int, ...], mux: Multiplexed | None) -> None:
+    def __init__(
+        self, name: str, field: Construct, positions: tuple[int, ...], mux: Multiplexed | None
+    ) -> None:
         self.name, self.field, self.positions, self.mux = name, field, positions, mux
 
 
@@ -122,7 +128,9 @@ class BitLayout(Construct):
         if not name:
             raise SpecError(f"{self.place}: every field of a bit layout needs a name")
         if name in self.names or name == "reserved":
-            raise SpecError(f"{self.place.of_field(name)}: field {name!r} is there twice or taken (bits left out are 'reserved')")
+            raise SpecError(
+                f"{self.place.of_field(name)}: field {name!r} is there twice or taken (bits left out are 'reserved')"
+            )
         self.names.append(name)
         body = field.subcon if isinstance(field, Renamed) else field
         mux = body if isinstance(body, Multiplexed) else None
@@ -155,7 +163,12 @@ class BitLayout(Construct):
     def _check_overlap(self) -> None:
         for index, one in enumerate(self.slots):
             for other in self.slots[:index]:
-                if one.mux and other.mux and one.mux.selector == other.mux.selector and not one.mux.when & other.mux.when:
+                if (
+                    one.mux
+                    and other.mux
+                    and one.mux.selector == other.mux.selector
+                    and not one.mux.when & other.mux.when
+                ):
                     continue
                 shared = set(one.positions) & set(other.positions)
                 if shared:
@@ -168,7 +181,9 @@ class BitLayout(Construct):
     def _parse(self, stream: Any, context: Any, path: str) -> Container:
         word = int.from_bytes(stream_read(stream, self.size, path), "little")
         values = Container()
-        inner = Container(_=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False)
+        inner = Container(
+            _=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False
+        )
         rest = (1 << 8 * self.size) - 1
         for slot in self.slots:
             if slot.mux is not None and not slot.mux.is_present(inner):
@@ -179,7 +194,9 @@ class BitLayout(Construct):
                 number |= (word >> position & 1) << index
                 rest &= ~(1 << position)
             size = (len(slot.positions) + 7) // 8
-            value = slot.field._parsereport(io.BytesIO(number.to_bytes(size, "big")), inner, f"{path} -> {slot.name}")
+            value = slot.field._parsereport(
+                io.BytesIO(number.to_bytes(size, "big")), inner, f"{path} -> {slot.name}"
+            )
             if self.names.count(slot.name) and sum(s.name == slot.name for s in self.slots) > 1:
                 value = ListContainer([*values.get(slot.name, ()), value])
             values[slot.name] = inner[slot.name] = value
@@ -190,7 +207,9 @@ class BitLayout(Construct):
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         word = 0
         claimed = 0
-        inner = Container(_=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False)
+        inner = Container(
+            _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
+        )
         inner.update(obj)
         used: dict[str, int] = {}
         for slot in self.slots:
@@ -224,8 +243,6 @@ class BitLayout(Construct):
 
     def _sizeof(self, context: Any, path: str) -> int:
         return self.size
-
-
 
 
 __all__ = ["BitLayout", "Bits", "Slot", "Split", "Tuple", "bits"]

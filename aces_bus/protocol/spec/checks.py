@@ -70,7 +70,11 @@ class Check:
         self.text = text
         self.size = size if text is None else len(text.format(0))
         self.over: tuple[Covered, ...] | None = (
-            None if over is None else (over,) if isinstance(over, (slice, IdBytes, Extra, bytes)) else tuple(over)
+            None
+            if over is None
+            else (over,)
+            if isinstance(over, (slice, IdBytes, Extra, bytes))
+            else tuple(over)
         )
         for part in self.over or ():
             if isinstance(part, slice) and part.step not in (None, 1):
@@ -92,7 +96,9 @@ class Check:
             return self.text.format(number).encode("ascii")
         return number.to_bytes(self.bytes, self.order)
 
-    def covered(self, packet: bytes, start: int, end: int, *, identifier: int = 0, extra: bytes = b"") -> bytes:
+    def covered(
+        self, packet: bytes, start: int, end: int, *, identifier: int = 0, extra: bytes = b""
+    ) -> bytes:
         """The covered bytes of `packet`, whose sync ends at `start` and whose check starts at `end`."""
         if self.over is None:
             return packet[start:end]
@@ -234,7 +240,9 @@ def _catalogue_width(name: str) -> int:
         import difflib
 
         near = difflib.get_close_matches(name, known, n=5, cutoff=0.4)
-        raise SpecError(f"{caller()}: no CRC named {name!r} in the catalogue; near: {', '.join(near) or 'none'}")
+        raise SpecError(
+            f"{caller()}: no CRC named {name!r} in the catalogue; near: {', '.join(near) or 'none'}"
+        )
     return int(known[name].width)
 
 

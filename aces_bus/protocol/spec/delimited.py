@@ -146,7 +146,9 @@ class Delimited(Construct):
     (None). With `more=True` fields beyond the last are kept, as texts, in the field `more`.
     """
 
-    def __init__(self, separator: str, *fields: Construct, lead: bool = False, optional: int = 0, more: bool = False) -> None:
+    def __init__(
+        self, separator: str, *fields: Construct, lead: bool = False, optional: int = 0, more: bool = False
+    ) -> None:
         super().__init__()
         self.place = caller()
         self.separator = separator.encode("latin-1")
@@ -173,7 +175,9 @@ class Delimited(Construct):
         values = Container()
         for index, field in enumerate(self.fields):
             where = f"{path} -> {field.name}"
-            values[field.name] = field.subcon._decode(parts[index], context, where) if index < len(parts) else None
+            values[field.name] = (
+                field.subcon._decode(parts[index], context, where) if index < len(parts) else None
+            )
         if self.more:
             values["more"] = ListContainer(part.decode("latin-1") for part in parts[len(self.fields) :])
         return values

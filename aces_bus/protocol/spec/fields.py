@@ -107,7 +107,9 @@ class Quantity(Field):
         if self.range is not None and not self.range[0] <= value <= self.range[1]:
             if self.scale == 1 or not self._at_edge(value):
                 raise FieldError(
-                    f"{path}: {value!r} {self.unit} is outside {self.range[0]}…{self.range[1]} {self.unit}".replace("  ", " ")
+                    f"{path}: {value!r} {self.unit} is outside {self.range[0]}…{self.range[1]} {self.unit}".replace(
+                        "  ", " "
+                    )
                 )
         if not self.is_float and isinstance(value, float) and not math.isfinite(value):
             raise FieldError(f"{path}: {value!r} cannot be sent as an integer")
@@ -119,7 +121,9 @@ class Quantity(Field):
             number = round(number) if self.rounding == "nearest" else int(number)
         if self.raw_range is not None and not self.raw_range[0] <= number <= self.raw_range[1]:
             low, high = (self.to_physical(edge) for edge in self.raw_range)
-            raise FieldError(f"{path}: {value!r} {self.unit} is outside {low:g}…{high:g} {self.unit}".replace("  ", " "))
+            raise FieldError(
+                f"{path}: {value!r} {self.unit} is outside {low:g}…{high:g} {self.unit}".replace("  ", " ")
+            )
         return number
 
     def _at_edge(self, value: float) -> bool:
@@ -151,7 +155,9 @@ class SignMagnitude(Field):
     def __init__(self, subcon: Construct | int, order: str = "little") -> None:
         if isinstance(subcon, int):
             if subcon % 8:
-                raise SpecError(f"{caller()}: {subcon} bits are not whole bytes; put SignMagnitude(bits({subcon})) in a BitLayout")
+                raise SpecError(
+                    f"{caller()}: {subcon} bits are not whole bytes; put SignMagnitude(bits({subcon})) in a BitLayout"
+                )
             self.width = subcon
             subcon = BytesInteger(subcon // 8, swapped=order == "little")
         else:
@@ -195,7 +201,9 @@ class Enumeration(Field):
         self.values: dict[int, str] = {}
         for name, value in self.names.items():
             if value in self.values:
-                raise SpecError(f"{self.place}: enumeration value {value} has two names, {self.values[value]!r} and {name!r}")
+                raise SpecError(
+                    f"{self.place}: enumeration value {value} has two names, {self.values[value]!r} and {name!r}"
+                )
             self.values[value] = name
 
     def to_physical(self, raw: Any) -> Any:
@@ -258,7 +266,9 @@ class Flags(Field):
             if not 0 <= bit < width:
                 raise SpecError(f"{self.place}: flag {name!r} is bit {bit} of a {width}-bit field")
             if hasattr(int, name) or name in ("bits", "unknown"):
-                raise SpecError(f"{self.place}: flag {name!r} hides a method of the value; choose another name")
+                raise SpecError(
+                    f"{self.place}: flag {name!r} hides a method of the value; choose another name"
+                )
             seen[bit] = name
         self.type: type[FlagSet] = type("FlagSet", (FlagSet,), {"bits": self.names, "__slots__": ()})
 

@@ -112,7 +112,9 @@ class Framing:
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
         self.min_size = self.head_end + self.check_size + len(self.end)
         if self.max_size < max(1, self.min_size):
-            raise SpecError(f"{self.place}: max_size says how long a packet may be; {self.max_size} is less than its head and check")
+            raise SpecError(
+                f"{self.place}: max_size says how long a packet may be; {self.max_size} is less than its head and check"
+            )
         if self.is_silent and not gap:
             raise SpecError(f"{self.place}: a packet that ends by silence needs gap=seconds")
         if self.affine is None and self.fixed_size is None and isinstance(stuffing, Insert):
@@ -131,13 +133,17 @@ class Framing:
         except Exception as error:
             raise SpecError(f"{self.place}: size must be an expression of header fields ({error})") from None
         if len(used) != 1:
-            raise SpecError(f"{self.place}: size must depend on one header field, not on {[h.name for h in used]}")
+            raise SpecError(
+                f"{self.place}: size must depend on one header field, not on {[h.name for h in used]}"
+            )
         length = used[0]
         assert length.name is not None
         factor = ask({**zeros, length.name: 1}) - base
         probes = (2, 3, 7, (1 << 8 * length.size) - 1)
         if factor < 1 or any(ask({**zeros, length.name: n}) != factor * n + base for n in probes):
-            raise SpecError(f"{self.place}: size must be a whole multiple of {length.name!r} plus a constant, so that it can be inverted")
+            raise SpecError(
+                f"{self.place}: size must be a whole multiple of {length.name!r} plus a constant, so that it can be inverted"
+            )
         return Affine(length, factor, base)
 
     # ------------------------------------------------------------------ declaring messages
@@ -152,7 +158,9 @@ class Framing:
 
     # ------------------------------------------------------------------ the truth about one candidate
 
-    def judge(self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None) -> Judgement:
+    def judge(
+        self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None
+    ) -> Judgement:
         """What stands at `start` of `data`.
 
         `silent` says that the line fell silent at the end of `data`. `extras` are the `check_extra` bytes by the number
@@ -185,7 +193,10 @@ class Framing:
             head = self.affine.length
             if left < head.offset + head.size:
                 return MORE
-            size = self.affine.factor * head.number(data[start : start + head.offset + head.size]) + self.affine.constant
+            size = (
+                self.affine.factor * head.number(data[start : start + head.offset + head.size])
+                + self.affine.constant
+            )
         else:
             assert self.fixed_size is not None
             size = self.fixed_size
@@ -235,7 +246,9 @@ class Framing:
     @property
     def extra_head(self) -> Head | None:
         """The header field that picks a message's `check_extra`: the last one."""
-        named = [h for h in self.heads if h.name and (self.affine is None or h.name != self.affine.length.name)]
+        named = [
+            h for h in self.heads if h.name and (self.affine is None or h.name != self.affine.length.name)
+        ]
         return named[-1] if named else None
 
     def extra_number(self, packet: bytes) -> int:

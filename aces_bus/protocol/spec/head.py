@@ -37,11 +37,15 @@ class Head:
     @property
     def is_own(self) -> bool:
         """Whether the record shows the field under its own name (not only captures inside it)."""
-        return self.name is not None and (self.pattern is None or [c.name for c in self.pattern.captures] == [self.name])
+        return self.name is not None and (
+            self.pattern is None or [c.name for c in self.pattern.captures] == [self.name]
+        )
 
     def number(self, packet: bytes) -> int:
         """The unsigned number in these bytes."""
-        return int.from_bytes(packet[self.offset : self.offset + self.size], "big" if self.order == "big" else "little")
+        return int.from_bytes(
+            packet[self.offset : self.offset + self.size], "big" if self.order == "big" else "little"
+        )
 
     def bytes(self, number: int) -> bytes:
         return number.to_bytes(self.size, "big" if self.order == "big" else "little")
@@ -59,7 +63,9 @@ class Head:
             value = names.names[value]
         pattern = as_pattern(value, self.name or "")
         if pattern.largest >= 1 << 8 * self.size:
-            raise SpecError(f"{place}: {self.name} is {8 * self.size} bits wide, matched with {pattern.describe(2)}")
+            raise SpecError(
+                f"{place}: {self.name} is {8 * self.size} bits wide, matched with {pattern.describe(2)}"
+            )
         return replace(self, pattern=pattern)
 
 
@@ -91,7 +97,9 @@ def heads_of(struct: Struct | None, offset: int, place: Place, what: str) -> tup
         elif isinstance(inner, Bytes) and isinstance(inner.length, int):
             size, order, signed = inner.length, "big", False
         else:
-            raise SpecError(f"{place.of_field(name or '')}: {what} {shown} must be an integer or bytes of fixed size")
+            raise SpecError(
+                f"{place.of_field(name or '')}: {what} {shown} must be an integer or bytes of fixed size"
+            )
         is_text = isinstance(inner, Bytes)
         if isinstance(body, Const):
             number = body.build(None)

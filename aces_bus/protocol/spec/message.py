@@ -132,7 +132,9 @@ class Message:
         self.lengths = self._lengths(length)
         self._check_fields()
         if self.extras is not None and not check_extra:
-            raise SpecError(f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra")
+            raise SpecError(
+                f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra"
+            )
 
     # ------------------------------------------------------------------ declaration checks
 
@@ -144,14 +146,20 @@ class Message:
             found.append(head)
         if match:
             names = ", ".join(h.name for h in heads if h.name) or "none"
-            raise SpecError(f"{self.place}: match names {next(iter(match))!r}, which is not a head field (there are: {names})")
+            raise SpecError(
+                f"{self.place}: match names {next(iter(match))!r}, which is not a head field (there are: {names})"
+            )
         return tuple(found)
 
     def _request_fields(self) -> tuple[str, ...]:
         """The request's constrained fields that the message does not carry itself: its record has them too."""
         own = {capture.name for capture in self.identifier.captures}
         for head in self.heads:
-            own |= {head.name or ""} if head.pattern is None else {capture.name for capture in head.pattern.captures}
+            own |= (
+                {head.name or ""}
+                if head.pattern is None
+                else {capture.name for capture in head.pattern.captures}
+            )
         names: dict[str, None] = {}
         for request in (*self.reply_to, *self.after):
             for name, _ in request.values:
@@ -164,19 +172,30 @@ class Message:
         low += self.payload_start
         if self.framing is not None:
             if length is not None:
-                raise SpecError(f"{self.place}: length is for CAN; a stream's packets end as their framing says")
+                raise SpecError(
+                    f"{self.place}: length is for CAN; a stream's packets end as their framing says"
+                )
             return None
         top = 64 if self.fd else 8
         high = top if high is None else high + self.payload_start
         if self.remote and high:
-            raise SpecError(f"{self.place}: a remote frame carries no data, so {self.name} can have no fields in it")
+            raise SpecError(
+                f"{self.place}: a remote frame carries no data, so {self.name} can have no fields in it"
+            )
         if low > top:
-            raise SpecError(f"{self.place}: {self.name} has {low} bytes of fields; a {'CAN FD' if self.fd else 'classic CAN'} frame has {top}")
+            raise SpecError(
+                f"{self.place}: {self.name} has {low} bytes of fields;"
+                f" a {'CAN FD' if self.fd else 'classic CAN'} frame has {top}"
+            )
         possible = [n for n in (FD_LENGTHS if self.fd else range(9)) if low <= n <= high]
         if length is None:
             if not possible:
-                raise SpecError(f"{self.place}: {self.name} has {low} bytes of fields, which no CAN FD frame has; add Reserved bytes")
-            return range(possible[0], possible[-1] + 1) if not self.fd and len(possible) > 1 else tuple(possible)
+                raise SpecError(
+                    f"{self.place}: {self.name} has {low} bytes of fields, which no CAN FD frame has; add Reserved bytes"
+                )
+            return (
+                range(possible[0], possible[-1] + 1) if not self.fd and len(possible) > 1 else tuple(possible)
+            )
         wanted = (length,) if isinstance(length, int) else tuple(sorted(length))
         for one in wanted:
             if not low <= one <= high:
@@ -186,7 +205,9 @@ class Message:
                     + " bytes"
                 )
             if one not in (FD_LENGTHS if self.fd else range(9)):
-                raise SpecError(f"{self.place}: no {'CAN FD' if self.fd else 'classic CAN'} frame has {one} bytes")
+                raise SpecError(
+                    f"{self.place}: no {'CAN FD' if self.fd else 'classic CAN'} frame has {one} bytes"
+                )
         return wanted
 
     def _check_fields(self) -> None:
@@ -196,7 +217,8 @@ class Message:
             check_name(name, self.place)
             if name in places:
                 raise SpecError(
-                    f"{self.place.of_field(name)}: field {name!r} of {self.name} is there twice: in its {what} and in its {places[name]}"
+                    f"{self.place.of_field(name)}: field {name!r} of {self.name} is there twice:"
+                    f" in its {what} and in its {places[name]}"
                 )
             places[name] = what
 
@@ -220,7 +242,9 @@ class Message:
                 + ("" if self.extended else "; is it extended=True?")
             )
         if self.check is not None and self.check.field is None:
-            raise SpecError(f"{self.place}: a message's own check names its field; the check of all packets belongs to the framing")
+            raise SpecError(
+                f"{self.place}: a message's own check names its field; the check of all packets belongs to the framing"
+            )
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
 
@@ -260,7 +284,9 @@ class Message:
         if isinstance(payload, BitLayout):
             return {s.name: s.field.modulo for s in payload.slots if isinstance(s.field, Counter)}
         if isinstance(payload, c.Struct):
-            return {i.name: i.subcon.modulo for i in payload.subcons if i.name and isinstance(i.subcon, Counter)}
+            return {
+                i.name: i.subcon.modulo for i in payload.subcons if i.name and isinstance(i.subcon, Counter)
+            }
         return {}
 
     @cached_property
@@ -282,18 +308,25 @@ class Message:
     def extras(self) -> dict[int, bytes] | None:
         """`check_extra` by the number that selects it, for framings whose check is seeded per message."""
         framing = self.framing
-        if framing is None or framing.check is None or not any(isinstance(p, Extra) for p in framing.check.over or ()):
+        if (
+            framing is None
+            or framing.check is None
+            or not any(isinstance(p, Extra) for p in framing.check.over or ())
+        ):
             return None
         head = framing.extra_head
         for own in self.heads_written:
             if head is not None and own.name == head.name and own.pattern is not None:
                 return dict.fromkeys(own.pattern, self.check_extra)
-        raise SpecError(f"{self.place}: the check of {framing.name} is seeded by {head.name if head else '?'}; match it")
+        raise SpecError(
+            f"{self.place}: the check of {framing.name} is seeded by {head.name if head else '?'}; match it"
+        )
 
     @cached_property
     def check_span(self) -> tuple[int, int, Literal["little", "big"]]:
         """Offset, size and byte order of the field that holds this message's own check."""
-        assert self.check is not None and self.check.field is not None
+        assert self.check is not None
+        assert self.check.field is not None
         name, size = self.check.field, self.check.bytes
         payload = self.payload
         if isinstance(payload, BitLayout):
@@ -301,8 +334,14 @@ class Message:
             low = min(slot.positions)
             for order in ("little", "big"):
                 run = range(low, low + 8 * size)
-                want = tuple(run) if order == "little" else tuple(
-                    p for byte in range(low // 8 + size - 1, low // 8 - 1, -1) for p in range(8 * byte, 8 * byte + 8)
+                want = (
+                    tuple(run)
+                    if order == "little"
+                    else tuple(
+                        p
+                        for byte in range(low // 8 + size - 1, low // 8 - 1, -1)
+                        for p in range(8 * byte, 8 * byte + 8)
+                    )
                 )
                 if low % 8 == 0 and slot.positions == want:
                     return self.payload_start + low // 8, size, "little" if order == "little" else "big"
@@ -314,8 +353,12 @@ class Message:
             if item.name == name:
                 inner = innermost(item)
                 if least != size:
-                    raise SpecError(f"{self.place.of_field(name)}: check field {name!r} has {least} bytes, its check {size}")
-                little = str(getattr(inner, "fmtstr", "")).startswith("<") or bool(getattr(inner, "swapped", False))
+                    raise SpecError(
+                        f"{self.place.of_field(name)}: check field {name!r} has {least} bytes, its check {size}"
+                    )
+                little = str(getattr(inner, "fmtstr", "")).startswith("<") or bool(
+                    getattr(inner, "swapped", False)
+                )
                 return offset, size, "little" if little else "big"
             if least != most:
                 raise SpecError(f"{self.place.of_field(name)}: check field {name!r} has no fixed place")
@@ -387,7 +430,9 @@ class Message:
                 continue
             heads = []
             for head in made.heads_written:
-                if head.pattern is not None and any(capture.name == name for capture in head.pattern.captures):
+                if head.pattern is not None and any(
+                    capture.name == name for capture in head.pattern.captures
+                ):
                     narrow = head.pattern.only(name, values)
                     if narrow is None:
                         return None
@@ -425,16 +470,22 @@ def as_requests(given: Any, protocol: Protocol, place: Place) -> tuple[Request, 
     if isinstance(given, (Message, Request, str)):
         given = (given,)
     if not isinstance(given, Sequence):
-        raise SpecError(f"{place}: a request is a message, message.where(…) or a message's name, not {given!r}")
+        raise SpecError(
+            f"{place}: a request is a message, message.where(…) or a message's name, not {given!r}"
+        )
     found = []
     for one in given:
         if isinstance(one, str):
             if one not in protocol.messages:
-                raise SpecError(f"{place}: no message named {one!r} before this line (there are: {', '.join(protocol.messages)})")
+                raise SpecError(
+                    f"{place}: no message named {one!r} before this line (there are: {', '.join(protocol.messages)})"
+                )
             one = protocol.messages[one]
         if isinstance(one, Message):
             one = Request(one)
         if not isinstance(one, Request):
-            raise SpecError(f"{place}: a request is a message, message.where(…) or a message's name, not {one!r}")
+            raise SpecError(
+                f"{place}: a request is a message, message.where(…) or a message's name, not {one!r}"
+            )
         found.append(one)
     return tuple(found)

@@ -18,7 +18,19 @@ from .fields import Enumeration, Field, Flags, Multiplexed
 from .head import enumeration_of
 from .place import Place
 
-_REFUSED = (c.Padded, c.Aligned, c.Pointer, c.Peek, c.Seek, c.Tell.__class__, c.RawCopy, c.Union, c.Select, c.Computed, c.Probe)
+_REFUSED = (
+    c.Padded,
+    c.Aligned,
+    c.Pointer,
+    c.Peek,
+    c.Seek,
+    c.Tell.__class__,
+    c.RawCopy,
+    c.Union,
+    c.Select,
+    c.Computed,
+    c.Probe,
+)
 #: Names that records use themselves.
 TAKEN = frozenset({"meta"})
 
@@ -36,8 +48,10 @@ def normalised(payload: c.Construct | None, place: Place) -> c.Construct:
 
 def check_name(name: str, place: Place) -> None:
     """Raise `SpecError` when `name` cannot be an attribute of a record."""
-    if not name.isidentifier() or keyword.iskeyword(name) or keyword.issoftkeyword(name) and name != "type":
-        raise SpecError(f"{place.of_field(name)}: {name!r} cannot be a field name: it is not a plain Python name")
+    if not name.isidentifier() or keyword.iskeyword(name) or (keyword.issoftkeyword(name) and name != "type"):
+        raise SpecError(
+            f"{place.of_field(name)}: {name!r} cannot be a field name: it is not a plain Python name"
+        )
     if name.startswith("_") or name in TAKEN:
         raise SpecError(f"{place.of_field(name)}: field name {name!r} is taken by the record itself")
 
@@ -49,7 +63,9 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
         check_name(con.name, place)
         return c.Renamed(_walk(con.subcon, place, f"{path}.{con.name}"), newname=con.name, newdocs=con.docs)
     if isinstance(con, c.Enum):
-        return Enumeration(_walk(con.subcon, place, path), {str(k): int(v) for k, v in con.encmapping.items()})
+        return Enumeration(
+            _walk(con.subcon, place, path), {str(k): int(v) for k, v in con.encmapping.items()}
+        )
     if isinstance(con, c.FlagsEnum):
         masks = {str(k): int(v) for k, v in con.flags.items()}
         wide = [k for k, v in masks.items() if v.bit_count() != 1]
@@ -57,9 +73,13 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
             raise SpecError(f"{place}: {path}: flag {wide[0]!r} is not a single bit")
         return Flags(_walk(con.subcon, place, path), {k: v.bit_length() - 1 for k, v in masks.items()})
     if con is c.Flag:
-        raise SpecError(f"{place}: {path}: Flag loses bits 1…7; use BitLayout(1, … bits(1)) or Enumeration(Byte, off=0, on=1)")
+        raise SpecError(
+            f"{place}: {path}: Flag loses bits 1…7; use BitLayout(1, … bits(1)) or Enumeration(Byte, off=0, on=1)"
+        )
     if isinstance(con, _REFUSED):
-        raise SpecError(f"{place}: {path}: {type(con).__name__} would skip or repeat bytes; name them, for instance as Reserved(n)")
+        raise SpecError(
+            f"{place}: {path}: {type(con).__name__} would skip or repeat bytes; name them, for instance as Reserved(n)"
+        )
     if isinstance(con, c.Struct):
         items = []
         seen: dict[str, None] = {}
@@ -68,7 +88,8 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
             name = item.name
             inner = item.subcon if isinstance(item, c.Renamed) else item
             if name is None and not isinstance(inner, (c.Const, c.Terminated.__class__)):
-                raise SpecError(f"{place}: {path}: {inner!r} has no name, so its bytes would be lost;"
+                raise SpecError(
+                    f"{place}: {path}: {inner!r} has no name, so its bytes would be lost;"
                     ' name it (bytes that mean nothing: "reserved" / Reserved(n)); only a Const may go without'
                 )
             if name is not None and name in seen:
@@ -82,7 +103,10 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
                     enumerations[name] = found
             if isinstance(body, Multiplexed):
                 if body.selector not in seen:
-                    raise SpecError(f"{place.of_field(name or '')}: field {name!r} is multiplexed by {body.selector!r}, which is not before it")
+                    raise SpecError(
+                        f"{place.of_field(name or '')}: field {name!r} is multiplexed by {body.selector!r},"
+                        " which is not before it"
+                    )
                 body.enumeration = enumerations.get(body.selector)
             items.append(made)
         return c.Struct(*items)
@@ -96,7 +120,8 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
             if slot.mux is not None:
                 if slot.mux.selector not in con.names[: con.names.index(slot.name)]:
                     raise SpecError(
-                        f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r}, which is not before it"
+                        f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r},"
+                        " which is not before it"
                     )
                 slot.mux.enumeration = names.get(slot.mux.selector)
         return con

@@ -45,7 +45,9 @@ class ContentError(ConstructError):
     """The packet is this message by its template, but a field cannot be read."""
 
 
-def can_image(identifier: int, data: bytes, *, extended: bool = False, remote: bool = False, fd: bool = False) -> bytes:
+def can_image(
+    identifier: int, data: bytes, *, extended: bool = False, remote: bool = False, fd: bool = False
+) -> bytes:
     """The image of a CAN frame that `message.struct` parses."""
     word = identifier | (EXTENDED if extended else 0) | (REMOTE if remote else 0)
     return word.to_bytes(4, "big") + (bytes([FD_FLAG]) if fd else b"\0") + data
@@ -89,14 +91,20 @@ class Packet(Construct):
         heads = message.heads
         short = heads[-1].offset + heads[-1].size > end if heads else False
         for head in heads:
-            if head.offset + head.size <= end and head.pattern is not None and head.pattern.match(head.number(data)) is None:
+            if (
+                head.offset + head.size <= end
+                and head.pattern is not None
+                and head.pattern.match(head.number(data)) is None
+            ):
                 raise NotThisError(f"{head.name} is another", path=path)
         for offset, wanted in message.constants:
             if data[offset : min(offset + len(wanted), end)] != wanted[: max(0, end - offset)]:
                 raise NotThisError("a constant is another", path=path)
         if short or (message.lengths is not None and len(data) not in message.lengths):
             raise LengthError(f"length {len(data)}", path=path)
-        inner = Container(_=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False)
+        inner = Container(
+            _=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False
+        )
         for head in heads:
             self._read_head(head, data, context, values, f"{path} -> {head.name}")
         inner.update(values)
@@ -131,16 +139,22 @@ class Packet(Construct):
                 raw = captures[capture.name]
                 values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
         elif head.name is not None and not head.is_constant:
-            values[head.name] = head.field._parsereport(io.BytesIO(data[head.offset : head.offset + head.size]), context, path)
+            values[head.name] = head.field._parsereport(
+                io.BytesIO(data[head.offset : head.offset + head.size]), context, path
+            )
 
     # ------------------------------------------------------------------ building
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         message = self.message
         raw = is_raw(context)
-        inner = Container(_=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False)
+        inner = Container(
+            _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
+        )
         inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
-        head = b"".join(self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written)
+        head = b"".join(
+            self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written
+        )
         values: Any = obj
         check = message.check
         if check is not None and check.field is not None:
@@ -159,10 +173,14 @@ class Packet(Construct):
         if message.identifier.match(identifier) is None:
             raise FieldError(f"{path}: no identifier for {captures}")
         if message.lengths is not None and len(data) not in message.lengths:
-            raise FieldError(f"{path}: {len(data)} bytes of data; {message.name} has {message.describe_lengths}")
+            raise FieldError(
+                f"{path}: {len(data)} bytes of data; {message.name} has {message.describe_lengths}"
+            )
         if check is not None:
             data = self._with_check(check, data, identifier)
-        stream.write(can_image(identifier, data, extended=message.extended, remote=message.remote, fd=message.fd))
+        stream.write(
+            can_image(identifier, data, extended=message.extended, remote=message.remote, fd=message.fd)
+        )
         return obj
 
     def _head_bytes(self, head: Head, obj: Any, context: Any, raw: bool, path: str) -> bytes:
@@ -173,7 +191,9 @@ class Packet(Construct):
             captures = {}
             for capture in head.pattern.captures:
                 given = _given(obj, capture.name, path)
-                captures[capture.name] = int(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+                captures[capture.name] = (
+                    int(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+                )
             return head.bytes(head.pattern.number(captures))
         if head.name is None:
             return bytes(head.field.build(None))
@@ -181,7 +201,11 @@ class Packet(Construct):
         value = obj.get(head.name) if head.field.flagbuildnone else _given(obj, head.name, path)
         head.field._build(value, out, context, path)
         written = out.getvalue()
-        if head.pattern is not None and head.pattern.match(int.from_bytes(written, "big" if head.order == "big" else "little")) is None:
+        if (
+            head.pattern is not None
+            and head.pattern.match(int.from_bytes(written, "big" if head.order == "big" else "little"))
+            is None
+        ):
             pattern = head.pattern
             wanted = pattern.describe(2)
             if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
@@ -200,14 +224,20 @@ class Packet(Construct):
             length = framing.affine.length
             number = framing.affine.invert(size)
             if size > framing.max_size or number >= 1 << 8 * length.size:
-                raise FieldError(f"{self.message.name}: a packet of {size} bytes is longer than {framing.max_size}")
+                raise FieldError(
+                    f"{self.message.name}: a packet of {size} bytes is longer than {framing.max_size}"
+                )
             packet = packet[: length.offset] + length.bytes(number) + packet[length.offset + length.size :]
         elif framing.fixed_size is not None and size != framing.fixed_size:
-            raise FieldError(f"{self.message.name}: a packet of {size} bytes; its framing has {framing.fixed_size}")
+            raise FieldError(
+                f"{self.message.name}: a packet of {size} bytes; its framing has {framing.fixed_size}"
+            )
         if framing.check is not None:
             # Slices of the check count from the whole packet's end, so its room must be there.
             whole = packet + bytes(framing.check_size) + framing.end
-            covered = framing.check.covered(whole, len(framing.sync), len(packet), extra=self.message.check_extra)
+            covered = framing.check.covered(
+                whole, len(framing.sync), len(packet), extra=self.message.check_extra
+            )
             packet += framing.check.encode(covered)
         if framing.end:
             if framing.stuffing is not None:
@@ -217,9 +247,13 @@ class Packet(Construct):
             packet += framing.end
         if framing.not_next and packet[len(framing.sync)] in framing.not_next:
             followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"
-            raise FieldError(f"{self.message.name}: {followed} would not be read as a packet; choose other values")
+            raise FieldError(
+                f"{self.message.name}: {followed} would not be read as a packet; choose other values"
+            )
         if len(packet) > framing.max_size:
-            raise FieldError(f"{self.message.name}: a packet of {len(packet)} bytes is longer than {framing.max_size}")
+            raise FieldError(
+                f"{self.message.name}: a packet of {len(packet)} bytes is longer than {framing.max_size}"
+            )
         return packet
 
     def _with_check(self, check: Check, data: bytes, identifier: int) -> bytes:

@@ -4,7 +4,8 @@
    record like any other.
 2. Matching is exact and invertible: one number gives one set of captures, and captures give one number back.
 
-Written as arithmetic, as the vendor's sheet has it: `0x060 + Board`, `Node << 5 | 0x09`, `Priority << 26 | 0xFECA << 8 | Source`.
+Written as arithmetic, as the vendor's sheet has it: `0x060 + Board`, `Node << 5 | 0x09`,
+`Priority << 26 | 0xFECA << 8 | Source`.
 """
 
 from __future__ import annotations
@@ -128,7 +129,9 @@ class Pattern(Arithmetic):
         for capture in self.captures:
             mask = ((1 << capture.width) - 1) << capture.shift
             if taken & mask:
-                raise SpecError(f"{caller()}: capture {capture.name!r} shares bits with another part of its pattern")
+                raise SpecError(
+                    f"{caller()}: capture {capture.name!r} shares bits with another part of its pattern"
+                )
             taken |= mask
 
     def match(self, number: int) -> dict[str, int] | None:

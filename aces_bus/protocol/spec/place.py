@@ -43,7 +43,11 @@ class Place:
             tree = ast.parse(source)
         except SyntaxError:
             return self
-        calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and n.lineno <= self.line <= (n.end_lineno or 0)]
+        calls = [
+            n
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Call) and n.lineno <= self.line <= (n.end_lineno or 0)
+        ]
         calls.sort(key=lambda n: (n.end_lineno or 0) - n.lineno, reverse=True)
         starts = [n for n in calls if n.lineno == self.line] or calls
         for call in starts:

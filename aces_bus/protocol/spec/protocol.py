@@ -34,7 +34,8 @@ class Protocol:
 
     `dialects` maps names to what they are; `dialect` is the default one. `configurations` maps a name to its tables, each
     from a captured number to an entry (`{"hubo2": {"channels": {0x00: 2, …}}}`); `configuration` is the default one.
-    `broadcast` gives the value of a captured field that addresses every device. `bitrate` (CAN) and `baud` (serial) are in bit/s and baud. `source` says where the facts come from.
+    `broadcast` gives the value of a captured field that addresses every device. `bitrate` (CAN) is
+    in bit/s, `baud` (serial) in baud. `source` says where the facts come from.
     """
 
     def __init__(
@@ -62,9 +63,13 @@ class Protocol:
         self.dialects = dict(dialects or {})
         self.dialect = dialect if dialect is not None else next(iter(self.dialects), None)
         if self.dialect is not None and self.dialect not in self.dialects:
-            raise SpecError(f"{self.place}: default dialect {self.dialect!r} is not among {', '.join(self.dialects)}")
+            raise SpecError(
+                f"{self.place}: default dialect {self.dialect!r} is not among {', '.join(self.dialects)}"
+            )
         self.configurations = dict(configurations or {})
-        self.configuration = configuration if configuration is not None else next(iter(self.configurations), None)
+        self.configuration = (
+            configuration if configuration is not None else next(iter(self.configurations), None)
+        )
         if self.configuration is not None and self.configuration not in self.configurations:
             raise SpecError(f"{self.place}: default configuration {self.configuration!r} is not declared")
         self.doc, self.source = doc, source
@@ -77,7 +82,10 @@ class Protocol:
     # ------------------------------------------------------------------ declaring
 
     def configured(self, key: str, by: str) -> Any:
-        """A function that makes conditions: `channels = p.configured("channels", by="board")`, then `when=channels(1, 2)`."""
+        """A function that makes conditions.
+
+        `channels = p.configured("channels", by="board")`, then `when=channels(1, 2)`.
+        """
         for name, tables in self.configurations.items():
             if key not in tables:
                 raise SpecError(f"{caller()}: configuration {name!r} has no table {key!r}")
@@ -137,7 +145,9 @@ class Protocol:
         dialects = None if dialect is None else frozenset([dialect] if isinstance(dialect, str) else dialect)
         for one in dialects or ():
             if one not in self.dialects:
-                raise SpecError(f"{place}: no dialect {one!r} (there are: {', '.join(self.dialects) or 'none'})")
+                raise SpecError(
+                    f"{place}: no dialect {one!r} (there are: {', '.join(self.dialects) or 'none'})"
+                )
         made = Message(
             self,
             name,
@@ -184,7 +194,10 @@ class Protocol:
         names = {item.name for item in prefix.subcons if item.name}
 
         def declare(name: str, **declared: Any) -> Message:
-            match = {**declared.pop("match", {}), **{k: declared.pop(k) for k in list(declared) if k in names}}
+            match = {
+                **declared.pop("match", {}),
+                **{k: declared.pop(k) for k in list(declared) if k in names},
+            }
             return self.message(name, prefix=prefix, match=match, **{**shared, **declared})
 
         return declare
@@ -204,7 +217,9 @@ class Protocol:
 
     # ------------------------------------------------------------------ using
 
-    def variant(self, dialect: str | None = None, configuration: str | Configuration | None = None) -> Variant:
+    def variant(
+        self, dialect: str | None = None, configuration: str | Configuration | None = None
+    ) -> Variant:
         """The protocol with dialect and configuration decided (the defaults when not given)."""
         dialect = dialect if dialect is not None else self.dialect
         if dialect is not None and dialect not in self.dialects:
@@ -219,7 +234,9 @@ class Protocol:
             name, tables = "custom", configuration
             needed = {c.key for m in self.declared for c in m.when}
             for key in needed - set(tables):
-                raise CallerError(f"the configuration of {self.name} needs a table {key!r} (it has: {', '.join(tables) or 'none'})")
+                raise CallerError(
+                    f"the configuration of {self.name} needs a table {key!r} (it has: {', '.join(tables) or 'none'})"
+                )
         wanted = (dialect, name, repr(sorted((k, sorted(t.items())) for k, t in tables.items())))
         if wanted not in self._variants:
             self._variants[wanted] = Variant(self, dialect, name, tables)
@@ -242,7 +259,9 @@ class Protocol:
         """A scanner of this protocol alone; see `make_scanner` for several on one wire."""
         from ..scan.scanner import make_scanner
 
-        return make_scanner([self.variant(dialect, configuration)], direction=direction, everything=everything)
+        return make_scanner(
+            [self.variant(dialect, configuration)], direction=direction, everything=everything
+        )
 
     def encode(
         self,
@@ -265,7 +284,9 @@ class Protocol:
 class Variant:
     """A protocol in one dialect and one configuration: the messages that can occur, narrowed to where they can."""
 
-    def __init__(self, protocol: Protocol, dialect: str | None, configuration: str | None, tables: Configuration) -> None:
+    def __init__(
+        self, protocol: Protocol, dialect: str | None, configuration: str | None, tables: Configuration
+    ) -> None:
         self.protocol = protocol
         self.name = protocol.name
         self.link = protocol.link

@@ -60,11 +60,19 @@ class RegisterMap(Mapping[str, Register]):
     """
 
     def __init__(
-        self, protocol: Protocol, *, read: str | Message, write: str | Message, sync: str | Message | None = None, doc: str = ""
+        self,
+        protocol: Protocol,
+        *,
+        read: str | Message,
+        write: str | Message,
+        sync: str | Message | None = None,
+        doc: str = "",
     ) -> None:
         self.protocol = protocol
         self.place = caller()
-        self.read_message, self.write_message, self.sync_message = (self._name(m) for m in (read, write, sync))
+        self.read_message, self.write_message, self.sync_message = (
+            self._name(m) for m in (read, write, sync)
+        )
         self.doc = doc
         self._registers: dict[str, Register] = {}
 
@@ -73,7 +81,9 @@ class RegisterMap(Mapping[str, Register]):
             return None
         name = message if isinstance(message, str) else message.name
         if name not in self.protocol.messages:
-            raise SpecError(f"{self.place}: no message named {name!r} (there are: {', '.join(self.protocol.messages)})")
+            raise SpecError(
+                f"{self.place}: no message named {name!r} (there are: {', '.join(self.protocol.messages)})"
+            )
         return name
 
     def add(
@@ -139,7 +149,9 @@ class RegisterMap(Mapping[str, Register]):
             if register.access == "read":
                 raise FieldError(f"register {register.name} can only be read")
             if register.address != chosen[0].address + len(data):
-                raise FieldError(f"registers {', '.join(r.name for r in chosen)} do not stand side by side; write them one by one")
+                raise FieldError(
+                    f"registers {', '.join(r.name for r in chosen)} do not stand side by side; write them one by one"
+                )
             data += register.encode(values[register.name])
         name = message or self.write_message
         assert name is not None
@@ -151,7 +163,9 @@ class RegisterMap(Mapping[str, Register]):
         if self.sync_message is None:
             raise SpecError(f"{self.place}: {self.protocol.name} has no message that writes to many devices")
         servos = [{"id": id, "data": register.encode(value)} for id, value in values.items()]
-        return bytes(self.protocol.encode(self.sync_message, start=register.address, size=register.size, servos=servos))
+        return bytes(
+            self.protocol.encode(self.sync_message, start=register.address, size=register.size, servos=servos)
+        )
 
     def decode(self, start: int, data: bytes, *, raw: bool = False) -> dict[str, Any]:
         """The whole registers among `data` read from address `start`, by name."""

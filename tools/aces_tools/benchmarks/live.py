@@ -103,7 +103,11 @@ def messages(shapes: Sequence[tuple[int, int]], count: int) -> list[Any]:
         data = rng.randbytes(size)
         found.append(
             can.Message(
-                arbitration_id=identifier, data=data, is_extended_id=False, timestamp=1e9 + number / 1e3, channel="can0"
+                arbitration_id=identifier,
+                data=data,
+                is_extended_id=False,
+                timestamp=1e9 + number / 1e3,
+                channel="can0",
             )
         )
     return found
@@ -114,13 +118,20 @@ def _batches(items: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
         yield items[at : at + size]
 
 
-def can_rows(subject: str, protocol: Protocol, shapes: Sequence[tuple[int, int, str, str]], *, rounds: int, count: int) -> list[Row]:
+def can_rows(
+    subject: str, protocol: Protocol, shapes: Sequence[tuple[int, int, str, str]], *, rounds: int, count: int
+) -> list[Row]:
     """Rows of one kind of frames; `shapes` are (identifier, length, message, bare struct format)."""
     frames = messages([(identifier, size) for identifier, size, _, _ in shapes], count)
     cantools = optional("cantools")
     decoders = codec(protocol.variant(), False, False).decoders
     work = [
-        (bytes(frame.data), frame.arbitration_id, decoders[shapes[n % len(shapes)][2]], struct.Struct(shapes[n % len(shapes)][3]).unpack)
+        (
+            bytes(frame.data),
+            frame.arbitration_id,
+            decoders[shapes[n % len(shapes)][2]],
+            struct.Struct(shapes[n % len(shapes)][3]).unpack,
+        )
         for n, frame in enumerate(frames)
     ]
     scanner = protocol.scanner()
@@ -248,11 +259,26 @@ def serial_rows(*, rounds: int, size: int) -> list[Row]:
     subject = f"Dynamixel 1.0, {len(data) / 1e6:.1f} MB in {CHUNK}-byte chunks"
     rows = []
     if sdk is not None:
-        rows.append(Row(subject, f"dynamixel_sdk, {found['sdk']} of {good} good packets", best["dynamixel_sdk"], "MB/s"))
+        rows.append(
+            Row(
+                subject,
+                f"dynamixel_sdk, {found['sdk']} of {good} good packets",
+                best["dynamixel_sdk"],
+                "MB/s",
+            )
+        )
     ratio = best["aces records"] / best["dynamixel_sdk"] if sdk is not None else None
     met = None if ratio is None else ratio >= 3 and found["aces"] >= good
     rows.append(
-        Row(subject, f"aces records, {found['aces']} of {good} good packets", best["aces records"], "MB/s", ratio, "≥ 3 × dynamixel_sdk, none lost", met)
+        Row(
+            subject,
+            f"aces records, {found['aces']} of {good} good packets",
+            best["aces records"],
+            "MB/s",
+            ratio,
+            "≥ 3 × dynamixel_sdk, none lost",
+            met,
+        )
     )
     return rows
 
@@ -282,7 +308,13 @@ def construct_rows(*, rounds: int, count: int) -> list[Row]:
     )
     base = best["construct, compiled"]
     return [
-        Row("construct on 2 × int32", name, seconds / count * 1e6, "µs/frame", base / seconds if name == "aces codec" else None)
+        Row(
+            "construct on 2 × int32",
+            name,
+            seconds / count * 1e6,
+            "µs/frame",
+            base / seconds if name == "aces codec" else None,
+        )
         for name, seconds in best.items()
     ]
 
@@ -291,7 +323,11 @@ def run(*, quick: bool = False) -> Iterable[Row]:
     """All rows; `quick` takes a few seconds and is rougher."""
     rounds, count, size = (5, 4_000, 200_000) if quick else (30, 20_000, 2_000_000)
     hubo_shapes = [(0x060, 8, "Encoder", "<2i"), (0x040, 6, "ForceTorque", "<3h"), (0x050, 8, "Imu", "<4h")]
-    yield from can_rows("Hubo: 2 × int32, 3 × int16, 4 × int16", hubo_like(), hubo_shapes, rounds=rounds, count=count)
-    yield from can_rows("car: 8 signals", car_like(), [(0x100, 8, "Engine", "<H2B2H")], rounds=rounds, count=count)
+    yield from can_rows(
+        "Hubo: 2 × int32, 3 × int16, 4 × int16", hubo_like(), hubo_shapes, rounds=rounds, count=count
+    )
+    yield from can_rows(
+        "car: 8 signals", car_like(), [(0x100, 8, "Engine", "<H2B2H")], rounds=rounds, count=count
+    )
     yield from serial_rows(rounds=max(3, rounds // 6), size=size)
     yield from construct_rows(rounds=max(3, rounds // 6), count=count // 4)
