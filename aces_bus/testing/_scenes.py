@@ -79,38 +79,38 @@ def draw_stream(wire: Wire, direction: Way, source: Source, *, size: int = 400) 
     sent_at: list[tuple[int, Any]] = []
     packets: list[Packet] = []
     while len(data) < size and not source.is_dry:
-        how = source.integer(0, 31)
+        how, part = source.integer(0, 31), source.branch()
         if how == 31:
             idle_at.append(len(data))
             continue
         if how >= 26:
-            data += _garbage(who, source)
+            data += _garbage(who, part)
             continue
-        packet = _pick(who, source)
-        if packet.request is not None and source.integer(0, 7):
-            _ask(packet.request, who, direction, data, sent_at, source)
+        packet = _pick(who, part)
+        if packet.request is not None and part.integer(0, 7):
+            _ask(packet.request, who, direction, data, sent_at, part)
         piece = packet.image
         if how < 17:
             packets.append(packet)
         elif how == 17:
-            piece = _rewrapped(packet, source)
+            piece = _rewrapped(packet, part)
         elif how == 18:
-            piece = piece[: source.integer(0, len(piece) - 1)]
+            piece = piece[: part.integer(0, len(piece) - 1)]
         elif how == 19:
-            piece = piece[source.integer(1, len(piece)) :]
+            piece = piece[part.integer(1, len(piece)) :]
         elif how < 22:
-            piece = _flipped(piece, source)
+            piece = _flipped(piece, part)
         elif how == 22:
-            piece = _header(packet, source) + piece
+            piece = _header(packet, part) + piece
         elif how == 23:
-            piece = _overwritten(packet, source)
+            piece = _overwritten(packet, part)
         elif how == 24:
-            at = source.integer(0, len(piece))
-            piece = piece[:at] + _pick(who, source).image + piece[at:]
+            at = part.integer(0, len(piece))
+            piece = piece[:at] + _pick(who, part).image + piece[at:]
         else:
-            piece = piece * source.integer(2, 3)
+            piece = piece * part.integer(2, 3)
         data += piece
-        if packet.message.framing is not None and packet.message.framing.is_silent and source.integer(0, 15):
+        if packet.message.framing is not None and packet.message.framing.is_silent and part.integer(0, 15):
             idle_at.append(len(data))
     return Scene(bytes(data), tuple(dict.fromkeys(idle_at)), tuple(sent_at), tuple(packets))
 
@@ -232,21 +232,21 @@ def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -
     packets: list[Packet] = []
     time: float | None = 0.0 if source.integer(0, 3) else None
     while len(frames) < size and not source.is_dry:
-        how = source.integer(0, 31)
-        channel = source.choice((None, None, None, "can0", "can1"))
+        how, part = source.integer(0, 31), source.branch()
+        channel = part.choice((None, None, None, "can0", "can1"))
         if time is not None:
-            time = round(time + source.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)
-        about: dict[str, Any] = {"timestamp": time, "channel": channel, "is_rx": source.choice((None, True, False))}
+            time = round(time + part.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)
+        about: dict[str, Any] = {"timestamp": time, "channel": channel, "is_rx": part.choice((None, True, False))}
         if how >= 30:
             frames.append(_foreign(source, about))
             continue
         if how == 29:
-            frames.append(Frame(source.integer(0, 0x1FFF_FFFF), source.bytes(source.integer(0, 8)), is_error_frame=True, **about))
+            frames.append(Frame(part.integer(0, 0x1FFF_FFFF), part.bytes(part.integer(0, 8)), is_error_frame=True, **about))
             continue
-        packet = _pick(who, source)
-        if packet.request is not None and source.integer(0, 7):
+        packet = _pick(who, part)
+        if packet.request is not None and part.integer(0, 7):
             asked = frame_of(packet.request.image, **about)
-            if direction in (None, "both") and source.integer(0, 3):
+            if direction in (None, "both") and part.integer(0, 3):
                 frames.append(asked)
             elif who.can_send:
                 sent_at.append((len(frames), asked))
@@ -254,7 +254,7 @@ def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -
         if how < 20:
             packets.append(packet)
         else:
-            frame = _damaged(frame, packet.message, how - 20, source)
+            frame = _damaged(frame, packet.message, how - 20, part)
         frames.append(frame)
     return Scene(tuple(frames), (), tuple(sent_at), tuple(packets))
 

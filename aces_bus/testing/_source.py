@@ -36,6 +36,10 @@ class Source(Protocol):
         """Whether only the simplest choices are left."""
         ...
 
+    def branch(self) -> Source:
+        """A source for one part of a whole."""
+        ...
+
 
 class Entropy:
     """Choices out of a string of bytes."""
@@ -64,6 +68,11 @@ class Entropy:
     def choice(self, items: Sequence[T]) -> T:
         return items[self.integer(0, len(items) - 1)]
 
+    def branch(self) -> Entropy:
+        """A source of its own for one part of a whole, for three bytes: parts can be dropped and simplified one by one."""
+        seed = self._take(3)
+        return spread(seed, 512) if seed else Entropy(b"")
+
     def bytes(self, size: int) -> bytes:
         if size <= 4:
             return self._take(size).to_bytes(size, "little")
@@ -79,6 +88,9 @@ class Drawn:
 
     def __init__(self, integers: Callable[[int, int], int], binary: Callable[[int], bytes]) -> None:
         self._integers, self._binary = integers, binary
+
+    def branch(self) -> Drawn:
+        return self
 
     def integer(self, low: int, high: int) -> int:
         return self._integers(low, high) if low < high else low

@@ -54,17 +54,17 @@ def entropy(size: int) -> st.SearchStrategy[Entropy]:
 
 def streams(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
     """Byte streams of about `size` bytes: packets of all messages of the wire, whole and damaged, and garbage."""
-    return entropy(size).map(lambda source: draw_stream(wire, direction, source, size=size))
+    return entropy(size // 3).map(lambda source: draw_stream(wire, direction, source, size=size))
 
 
 def frames(wire: Wire, direction: Way = None, *, size: int = 24) -> st.SearchStrategy[Scene]:
     """About `size` CAN frames: valid ones, nearly valid ones, and others."""
-    return entropy(16 * size).map(lambda source: draw_frames(wire, direction, source, size=size))
+    return entropy(5 * size).map(lambda source: draw_frames(wire, direction, source, size=size))
 
 
 def scenes(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
     """`streams` or `frames`, as the wire's link is; some streams are long enough for the scanner's long strides."""
-    return entropy(size).map(lambda source: draw_scene(wire, direction, source, size=size))
+    return entropy(size // 3).map(lambda source: draw_scene(wire, direction, source, size=size))
 
 
 def adversaries(wire: Wire, direction: Way = None, *, size: int = 3000) -> st.SearchStrategy[Scene]:
@@ -82,14 +82,14 @@ def arguments(law: Law, wire: Wire, direction: Way = None, *, size: int = 400) -
     is_can = variants_of(wire)[0].link == "can"
 
     def made(source: Entropy) -> tuple[Any, ...]:
-        cut_by = Entropy(source.bytes(32)) if law.takes_cuts else None
+        cut_by = source.branch() if law.takes_cuts else None
         if law.number == 7 and not is_can and source.integer(0, 1):
             scene = Scene(adversary(wire, direction, source))
         else:
             scene = draw_scene(wire, direction, source, size=size)
         return (scene,) if cut_by is None else (scene, draw_cuts(scene, cut_by))
 
-    return entropy(size).map(made)
+    return entropy(size // 3).map(made)
 
 
 __all__ = ["adversaries", "arguments", "cuts", "entropy", "fields", "frames", "packets", "scenes", "streams"]

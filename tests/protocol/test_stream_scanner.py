@@ -63,7 +63,7 @@ def test_a_false_header_holds_a_good_reply_until_silence() -> None:
 
 def test_silence_shorter_than_the_gap_decides_nothing() -> None:
     """With the time of now, a packet keeps its declared gap before it is given up."""
-    scanner = servo(gap=0.1).scanner()
+    scanner = StreamScanner([servo(gap=0.1).variant()])
     scanner.feed(STATUS[:5], time=10.0)
     assert scanner.idle(10.05) == []
     assert names(scanner.feed(STATUS[5:], time=10.06)) == ["Status"]

@@ -53,7 +53,7 @@ def aces(capsys: pytest.CaptureFixture[str]) -> Aces:
     return run
 
 
-SPEC = '''
+SPEC = """
 from construct import Array, Byte, GreedyBytes, Int16sb, Int16sl, Int32sl, Float32l, Struct
 from aces_bus.protocol import (
     BitLayout, Capture, Enumeration, Flags, Multiplexed, Protocol, Quantity, Split, Text, bits,
@@ -95,7 +95,7 @@ Ask = arm.message("Ask", id=0x700, remote=True, direction="to device")
 line = Protocol("line", link="serial", baud=115200, doc="A line for tests.")
 packet = line.framing(sync=b"\\xaa", size=4)
 Sample = packet("Sample", direction="from device", payload=Struct("value" / Quantity(Int16sb, unit="mV"), "number" / Byte))
-'''
+"""
 
 #: Time stamps 10 ms apart; what each line is to the protocol `arm` stands behind it.
 LOG = """\

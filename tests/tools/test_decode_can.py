@@ -50,8 +50,16 @@ def test_what_is_not_decoded_says_why(aces: Aces, log: Path, arm: str) -> None:
 
 def test_values_are_what_json_has(aces: Aces, log: Path, arm: str) -> None:
     """Enumerations print their name or number, flags a list with unnamed bits as hexadecimal, infinities and NaN null."""
-    first, second = [o for o in aces("decode", log, "-p", arm, "--format", "jsonl").objects if o["message"] == "State"]
-    assert first["fields"] == {"board": 0, "mode": "torque", "error": ["hot", "cold"], "angle": 1.0, "load": -1.0}
+    first, second = [
+        o for o in aces("decode", log, "-p", arm, "--format", "jsonl").objects if o["message"] == "State"
+    ]
+    assert first["fields"] == {
+        "board": 0,
+        "mode": "torque",
+        "error": ["hot", "cold"],
+        "angle": 1.0,
+        "load": -1.0,
+    }
     assert second["fields"]["mode"] == 1
     assert second["fields"]["error"] == ["0x80"]
     assert second["fields"]["load"] is None
@@ -80,7 +88,12 @@ def test_kinds_of_frames(aces: Aces, tmp_path: Path, arm: str) -> None:
     log = tmp_path / "a.log"
     log.write_text("(1.0) can0 1FFF0001##1010000000200000003000000\n(1.0) can0 700#R\n(1.0) can0 701#R4\n")
     wide, ask, other = aces("decode", log, "-p", arm, "--format", "jsonl").objects
-    assert (wide["id"], wide["extended"], wide["fd"], wide["fields"]) == (0x1FFF0001, True, True, {"words": [1, 2, 3]})
+    assert (wide["id"], wide["extended"], wide["fd"], wide["fields"]) == (
+        0x1FFF0001,
+        True,
+        True,
+        {"words": [1, 2, 3]},
+    )
     assert (ask["message"], ask["fields"], ask["remote"]) == ("Ask", {}, True)
     assert (other["message"], other["raw"], other["remote"]) == (None, "", True)
     assert "remote" not in wide
@@ -188,7 +201,9 @@ def test_strict(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
     good = tmp_path / "good.log"
     good.write_text("(1.0) can0 060#0000000000000000\n(1.1) can0 20000004#0004000000000000\n")
     assert aces("decode", good, "-p", arm, "--strict").status == 0
-    assert aces("decode", log, "-p", arm, "--strict", "-q", "--filter", "300:7FF").status == 1  # the unreadable line
+    assert (
+        aces("decode", log, "-p", arm, "--strict", "-q", "--filter", "300:7FF").status == 1
+    )  # the unreadable line
 
 
 # ---------------------------------------------------------------------- what goes wrong
@@ -299,7 +314,9 @@ def test_two_protocols_that_claim_a_frame_warn_once(aces: Aces, log: Path, arm: 
     assert any("both claim" in m for m in calm.messages)
 
 
-def test_protocols_that_share_only_what_does_not_occur_are_calm(aces: Aces, tmp_path: Path, arm: str, spec: Path) -> None:
+def test_protocols_that_share_only_what_does_not_occur_are_calm(
+    aces: Aces, tmp_path: Path, arm: str, spec: Path
+) -> None:
     """No warning without such a frame."""
     log = tmp_path / "a.log"
     log.write_text("(1.0) can0 300#0000000000000000\n")
@@ -325,7 +342,9 @@ def test_a_configuration_of_ones_own(aces: Aces, log: Path, spec: Path, tmp_path
     robot = tmp_path / "robot.toml"
     robot.write_text('base = "two"\n[channels]\n0x00 = 3\n')
     result = aces("decode", log, "-p", f"{spec}:arm@{robot}", "--format", "jsonl")
-    assert [o["reason"] for o in result.objects if o["id"] == 0x60][0].startswith("malformed: length 8, Encoder3")
+    assert [o["reason"] for o in result.objects if o["id"] == 0x60][0].startswith(
+        "malformed: length 8, Encoder3"
+    )
     assert [o["message"] for o in result.objects if o["id"] == 0x62] == ["Encoder3"]
 
 
@@ -339,9 +358,17 @@ def rows(text: str) -> list[dict[str, str]]:
 def test_one_message_is_a_column_a_field(aces: Aces, log: Path, arm: str) -> None:
     """With one --message each record is a row and each value a column."""
     result = aces("decode", log, "-p", arm, "--format", "csv", "--message", "State")
-    assert result.out.splitlines()[0] == "source,time,channel,direction,id,protocol,message,board,mode,error,angle,load"
+    assert (
+        result.out.splitlines()[0]
+        == "source,time,channel,direction,id,protocol,message,board,mode,error,angle,load"
+    )
     first, second = rows(result.out)
-    assert (first["id"], first["mode"], first["error"], first["angle"]) == ("0x300", "torque", "hot|cold", "1.0")
+    assert (first["id"], first["mode"], first["error"], first["angle"]) == (
+        "0x300",
+        "torque",
+        "hot|cold",
+        "1.0",
+    )
     assert (second["mode"], second["error"]) == ("1", "0x80")
     assert math.isnan(float(second["load"]))
 
@@ -376,11 +403,17 @@ def test_commas_and_quotes_survive(aces: Aces, tmp_path: Path, arm: str) -> None
 
 def test_conditional_values_are_empty_cells(aces: Aces, tmp_path: Path, arm: str) -> None:
     """A field that is not there is an empty cell in CSV and null in JSON."""
-    (tmp_path / "a.log").write_text("(1.0) can0 500#00010000\n(1.0) can0 500#01010000\n(1.0) can0 500#02010000\n")
+    (tmp_path / "a.log").write_text(
+        "(1.0) can0 500#00010000\n(1.0) can0 500#01010000\n(1.0) can0 500#02010000\n"
+    )
     found = rows(aces("decode", tmp_path / "a.log", "-p", arm, "--format", "csv", "--message", "Pages").out)
     assert [(r["low"], r["high"]) for r in found] == [("0.5", ""), ("", "1"), ("", "")]
     objects = aces("decode", tmp_path / "a.log", "-p", arm, "--format", "jsonl").objects
-    assert [(o["fields"]["low"], o["fields"]["high"]) for o in objects] == [(0.5, None), (None, 1), (None, None)]
+    assert [(o["fields"]["low"], o["fields"]["high"]) for o in objects] == [
+        (0.5, None),
+        (None, 1),
+        (None, None),
+    ]
 
 
 # ---------------------------------------------------------------------- where it goes

@@ -75,7 +75,10 @@ def test_lines_come_as_the_frames_do(live: Running) -> None:
     assert live.process.stdin is not None
     live.process.stdin.close()
     status, said = live.end()
-    assert (status, said) == (0, "frames=3 decoded=3 unknown=0 malformed=0 filtered=0 errors=0 lines_unreadable=0\n")
+    assert (status, said) == (
+        0,
+        "frames=3 decoded=3 unknown=0 malformed=0 filtered=0 errors=0 lines_unreadable=0\n",
+    )
 
 
 def test_ctrl_c_ends_with_the_summary(live: Running) -> None:

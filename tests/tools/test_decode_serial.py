@@ -52,7 +52,16 @@ def test_every_byte_is_in_one_bin(aces: Aces, capture: Path) -> None:
     """The summary of a stream has the documented form and sums to the bytes; the lines cover the stream."""
     result = aces("decode", capture, "-p", "robotis", "--direction", "from", "--format", "jsonl")
     summary = result.summary
-    assert list(summary) == ["bytes", "decoded", "unknown", "malformed", "skipped", "filtered", "pending", "records"]
+    assert list(summary) == [
+        "bytes",
+        "decoded",
+        "unknown",
+        "malformed",
+        "skipped",
+        "filtered",
+        "pending",
+        "records",
+    ]
     assert (summary["bytes"], summary["decoded"], summary["records"], summary["pending"]) == (30, 16, 2, 4)
     assert summary["bytes"] == sum(n for name, n in summary.items() if name not in ("bytes", "records"))
     at = 0
@@ -65,7 +74,9 @@ def test_every_byte_is_in_one_bin(aces: Aces, capture: Path) -> None:
 
 def test_filtered_bytes_and_records(aces: Aces, capture: Path) -> None:
     """--where takes the bytes of a refused packet from `decoded` to `filtered`, and its record away."""
-    result = aces("decode", capture, "-p", "robotis", "--direction", "from", "--where", "id=2", "--format", "jsonl")
+    result = aces(
+        "decode", capture, "-p", "robotis", "--direction", "from", "--where", "id=2", "--format", "jsonl"
+    )
     assert result.out == ""
     assert (result.summary["decoded"], result.summary["filtered"], result.summary["records"]) == (0, 16, 0)
 
@@ -103,7 +114,9 @@ def test_garbage_is_counted(aces: Aces, tmp_path: Path, seed: int) -> None:
     """Whatever the bytes, the command decodes, counts and ends well."""
     chance = random.Random(seed)
     path = tmp_path / "x.bin"
-    path.write_bytes(b"".join(chance.choice([STATUS, READ, b"\xff", chance.randbytes(5)]) for _ in range(300)))
+    path.write_bytes(
+        b"".join(chance.choice([STATUS, READ, b"\xff", chance.randbytes(5)]) for _ in range(300))
+    )
     for direction in ("to", "from", "both"):
         result = aces("decode", path, "-p", "robotis", "--direction", direction, "--format", "jsonl")
         summary = result.summary
@@ -129,7 +142,8 @@ def test_the_dump_of_the_vendors_monitor(aces: Aces, tmp_path: Path) -> None:
     path = tmp_path / "x.txt"
     cells = STATUS.hex(" ").upper()
     path.write_text(
-        f'Port opened by process "DXCONF.exe" (PID: 1)\n\n {cells}   text\n nonsense\n\nPort closed\n', encoding="utf-8"
+        f'Port opened by process "DXCONF.exe" (PID: 1)\n\n {cells}   text\n nonsense\n\nPort closed\n',
+        encoding="utf-8",
     )
     result = aces("decode", path, "-p", "robotis", "--direction", "from", "--format", "jsonl", "--strict")
     assert [o["message"] for o in result.objects] == ["Status"]
@@ -146,7 +160,9 @@ def test_standard_input(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_each_file_goes_to_the_protocols_of_its_link(aces: Aces, log: Path, arm: str, capture: Path) -> None:
     """CAN and serial protocols together: each file is decoded by its own, with a summary line a link."""
-    result = aces("decode", log, capture, "-p", arm, "-p", "robotis", "--direction", "from", "--format", "jsonl")
+    result = aces(
+        "decode", log, capture, "-p", arm, "-p", "robotis", "--direction", "from", "--format", "jsonl"
+    )
     assert {o["protocol"] for o in result.objects} == {"arm", "robotis", None}
     last = result.err.splitlines()[-2:]
     assert last[0].startswith("frames=12 ")

@@ -13,7 +13,16 @@ from aces_tools.main import VERBS, main
 from .conftest import Aces
 
 #: What only the verbs may import.
-HEAVY = ("construct", "numpy", "can", "rich", "msgspec", "importlib.metadata", "aces_bus.protocol", "aces_bus.capture")
+HEAVY = (
+    "construct",
+    "numpy",
+    "can",
+    "rich",
+    "msgspec",
+    "importlib.metadata",
+    "aces_bus.protocol",
+    "aces_bus.capture",
+)
 
 
 @pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"], ["help"]])
@@ -37,7 +46,10 @@ def test_nothing_heavy_is_imported_for_help(arguments: list[str]) -> None:
         "print(*(n for n in sys.argv[1].split(',') if n in sys.modules)); sys.exit(status)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, ",".join(HEAVY), *arguments], capture_output=True, text=True, check=True
+        [sys.executable, "-c", program, ",".join(HEAVY), *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.splitlines()[-1] == ""
 
@@ -67,7 +79,9 @@ def test_every_verb_explains_itself(aces: Aces, verb: str) -> None:
     assert aces("help", verb).out == result.out
 
 
-@pytest.mark.parametrize("arguments", [["decode"], ["decode", "x", "-p"], ["spec"], ["decode", "x", "-p", "y", "--nope"]])
+@pytest.mark.parametrize(
+    "arguments", [["decode"], ["decode", "x", "-p"], ["spec"], ["decode", "x", "-p", "y", "--nope"]]
+)
 def test_a_wrong_call_is_one_line(aces: Aces, arguments: list[str]) -> None:
     """What argparse complains of is one line that names the help, and status 2."""
     result = aces(*arguments)

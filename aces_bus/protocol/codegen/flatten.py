@@ -249,10 +249,10 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
         and isinstance(inner.swapped, bool)
     ):
         order = "little" if inner.swapped else "big"
-        kind_ = "int" if inner.signed else "uint"
-        return p.Scalar(
-            kind_, offset, inner.length, _order(order), _int_bits(offset, inner.length, order), found, unit
-        )  # type: ignore[arg-type]
+        number = _int_bits(offset, inner.length, order)
+        if inner.signed:
+            return p.Scalar("int", offset, inner.length, _order(order), number, found, unit)
+        return p.Scalar("uint", offset, inner.length, _order(order), number, found, unit)
     if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:

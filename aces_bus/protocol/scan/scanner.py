@@ -46,6 +46,10 @@ class Scanner(typing.Protocol):
         """The capture has ended."""
         ...
 
+    def reset(self) -> None:
+        """Forget everything seen, counts included: as if just made."""
+        ...
+
     def sent(self, word: Any, /) -> None:
         """Our own transmission: a request that replies may hang on."""
         ...

@@ -1,6 +1,7 @@
 """Comma-separated values, for spreadsheets.
 
-With one message: one row a record, one column a field (`position.0`, `status.mode`). Otherwise one row a value, in the
+With one message: one row a record, one column a field (`position.0`, `status.mode`; `Status.id` where a column of the
+transport has the name). Otherwise one row a value, in the
 columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 
 1. The columns are known before the first record: they depend on the protocols and messages asked for, not on the data.
@@ -11,9 +12,8 @@ columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +21,8 @@ from aces_bus.protocol import FlagSet, Record, Unknown
 from aces_bus.protocol.codegen.plan import MessagePlan
 
 from .shape import Leaf, flag_names, leaves, plain, unit_of
+
+_SPECIAL = re.compile(r'[",\r\n]').search
 
 
 class Sheet:
@@ -42,6 +44,8 @@ class Sheet:
             if kind.__name__ == only:
                 columns.update(dict.fromkeys(leaf.path for leaf in found))
         self._columns = list(columns)
+        taken = {"source", "time", "channel", "direction", "id", "offset", "size", "protocol", "message"}
+        self._titles = [f"{only}.{name}" if name in taken else name for name in columns]
         self._has_can = "can" in links
         self._has_streams = not links or any(link != "can" for link in links)
         self._source = ""
@@ -56,7 +60,7 @@ class Sheet:
         head += ["id"] if self._has_can else []
         head += ["offset", "size"] if self._has_streams else []
         head += ["protocol", "message"]
-        return self._rows([head + (self._columns if self._is_wide else ["field", "value", "unit"])])
+        return self._rows([head + (self._titles if self._is_wide else ["field", "value", "unit"])])
 
     def items(self, items: Sequence[Any]) -> bytes:
         rows: list[list[Any]] = []
@@ -92,9 +96,15 @@ class Sheet:
 
     @staticmethod
     def _rows(rows: list[list[Any]]) -> bytes:
-        out = io.StringIO()
-        csv.writer(out, lineterminator="\n").writerows(rows)
-        return out.getvalue().encode("utf-8", "replace")
+        return "".join([",".join(map(_written, row)) + "\n" for row in rows]).encode("utf-8", "replace")
+
+
+def _written(value: Any) -> str:
+    """A cell as it is written (RFC 4180). The csv module leaves a lone carriage return without quotes."""
+    if value is None:
+        return ""
+    text = str(value)
+    return '"' + text.replace('"', '""') + '"' if _SPECIAL(text) else text
 
 
 def cell(value: Any) -> Any:
