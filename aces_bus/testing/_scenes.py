@@ -17,7 +17,7 @@ from ..protocol.scan.stream import WORTH
 from ..protocol.spec.framing import Framing
 from ..protocol.spec.message import Direction, Message
 from ..protocol.spec.protocol import Variant
-from ._source import Source
+from ._source import Source, spread
 from ._values import Packet, draw_packet, frame_of
 
 Way = Direction | Literal["both"] | None
@@ -238,7 +238,7 @@ def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -
             time = round(time + part.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)
         about: dict[str, Any] = {"timestamp": time, "channel": channel, "is_rx": part.choice((None, True, False))}
         if how >= 30:
-            frames.append(_foreign(source, about))
+            frames.append(_foreign(part, about))
             continue
         if how == 29:
             frames.append(Frame(part.integer(0, 0x1FFF_FFFF), part.bytes(part.integer(0, 8)), is_error_frame=True, **about))
@@ -317,7 +317,9 @@ def draw_scene(wire: Wire, direction: Way, source: Source, *, size: int = 400) -
     if variants_of(wire)[0].link == "can":
         return draw_frames(wire, direction, source, size=max(1, size // 16))
     # Long chunks take another path through the scanner: some scenes must be longer than that.
-    return draw_stream(wire, direction, source, size=2 * WORTH if source.integer(0, 3) == 3 else size)
+    if source.integer(0, 7) == 7:
+        return draw_stream(wire, direction, spread(source.integer(1, 1 << 24), 2048), size=2 * WORTH)
+    return draw_stream(wire, direction, source, size=size)
 
 
 def draw_cuts(scene: Scene, source: Source) -> tuple[int, ...]:

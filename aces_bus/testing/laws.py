@@ -3,7 +3,7 @@
 1. Each law is a function of a wire (a variant, or several on one wire), a direction and a scene; it raises
    `AssertionError` with what was expected, what came, and the scene to repeat it.
 2. A law trusts nothing that it judges: the truth is construct, the reference, or arithmetic on the input.
-3. Nothing is drawn here; `strategies` draws. A scene made by hand does as well.
+3. Scenes are drawn by `strategies`, or by `draw_arguments` without Hypothesis; one made by hand does as well.
 
 >>> from aces_bus.testing import laws
 >>> from aces_protocols.robotis.spec import robotis
@@ -30,7 +30,8 @@ from ..protocol.spec.message import DIRECTIONS, Message
 from ..protocol.spec.protocol import Protocol, Variant
 from ._exemptions import Exemption, are_excused, exemptions
 from ._play import copied, heard, image_of, plain, play, scanner_of, told
-from ._scenes import Scene, Way, Wire, cast, variants_of
+from ._scenes import Scene, Way, Wire, adversary, cast, draw_cuts, draw_scene, variants_of
+from ._source import Source
 from ._values import Packet
 
 
@@ -364,7 +365,7 @@ def unambiguous(wire: Wire, direction: Way, scene: Scene) -> None:
         apart = _apart(variant, direction)
         for packet in scene.packets:
             for other in apart.get(packet.message.name, ()):
-                part = _part_accepted(other, packet.image)
+                part = part_accepted(other, packet.image)
                 if part is not None:
                     text = f"{packet.message.name} and {other.name} were found disjoint, but both accept {part.hex()}"
                     _fail(9, wire, direction, text)
@@ -391,7 +392,7 @@ def _apart(variant: Variant, direction: Way) -> dict[str, tuple[Message, ...]]:
     return {name: tuple(others) for name, others in found.items()}
 
 
-def _part_accepted(message: Message, image: bytes) -> bytes | None:
+def part_accepted(message: Message, image: bytes) -> bytes | None:
     """The packet, or the beginning of it, that a message accepts."""
     framing = message.framing
     if framing is None:
@@ -404,6 +405,16 @@ def _part_accepted(message: Message, image: bytes) -> bytes | None:
 
 
 # ---------------------------------------------------------------------- all of them
+
+
+def draw_arguments(law: Law, wire: Wire, direction: Way, source: Source, *, size: int = 400) -> tuple[Any, ...]:
+    """What `law.holds(wire, direction, …)` takes besides: a scene of about `size` bytes, and cuts where it wants them."""
+    cut_by = source.branch()
+    if law.number == 7 and not _is_can(wire) and source.integer(0, 1):
+        scene = Scene(adversary(wire, direction, source))
+    else:
+        scene = draw_scene(wire, direction, source, size=size)
+    return (scene, draw_cuts(scene, cut_by)) if law.takes_cuts else (scene,)
 
 
 def directions(variant: Variant) -> tuple[Way, ...]:
@@ -461,9 +472,11 @@ __all__ = [
     "chunking",
     "conflicts",
     "directions",
+    "draw_arguments",
     "exemptions",
     "no_false_accept",
     "oracle",
+    "part_accepted",
     "resynchronisation",
     "round_trip",
     "unambiguous",

@@ -18,10 +18,10 @@ except ImportError as missing:
 
 from ..protocol.spec.message import Message
 from ..protocol.spec.protocol import Variant
-from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream, variants_of
+from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream
 from ._source import Drawn, Entropy
 from ._values import Packet, draw_packet, draw_values
-from .laws import Law
+from .laws import Law, draw_arguments
 
 
 def _drawn(draw: Any) -> Drawn:
@@ -79,17 +79,7 @@ def cuts(scene: Scene) -> st.SearchStrategy[tuple[int, ...]]:
 
 def arguments(law: Law, wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[tuple[Any, ...]]:
     """What `law.holds(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
-    is_can = variants_of(wire)[0].link == "can"
-
-    def made(source: Entropy) -> tuple[Any, ...]:
-        cut_by = source.branch() if law.takes_cuts else None
-        if law.number == 7 and not is_can and source.integer(0, 1):
-            scene = Scene(adversary(wire, direction, source))
-        else:
-            scene = draw_scene(wire, direction, source, size=size)
-        return (scene,) if cut_by is None else (scene, draw_cuts(scene, cut_by))
-
-    return entropy(size // 3).map(made)
+    return entropy(size // 3).map(lambda source: draw_arguments(law, wire, direction, source, size=size))
 
 
 __all__ = ["adversaries", "arguments", "cuts", "entropy", "fields", "frames", "packets", "scenes", "streams"]

@@ -171,3 +171,12 @@ def test_a_reply_that_its_bytes_tell_uses_up_its_request() -> None:
         "Short",
         None,
     ]
+
+
+def test_a_datagram_is_not_continued_by_the_next() -> None:
+    """A packet cut off by the end of its datagram is lost alone: the next datagram stands for itself."""
+    scanner = StreamScanner([servo().variant()], everything=True)
+    assert names(scanner.datagram(STATUS[:-1])) == ["malformed: incomplete", "skipped"]
+    assert names(scanner.datagram(STATUS + STATUS)) == ["Status", "Status"]
+    assert scanner.counts.pending == 0
+    assert scanner.counts.balance == 0

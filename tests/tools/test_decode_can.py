@@ -342,7 +342,7 @@ def test_a_configuration_of_ones_own(aces: Aces, log: Path, spec: Path, tmp_path
     robot = tmp_path / "robot.toml"
     robot.write_text('base = "two"\n[channels]\n0x00 = 3\n')
     result = aces("decode", log, "-p", f"{spec}:arm@{robot}", "--format", "jsonl")
-    assert [o["reason"] for o in result.objects if o["id"] == 0x60][0].startswith(
+    assert next(o["reason"] for o in result.objects if o["id"] == 0x60).startswith(
         "malformed: length 8, Encoder3"
     )
     assert [o["message"] for o in result.objects if o["id"] == 0x62] == ["Encoder3"]
@@ -382,7 +382,7 @@ def test_several_messages_are_a_row_a_value(aces: Aces, log: Path, arm: str) -> 
         ("position.1", "-10", "count"),
     ]
     lost = [r for r in found if not r["message"]]
-    assert [(r["field"], r["value"]) for r in lost][0] == ("unknown", "deadbeef")
+    assert (lost[0]["field"], lost[0]["value"]) == ("unknown", "deadbeef")
     assert len(lost) == 4
     assert [r["message"] for r in found if r["id"] == "0x700"] == ["Ask"]  # no fields, and yet a row
 

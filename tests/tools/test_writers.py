@@ -143,7 +143,8 @@ mixed = Protocol("mixed_text", link="can")
 def _declare() -> None:
     from construct import Byte, Bytes, GreedyBytes, Int16sb, Struct
 
-    from aces_bus.protocol import Flags, Quantity, Text as TextField
+    from aces_bus.protocol import Flags, Quantity
+    from aces_bus.protocol import Text as TextField
 
     mixed.message(
         "State",

@@ -154,6 +154,10 @@ class StreamScanner:
             return []
         return self._advance(b"", time if time is not None else self._time, silent=True)
 
+    def datagram(self, data: bytes, time: float | None = None) -> list[Any]:
+        """Records of one datagram: what it leaves incomplete, the next one does not continue."""
+        return [*self.feed(data, time), *self._advance(b"", self._time, silent=True)]
+
     def close(self) -> list[Any]:
         """The stream has ended. A packet cut off by the end stays pending; what stands behind a false one is found."""
         return self._advance(b"", self._time, silent=True, closing=True)

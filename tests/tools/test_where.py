@@ -1,0 +1,159 @@
+"""`--where`: which records fulfil a condition."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from construct import Array, Byte, Bytes, Float32l, GreedyRange, Int16sl, Struct
+
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.frame import Frame
+from aces_bus.protocol import BitLayout, Enumeration, Flags, Multiplexed, Protocol, Quantity, Text, bits
+from aces_tools.output.shape import plans_of
+from aces_tools.where import Where, parse_condition
+
+spec = Protocol("where_spec", link="can")
+spec.message(
+    "State",
+    id=0x10,
+    payload=Struct(
+        "mode" / Enumeration(Byte, off=0, torque=2),
+        "error" / Flags(Byte, hot=0, cold=3),
+        "angle" / Quantity(Int16sl, scale=0.1, unknown=(0x7FFF,)),
+        "load" / Float32l,
+    ),
+)
+spec.message(
+    "Points", id=0x11, payload=Struct("points" / Array(2, Struct("x" / Byte, "y" / Byte)), "tag" / Bytes(2))
+)
+spec.message("List", id=0x12, payload=Struct("servos" / GreedyRange(Struct("id" / Byte, "goal" / Byte))))
+spec.message("Name", id=0x13, payload=Struct("name" / Text(8)))
+spec.message(
+    "Page", id=0x14, payload=BitLayout(2, "page" / bits(1), "low" / Multiplexed("page", 0, bits(8, at=8)))
+)
+
+
+def one(identifier: int, data: bytes, time: float | None = None) -> Any:
+    (record,) = spec.scanner().feed([Frame(identifier, data, time, "can0")])
+    return record
+
+
+STATE = one(0x10, bytes.fromhex("0289 7B00 0000803F"), 12.5)  # torque, {hot, cold, 0x80}, 12.3, 1.0
+POINTS = one(0x11, bytes([1, 2, 3, 4, 0x0A, 0xFF]))
+LIST = one(0x12, bytes([7, 70, 8, 80]))
+NAME = one(0x13, b"neck\0\0\0\0")
+PAGE_0, PAGE_1 = one(0x14, b"\x00\x05"), one(0x14, b"\x01\x05")
+NOT_KNOWN = one(0x10, bytes.fromhex("0500 FF7F 0000C07F"))  # 5, {}, not known, NaN
+
+
+def holds(record: Any, *conditions: str) -> bool:
+    return Where(conditions, plans_of([spec.variant()])).holds(record)
+
+
+@pytest.mark.parametrize(
+    ("record", "condition", "wanted"),
+    [
+        (STATE, "mode=torque", True),
+        (STATE, "mode=2", True),
+        (STATE, "mode=0x2", True),
+        (STATE, "mode=off", False),
+        (STATE, "mode!=off", True),
+        (NOT_KNOWN, "mode=5", True),
+        (NOT_KNOWN, "mode!=torque", True),
+        (STATE, "error=hot", True),
+        (STATE, "error!=hot", False),
+        (STATE, "error=0x89", True),
+        (STATE, "error=1", False),
+        (STATE, "error>0", True),
+        (STATE, "angle=12.3", True),
+        (STATE, "angle==12.3", True),
+        (STATE, " angle = 12.3 ", True),
+        (STATE, "angle!=12.3", False),
+        (STATE, "angle>12", True),
+        (STATE, "angle>=12.4", False),
+        (STATE, "angle<1.3e1", True),
+        (STATE, "angle<=-1", False),
+        (STATE, "load=1", True),
+        (NOT_KNOWN, "angle=none", True),
+        (NOT_KNOWN, "angle=", True),
+        (NOT_KNOWN, "angle!=3", True),
+        (NOT_KNOWN, "angle<100", False),
+        (STATE, "angle=none", False),
+        (NOT_KNOWN, "load=nan", True),
+        (NOT_KNOWN, "load<1", False),
+        (STATE, "load=nan", False),
+        (POINTS, "points.x=3", True),
+        (POINTS, "points.x=2", False),
+        (POINTS, "points.0.x=3", False),
+        (POINTS, "points.1.y=4", True),
+        (POINTS, "points.x!=3", False),
+        (POINTS, "points.x!=9", True),
+        (POINTS, "points.y>3", True),
+        (POINTS, "tag=0aff", True),
+        (POINTS, "tag=0A FF", True),
+        (POINTS, "tag=0x0aff", True),
+        (POINTS, "tag!=0aff", False),
+        (LIST, "servos.id=8", True),
+        (LIST, "servos.id=9", False),
+        (LIST, "servos.0.goal=70", True),
+        (LIST, "servos.5.goal=70", False),
+        (LIST, "servos.5.goal!=70", False),
+        (NAME, "name=neck", True),
+        (NAME, "name!=neck", False),
+        (PAGE_0, "low=5", True),
+        (PAGE_1, "low=5", False),
+        (PAGE_1, "low=none", True),
+        (STATE, "meta.time>12", True),
+        (STATE, "meta.channel=can0", True),
+        (STATE, "meta.identifier=0x10", True),
+        (NAME, "meta.time=none", True),
+        (STATE, "meta.direction=to", False),
+        (NAME, "angle!=3", False),
+        (NAME, "angle=none", False),
+    ],
+)
+def test_conditions(record: Any, condition: str, wanted: bool) -> None:
+    """Names, flags, units, items of several, absent values: each as the help says."""
+    assert holds(record, condition) is wanted
+
+
+def test_all_conditions_must_hold() -> None:
+    """Several conditions are joined by `and`; a record that lacks one field is refused."""
+    assert holds(STATE, "mode=torque", "angle>0")
+    assert not holds(STATE, "mode=torque", "angle<0")
+    assert not holds(STATE, "mode=torque", "name=neck")
+
+
+@pytest.mark.parametrize("text", ["", "=3", "a", "a~3", "3=a", "a..b=1", "a.=1", ".a=1"])
+def test_what_is_no_condition(text: str) -> None:
+    """Is refused with how one is written."""
+    with pytest.raises(CallerError, match="--where"):
+        parse_condition(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nosuch=1",
+        "points.z=1",
+        "points.2.x=1",
+        "mode.x=1",
+        "mode=troque",
+        "error=warm",
+        "meta.raw=00",
+        "meta=1",
+        "meta.time.x=1",
+    ],
+)
+def test_a_name_that_cannot_hold(text: str) -> None:
+    """A field, name or flag that does not exist is said before anything is read, with those that do."""
+    with pytest.raises(UnknownNameError, match="there are:"):
+        holds(STATE, text)
+
+
+@pytest.mark.parametrize("text", ["mode<off", "angle>x", "angle=x", "tag=xyz", "tag=123"])
+def test_a_value_that_cannot_hold(text: str) -> None:
+    """So is a value of the wrong kind."""
+    with pytest.raises(CallerError, match="--where"):
+        holds(STATE, text)
