@@ -44,10 +44,19 @@ $(VENV)/.bench: $(VENV)/.python pyproject.toml
 	@$(PIP) --editable '.[bench]'
 	@touch $@ $(VENV)/.run
 
-demo: $(VENV)/.run ## decode the captures in examples/captures
-	$(BIN)/aces decode examples/captures/robotis_session.dxconf.txt -p robotis --direction both
-	$(BIN)/aces decode examples/captures/hubo2plus.log -p hubo
-	$(BIN)/aces decode examples/captures/adc.bin -p minihubo_adc
+# `sed` shows the first lines and lets the rest run, so that the summary speaks of the whole file.
+FIRST := | sed -n '1,14p'
+
+demo: $(VENV)/.run ## decode the captures in examples/captures, draw a message
+	$(BIN)/aces decode examples/captures/robotis_session.dxconf.txt -p robotis --direction both $(FIRST)
+	@echo
+	$(BIN)/aces decode examples/captures/hubo2plus.log -p hubo $(FIRST)
+	@echo
+	$(BIN)/aces decode examples/captures/hubo2plus.log -p hubo --message Status --format jsonl $(FIRST)
+	@echo
+	$(BIN)/aces decode examples/captures/adc.bin -p minihubo_adc $(FIRST)
+	@echo
+	$(BIN)/aces protocols hubo Current
 
 test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
 	$(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)

@@ -325,6 +325,14 @@ def test_protocols_that_share_only_what_does_not_occur_are_calm(
     assert not [m for m in result.messages if "both claim" in m]
 
 
+def test_a_direction_limits_the_messages(aces: Aces, log: Path, arm: str) -> None:
+    """On CAN, --direction leaves out messages that go the other way, and says nothing of frames that are not decoded."""
+    objects = aces("decode", log, "-p", arm, "--direction", "from", "--format", "jsonl").objects
+    assert {o["direction"] for o in objects if o["message"]} == {"from device", None}
+    assert {o["direction"] for o in objects if not o["message"]} == {None}
+    assert "Get" not in {o["message"] for o in objects}
+
+
 # ---------------------------------------------------------------------- dialects and configurations
 
 

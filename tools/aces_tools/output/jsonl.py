@@ -62,7 +62,7 @@ Convert = Callable[[Any], CanLine | StreamLine]
 
 
 class JsonLines:
-    """`direction` is what the user stated for records of messages that can go both ways."""
+    """`direction` is what the user stated of raw bytes; on CAN, what a frame is not known to be it is not."""
 
     def __init__(self, plans: Mapping[type[Record], MessagePlan], direction: str | None) -> None:
         self._plans = plans
@@ -88,7 +88,11 @@ class JsonLines:
         """The line of a record. The transport's fields are read from the record: `meta` costs as much as all else."""
         names = tuple(field.name for field in plan.fields)
         special = tuple(field.name for field in plan.fields if not is_plain(field.node))
-        protocol, message, direction = kind._protocol, kind.__name__, kind._direction or self._direction
+        protocol, message, direction = (
+            kind._protocol,
+            kind.__name__,
+            kind._direction or (None if is_can else self._direction),
+        )
         get = attrgetter("_time", "_channel", "_key", "_raw", "_rx", *names)
 
         def fields(values: list[Any]) -> dict[str, Any]:
@@ -129,7 +133,7 @@ class JsonLines:
                 source,
                 meta.time,
                 meta.channel,
-                meta.direction or self._direction,
+                meta.direction,
                 BUS[meta.is_rx],
                 meta.identifier,
                 meta.extended,

@@ -82,7 +82,8 @@ class Sheet:
 
     def _head(self, item: Any) -> list[Any]:
         meta = item.meta
-        head = [self._source, meta.time, meta.channel, meta.direction or self._direction]
+        direction = meta.direction or (self._direction if meta.identifier is None else None)
+        head = [self._source, meta.time, meta.channel, direction]
         if self._has_can:
             identifier = meta.identifier
             head.append(None if identifier is None else f"{identifier:#0{10 if meta.extended else 5}x}")

@@ -7,7 +7,8 @@
 2. A line is cut into several only on a terminal, between fields. Elsewhere one record is one line, without colour.
 3. Nothing that came over a wire reaches the terminal as a control character.
 
-Left out, because they would only distract: reserved bits that are zero, and fields that a selector says are not there.
+Left out, because they would only distract: reserved bits that are zero, bytes up to the end where there are none, and
+fields that a selector says are not there.
 """
 
 from __future__ import annotations
@@ -147,7 +148,7 @@ class Text:
 
     def _line(self, item: Any, meta: Any) -> list[str]:
         paint = self._paint
-        direction = meta.direction or self._direction
+        direction = meta.direction or (None if self._is_can else self._direction)
         place = self._place(meta)
         if type(item) is Unknown:
             style, name, tokens = item.kind, item.reason.partition(": ")[0], self._lost(item, meta)
@@ -267,7 +268,7 @@ class _Fields:
                 if leaf.conditional:
                     continue
                 text, mark = "unknown", ""
-            elif not value and isinstance(leaf.node, p.Rest):
+            elif not value and _is_dull(leaf.node):
                 continue
             else:
                 text, mark = shown(value), unit
@@ -298,6 +299,11 @@ def _parts(fields: Sequence[p.PlanField], prefix: str, way: tuple[str, ...], con
         else:
             found.append(Leaf(prefix + field.name, field.node, getter((*way, field.name)), only_then))
     return found
+
+
+def _is_dull(node: p.Node) -> bool:
+    """Whether zero or nothing need not be told: bits without a field, bytes up to the end of the packet."""
+    return isinstance(node, p.Rest) or (isinstance(node, p.Scalar) and node.size is None)
 
 
 def _unit(node: p.Node) -> str:

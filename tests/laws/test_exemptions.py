@@ -1,0 +1,118 @@
+"""Law 1 has exceptions: they are listed field by field, with a reason, and there are no more than these."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from construct import Byte, Construct, Float16l, Float32l, PaddedString, Struct, VarInt
+
+from aces_bus.protocol import Message, Protocol, SignMagnitude
+from aces_bus.testing import laws
+from aces_bus.testing._exemptions import KINDS, are_excused
+from tests.laws.wires import REGISTERED
+from tests.specs.catalogue import SPECS
+
+#: Protocol → kind → fields whose bytes do not all survive. A new entry needs the source that makes it so.
+LISTED: dict[str, dict[str, set[str]]] = {
+    "hubo": {
+        # The boards' set-points and duties are sign and magnitude (hubo-ach, hubo-daemon.c).
+        "negative zero": {
+            "Reference.position",
+            "ReferenceHand.position",
+            "ReferenceHand.finger",
+            "ReferenceHandPosition.position",
+            "HomeD08.offset",
+            "HomeD08X.offset",
+            "PwmFingersD08.duty",
+            "PwmFine.duty",
+            "Pwm3.duty",
+            "PwmFingers.duty",
+        }
+    },
+    "mavlink1": {
+        # MAVLink's float is IEEE 754 single precision.
+        "signalling NaN": {
+            "ParamValue.value",
+            "Attitude.roll",
+            "Attitude.pitch",
+            "Attitude.yaw",
+            "Attitude.roll_rate",
+            "Attitude.pitch_rate",
+            "Attitude.yaw_rate",
+            "AttitudeQuaternion.quaternion",
+            "AttitudeQuaternion.rates",
+            "CommandLong.params",
+        }
+    },
+    "mit_motor": {
+        # Damiao's modes and registers are single-precision floats.
+        "signalling NaN": {
+            "PositionVelocity.position",
+            "PositionVelocity.velocity_limit",
+            "Velocity.velocity",
+            "ForcePosition.position",
+            "ReadFloatReply.value",
+            "WriteFloat.value",
+            "WriteFloatReply.value",
+        }
+    },
+    "odrive_like": {
+        "signalling NaN": {"EncoderEstimates.position", "EncoderEstimates.velocity", "SetInputPosition.position"}
+    },
+}
+
+
+@pytest.mark.parametrize("name", [*REGISTERED, *SPECS])
+def test_exceptions_are_listed(name: str) -> None:
+    """No field of a protocol loses bytes that this list does not name."""
+    protocol = {**REGISTERED, **SPECS}[name]
+    found: dict[str, set[str]] = {}
+    for message in protocol.declared:
+        for exemption in laws.exemptions(message):
+            found.setdefault(exemption.kind.name, set()).add(f"{message.name}.{exemption.field}")
+    assert found == LISTED.get(name, {})
+
+
+def test_exceptions_are_few() -> None:
+    """Counted, so that the list does not grow unseen."""
+    assert sum(len(fields) for kinds in LISTED.values() for fields in kinds.values()) == 30
+
+
+#: Of each kind: a field, bytes that do not survive, and what comes back.
+SHOWN: dict[str, tuple[Construct, bytes, bytes]] = {
+    "negative zero": (SignMagnitude(16), b"\x00\x80", b"\x00\x00"),
+    "signalling NaN": (Float32l, struct.pack("<I", 0x7F80_0001), struct.pack("<I", 0x7FC0_0001)),
+    "NaN of half precision": (Float16l, b"\x01\x7e", b"\x00\x7e"),
+    "overlong number": (VarInt, b"\x85\x00", b"\x05"),
+    "padding of text": (PaddedString(4, "ascii"), b"A\0\0B"[:4], b"A\0\0B"[:4]),
+}
+
+
+def _message(field: Construct) -> Message:
+    made = Protocol("shown", link="can")
+    return made.message("Shown", id=1, payload=Struct("field" / field, "other" / Byte))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_each_exception_is_needed(kind: object) -> None:
+    """The bytes shown really do not survive, and what comes back reads the same."""
+    name = kind.name  # type: ignore[attr-defined]
+    field, before, after = SHOWN[name]
+    message = _message(field)
+    head = bytes((0, 0, 0, 1, 0))
+    image, rebuilt = head + before + b"\x2a", head + after + b"\x2a"
+    assert [e.kind.name for e in laws.exemptions(message)] == [name]
+    parsed = message.struct.parse(image, raw=True)
+    assert message.struct.build(parsed, raw=True) == rebuilt
+    assert are_excused(message, image, rebuilt)
+
+
+def test_nothing_else_is_excused() -> None:
+    """A difference outside the listed bits is a fault, also in a message that has an exception."""
+    message = _message(SignMagnitude(16))
+    head = bytes((0, 0, 0, 1, 0))
+    assert are_excused(message, head + b"\x00\x80\x2a", head + b"\x00\x00\x2a")
+    assert not are_excused(message, head + b"\x00\x80\x2a", head + b"\x00\x00\x2b")
+    assert not are_excused(message, head + b"\x00\x80\x2a", head + b"\x00\x00")
+    assert not are_excused(_message(Byte), head + b"\x00\x2a", head + b"\x01\x2a")
