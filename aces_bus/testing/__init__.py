@@ -10,4 +10,6 @@ Import what you use: `from aces_bus.testing import laws, strategies`.
 
 from __future__ import annotations
 
-__all__ = ["laws", "strategies"]
+from . import laws as laws
+
+__all__ = ["laws"]

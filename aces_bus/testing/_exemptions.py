@@ -54,11 +54,6 @@ KINDS = (
         "a variable-length number may be written with more bytes than it needs; we build the shortest",
         lambda con: con is c.VarInt or con is c.ZigZag,
     ),
-    Kind(
-        "padding of text",
-        "construct's padded strings drop what stands behind the first NUL; `Text` keeps it",
-        lambda con: isinstance(con, c.NullStripped),
-    ),
 )
 
 

@@ -34,7 +34,11 @@ class Heard:
 
     def __str__(self) -> str:
         where = f"{self.offset}…{self.offset + self.size}"
-        return f"{where} {self.protocol}.{self.message} {self.fields}" if self.message else f"{where} {self.reason}"
+        return (
+            f"{where} {self.protocol}.{self.message} {self.fields}"
+            if self.message
+            else f"{where} {self.reason}"
+        )
 
 
 @lru_cache(maxsize=512)
@@ -90,7 +94,9 @@ def told(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[
     reference = Reference(variants_of(wire), direction=direction, raw=raw)
     if variants_of(wire)[0].link != "can":
         found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
-        return joined(Heard(f.offset, f.size, f.message, plain(f.fields), f.reason, f.protocol) for f in found)
+        return joined(
+            Heard(f.offset, f.size, f.message, plain(f.fields), f.reason, f.protocol) for f in found
+        )
     out: list[Heard] = []
     at = 0
     for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
@@ -108,7 +114,12 @@ def joined(items: Iterable[Heard]) -> list[Heard]:
     for item in items:
         last = out[-1] if out else None
         is_run = item.message is None and item.reason.startswith(("skipped", "malformed"))
-        if is_run and last is not None and last.reason == item.reason and last.offset + last.size == item.offset:
+        if (
+            is_run
+            and last is not None
+            and last.reason == item.reason
+            and last.offset + last.size == item.offset
+        ):
             out[-1] = replace(last, size=last.size + item.size)
         else:
             out.append(item)
@@ -141,7 +152,18 @@ def plain(value: Any) -> Any:
 
 def copied(counts: Counts) -> dict[str, Any]:
     """Counts as plain values."""
-    bins = ("total", "decoded", "unknown", "malformed", "skipped", "filtered", "errors", "pending", "records", "missed")
+    bins = (
+        "total",
+        "decoded",
+        "unknown",
+        "malformed",
+        "skipped",
+        "filtered",
+        "errors",
+        "pending",
+        "records",
+        "missed",
+    )
     return {**{name: getattr(counts, name) for name in bins}, "reasons": dict(counts.reasons)}
 
 

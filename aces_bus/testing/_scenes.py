@@ -121,7 +121,12 @@ def _pick(who: Cast, source: Source) -> Packet:
 
 
 def _ask(
-    request: Packet, who: Cast, direction: Way, data: bytearray, sent_at: list[tuple[int, Any]], source: Source
+    request: Packet,
+    who: Cast,
+    direction: Way,
+    data: bytearray,
+    sent_at: list[tuple[int, Any]],
+    source: Source,
 ) -> None:
     """Put a request before its reply: on the wire where the scanner hears it, else as a transmission of ours."""
     if direction == "both" and source.integer(0, 3):
@@ -146,7 +151,16 @@ def _header(packet: Packet, source: Source) -> bytes:
     if framing.affine is not None and source.integer(0, 1):
         length = framing.affine.length
         most = (1 << 8 * length.size) - 1
-        number = source.choice((most, 0, 1, min(most, len(packet.image)), min(most, 2 * len(packet.image)), source.integer(0, most)))
+        number = source.choice(
+            (
+                most,
+                0,
+                1,
+                min(most, len(packet.image)),
+                min(most, 2 * len(packet.image)),
+                source.integer(0, most),
+            )
+        )
         head[length.offset : length.offset + length.size] = length.bytes(number)
     return bytes(head) * source.integer(1, 4)
 
@@ -211,7 +225,9 @@ def adversary(wire: Wire, direction: Way, source: Source, *, size: int = 3000) -
         unit += source.choice((b"\x01", framing.sync[:1] or b"\0", b"\xfe", source.bytes(1))) * head.size
     if framing.affine is not None:
         length = framing.affine.length
-        most = min((1 << 8 * length.size) - 1, (framing.max_size - framing.affine.constant) // framing.affine.factor)
+        most = min(
+            (1 << 8 * length.size) - 1, (framing.max_size - framing.affine.constant) // framing.affine.factor
+        )
         number = source.choice((most, most - 1, max(0, most // 2), source.integer(0, most)))
         unit[length.offset : length.offset + length.size] = length.bytes(number)
     if not unit:
@@ -236,12 +252,20 @@ def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -
         channel = part.choice((None, None, None, "can0", "can1"))
         if time is not None:
             time = round(time + part.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)
-        about: dict[str, Any] = {"timestamp": time, "channel": channel, "is_rx": part.choice((None, True, False))}
+        about: dict[str, Any] = {
+            "timestamp": time,
+            "channel": channel,
+            "is_rx": part.choice((None, True, False)),
+        }
         if how >= 30:
             frames.append(_foreign(part, about))
             continue
         if how == 29:
-            frames.append(Frame(part.integer(0, 0x1FFF_FFFF), part.bytes(part.integer(0, 8)), is_error_frame=True, **about))
+            frames.append(
+                Frame(
+                    part.integer(0, 0x1FFF_FFFF), part.bytes(part.integer(0, 8)), is_error_frame=True, **about
+                )
+            )
             continue
         packet = _pick(who, part)
         if packet.request is not None and part.integer(0, 7):
@@ -288,9 +312,18 @@ def _damaged(frame: Frame, message: Message, how: int, source: Source) -> Frame:
         return _remade(frame, data=_flipped(data, source)) if data else frame
     if how == 6:
         limit = 0x1FFF_FFFF if frame.is_extended_id else 0x7FF
-        return _remade(frame, arbitration_id=(frame.arbitration_id ^ 1 << source.integer(0, limit.bit_length() - 1)) & limit)
+        return _remade(
+            frame,
+            arbitration_id=(frame.arbitration_id ^ 1 << source.integer(0, limit.bit_length() - 1)) & limit,
+        )
     if how == 7:
-        return _remade(frame, data=b"", is_remote_frame=True, is_fd=False, dlc=source.choice((None, source.integer(0, 8))))
+        return _remade(
+            frame,
+            data=b"",
+            is_remote_frame=True,
+            is_fd=False,
+            dlc=source.choice((None, source.integer(0, 8))),
+        )
     if how == 8:
         return _remade(frame, is_remote_frame=False, is_fd=not frame.is_fd, data=data[:8], dlc=None)
     if frame.is_extended_id:
@@ -335,4 +368,16 @@ def draw_cuts(scene: Scene, source: Source) -> tuple[int, ...]:
     return tuple(sorted(source.integer(0, size) for _ in range(count)))
 
 
-__all__ = ["Cast", "Scene", "Way", "Wire", "adversary", "cast", "draw_cuts", "draw_frames", "draw_scene", "draw_stream", "variants_of"]
+__all__ = [
+    "Cast",
+    "Scene",
+    "Way",
+    "Wire",
+    "adversary",
+    "cast",
+    "draw_cuts",
+    "draw_frames",
+    "draw_scene",
+    "draw_stream",
+    "variants_of",
+]

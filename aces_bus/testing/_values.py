@@ -1,40 +1,24 @@
-"""Draws the raw fields of a message by walking its construct tree.
+"""Draws whole messages: the fields of identifier, head and payload, and the request that a reply answers.
 
 1. Values are valid by construction; what only `build` can know (a packet too long, an end mark inside) is drawn again.
-2. A construct that the walk does not know is drawn as bytes that it parses: slower, and never wrong.
-3. Each message's walk is compiled once into closures: a wire of a hundred packets asks no `isinstance`.
 """
 
 from __future__ import annotations
 
-import io
-import re
-import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import construct as c
 
-from ..errors import AcesError, FieldError
+from ..errors import FieldError
 from ..frame import Frame
 from ..protocol.scan.context import _outer
-from ..protocol.spec.bits import BitLayout, Bits
-from ..protocol.spec.delimited import (
-    AsciiDegrees,
-    AsciiEnumeration,
-    AsciiField,
-    AsciiInteger,
-    AsciiNumber,
-    Delimited,
-)
-from ..protocol.spec.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
 from ..protocol.spec.head import Head
 from ..protocol.spec.message import Message, Request
-from ..protocol.spec.normalise import sizes
 from ..protocol.spec.protocol import Variant
 from ._source import Source, number, spread
+from ._walk import Hints, Room, drawer, hints
 
 #: How often a message is drawn again when its packet cannot be built.
 ATTEMPTS = 60
@@ -42,17 +26,6 @@ ATTEMPTS = 60
 
 class UndrawableError(AssertionError):
     """No valid packet of a message was found: its spec contradicts itself, or its strategy must be given."""
-
-
-@dataclass
-class Room:
-    """How many bytes are left for what has no size of its own; `is_exact` when they must all be used."""
-
-    left: int
-    is_exact: bool
-
-
-Draw = Callable[[Source, Any, Room], Any]
 
 
 @dataclass(frozen=True)
@@ -92,7 +65,11 @@ def draw_packet(message: Message, source: Source, variant: Variant | None = None
     Raises `UndrawableError` when none is found.
     """
     problem = ""
-    links = [] if variant is None else [r for r in (*message.reply_to, *message.after) if r.message.name in variant.messages]
+    links = (
+        []
+        if variant is None
+        else [r for r in (*message.reply_to, *message.after) if r.message.name in variant.messages]
+    )
     for attempt in range(ATTEMPTS):
         use = source if attempt == 0 else spread(source.integer(0, 255) << 8 | attempt)
         request = None
@@ -123,7 +100,7 @@ def draw_values(message: Message, source: Source, fixed: Mapping[str, Any] | Non
         wanted = dict(source.choice(links).values)
         for name in message.request_fields:
             values[name] = source.choice(sorted(wanted[name])) if name in wanted else None
-    hints = _hints(message)
+    known = hints(message)
     for head in message.heads:
         if head.pattern is not None and not head.is_own:
             for capture in head.pattern.captures:
@@ -136,7 +113,7 @@ def draw_values(message: Message, source: Source, fixed: Mapping[str, Any] | Non
                 raw = _member(head.pattern.captures[0].values, source)
                 raw = head.pattern.number({head.pattern.captures[0].name: raw})
             else:
-                raw = _head_number(head, hints, source)
+                raw = _head_number(head, known, source)
             values[head.name] = head.field.parse(head.bytes(raw), raw=True)
     values.update(_payload(message, values, source))
     for name, value in given.items():
@@ -150,7 +127,7 @@ def _payload(message: Message, values: Mapping[str, Any], source: Source) -> dic
     root._params = root
     around = c.Container(_=root, _params=root)
     around.update({k: v for k, v in values.items() if k not in message._payload_names()})
-    drawn = _drawer(message)(source, around, _room(message, source))
+    drawn = drawer(message)(source, around, _room(message, source))
     if message.check is not None and message.check.field is not None:
         drawn.pop(message.check.field, None)
     return dict(drawn)
@@ -174,7 +151,9 @@ def _room(message: Message, source: Source) -> Room:
     return Room(max(0, most), False)
 
 
-def _draw_request(message: Message, values: Mapping[str, Any], link: Request, asked: Message, source: Source) -> Packet:
+def _draw_request(
+    message: Message, values: Mapping[str, Any], link: Request, asked: Message, source: Source
+) -> Packet:
     """A request that the reply answers: fields that both have are equal, those that the link names are as it says."""
     fixed = {name: values[name] for name in _outer(message) & _outer(asked)}
     for name, allowed in link.values:
@@ -192,493 +171,13 @@ def _member(values: Any, source: Source) -> int:
     return int(source.choice(values if isinstance(values, Sequence) else sorted(values)))
 
 
-# ---------------------------------------------------------------------- hints: numbers that decide about others
-
-
-@dataclass(frozen=True)
-class Hints:
-    """Values that selectors should have, and names of numbers that say how much follows."""
-
-    values: Mapping[str, tuple[int, ...]]
-    small: frozenset[str]
-
-
-@lru_cache(maxsize=4096)
-def _hints(message: Message) -> Hints:
-    values: dict[str, set[int]] = {}
-    small: set[str] = set()
-
-    def visit(con: Any) -> None:
-        if isinstance(con, Multiplexed):
-            values.setdefault(con.selector, set()).update(con.when)
-            visit(con.body)
-            return
-        if isinstance(con, BitLayout):
-            for slot in con.slots:
-                if slot.mux is not None:
-                    values.setdefault(slot.mux.selector, set()).update(slot.mux.when)
-            return
-        if isinstance(con, c.Switch):
-            keys = {k for k in con.cases if isinstance(k, int)}
-            for name in _names_in(con.keyfunc):
-                values.setdefault(name, set()).update(keys)
-            for case in (*con.cases.values(), con.default):
-                visit(case)
-            return
-        if isinstance(con, c.IfThenElse):
-            for name in _names_in(con.condfunc):
-                values.setdefault(name, set()).update(_numbers_in(con.condfunc))
-            visit(con.thensubcon)
-            visit(con.elsesubcon)
-            return
-        if isinstance(con, c.Array):
-            small.update(_names_in(con.count))
-        if isinstance(con, (c.Bytes, c.BytesInteger)):
-            small.update(_names_in(con.length))
-        for inner in (*getattr(con, "subcons", ()), *((con.subcon,) if hasattr(con, "subcon") else ())):
-            visit(inner)
-
-    visit(message.payload)
-    return Hints({k: tuple(sorted(v)) for k, v in values.items() if v}, frozenset(small))
-
-
-def _names_in(expression: Any) -> list[str]:
-    return [n for n in re.findall(r"\['(\w+)'\]", repr(expression)) if n != "_"] if callable(expression) else []
-
-
-def _numbers_in(expression: Any) -> list[int]:
-    return [int(n) for n in re.findall(r"(?<![\w'])\d+", repr(expression))]
-
-
-def _head_number(head: Head, hints: Hints, source: Source) -> int:
+def _head_number(head: Head, known: Hints, source: Source) -> int:
     most = (1 << 8 * head.size) - 1
-    if head.name in hints.values and source.integer(0, 3):
-        return source.choice(hints.values[head.name]) & most
-    if head.name in hints.small:
+    if head.name is not None and head.name in known.values and source.integer(0, 3):
+        return source.choice(known.values[head.name]) & most
+    if head.name in known.small:
         return source.integer(0, 6 if source.integer(0, 7) else 40)
     return number(source, 0, most)
 
 
-def _is_integer(con: Any) -> bool:
-    inner = innermost(con)
-    return isinstance(inner, (c.BytesInteger, Bits)) or (isinstance(inner, c.FormatField) and inner.fmtstr[-1:] not in "efd")
-
-
-# ---------------------------------------------------------------------- the walk
-
-
-@lru_cache(maxsize=4096)
-def _drawer(message: Message) -> Draw:
-    return _Walk(_hints(message), message).of(message.payload)
-
-
-class _Walk:
-    """Compiles constructs into functions that draw their raw values."""
-
-    def __init__(self, hints: Hints, message: Message) -> None:
-        self.hints = hints
-        self.message = message
-
-    def of(self, con: Any) -> Draw:
-        """The function that draws values of `con`."""
-        while isinstance(con, (c.Renamed, c.Default, c.Hex, c.HexDump)):
-            con = con.subcon
-        if isinstance(con, SignMagnitude):
-            limit = con.limit
-            return lambda source, ctx, room: number(source, -limit, limit)
-        if isinstance(con, Enumeration):
-            return self._enumeration(con)
-        if isinstance(con, Field):
-            return self.of(con.subcon)
-        for kind, method in self._TABLE:
-            if isinstance(con, kind):
-                return method(self, con)
-        return self._parsed(con)
-
-    def _hinted(self, name: str, otherwise: Draw) -> Draw:
-        """Numbers that decide about other fields are often such that the others exist, and are few."""
-        values, is_small = self.hints.values.get(name), name in self.hints.small
-        if values is None and not is_small:
-            return otherwise
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            if values is not None and source.integer(0, 3):
-                return source.choice(values)
-            if is_small:
-                return source.integer(0, 6 if source.integer(0, 7) else 40)
-            return otherwise(source, ctx, room)
-
-        return draw
-
-    # -------------------------------------------------- single values
-
-    def _enumeration(self, con: Enumeration) -> Draw:
-        known, any_value = sorted(con.values), self.of(con.subcon)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            return source.choice(known) if known and source.integer(0, 3) else any_value(source, ctx, room)
-
-        return draw
-
-    def _format(self, con: Any) -> Draw:
-        kind, size = con.fmtstr[-1:], con.length
-        if kind in "efd":
-            return _float(kind)
-        low = -(1 << 8 * size - 1) if kind.islower() else 0
-        high = low + (1 << 8 * size) - 1
-        return lambda source, ctx, room: number(source, low, high)
-
-    def _integer(self, con: Any) -> Draw:
-        def draw(source: Source, ctx: Any, room: Room) -> int:
-            width = 8 * (con.length(ctx) if callable(con.length) else con.length)
-            low = -(1 << width - 1) if con.signed and width else 0
-            return number(source, low, low + (1 << width) - 1)
-
-        return draw
-
-    def _bits(self, con: Bits) -> Draw:
-        low = -(1 << con.width - 1) if con.signed else 0
-        high = low + (1 << con.width) - 1
-        return lambda source, ctx, room: number(source, low, high)
-
-    def _const(self, con: Any) -> Draw:
-        value = con.value
-        return lambda source, ctx, room: value
-
-    def _nothing(self, con: Any) -> Draw:
-        return lambda source, ctx, room: None
-
-    def _varint(self, con: Any) -> Draw:
-        signed = con is c.ZigZag
-
-        def draw(source: Source, ctx: Any, room: Room) -> int:
-            high = (1 << source.choice((3, 7, 14, 31))) - 1
-            return number(source, -high if signed else 0, high)
-
-        return draw
-
-    def _text(self, con: Any) -> Draw:
-        try:
-            most = int(con.sizeof())
-        except c.ConstructError:
-            most = 8
-
-        def draw(source: Source, ctx: Any, room: Room) -> str:
-            return "".join(chr(65 + b % 26) for b in source.bytes(source.integer(0, min(most, 8, max(0, room.left - 1)))))
-
-        return draw
-
-    def _mapping(self, con: Any) -> Draw:
-        values = list(con.decmapping.values())
-        return lambda source, ctx, room: source.choice(values)
-
-    # -------------------------------------------------- runs of bytes
-
-    def _some(self, source: Source, room: Room) -> int:
-        if room.is_exact:
-            return max(0, room.left)
-        return source.integer(0, max(0, min(room.left, 8) if source.integer(0, 3) else room.left))
-
-    def _bytes(self, con: Any) -> Draw:
-        def draw(source: Source, ctx: Any, room: Room) -> bytes:
-            length = con.length
-            if callable(length):
-                try:
-                    length = int(length(ctx))
-                except (KeyError, AttributeError, TypeError):
-                    length = self._some(source, room)
-            return _content(source, max(0, length), self.message)
-
-        return draw
-
-    def _greedy(self, con: Any) -> Draw:
-        return lambda source, ctx, room: _content(source, self._some(source, room), self.message)
-
-    # -------------------------------------------------- several values
-
-    def _struct(self, con: c.Struct) -> Draw:
-        items = []
-        for item in con.subcons:
-            body = item.subcon if isinstance(item, c.Renamed) else item
-            low, high = sizes(item)
-            one = self.of(item)
-            if _is_integer(body) and (item.name in self.hints.values or item.name in self.hints.small):
-                one = self._hinted(item.name, one)
-            items.append((item.name, body, one, low, high, isinstance(body, c.Rebuild)))
-        least = sum(item[3] for item in items)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            inner = c.Container(_=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False)
-            values = c.Container()
-            left = room.left - least
-            for name, body, one, low, high, is_rebuilt in items:
-                if is_rebuilt:
-                    continue
-                value = one(source, inner, Room(left + low, room.is_exact))
-                if low != high:
-                    left -= _measure(body, value, inner) - low
-                if name is not None:
-                    values[name] = inner[name] = value
-            return values
-
-        return draw
-
-    def _array(self, con: Any) -> Draw:
-        one, (low, _) = self.of(con.subcon), sizes(con.subcon)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            try:
-                count = con.count(ctx) if callable(con.count) else con.count
-            except (KeyError, AttributeError, TypeError):  # a count that is rebuilt from what is drawn here
-                count = source.integer(0, 5)
-            if callable(con.count) and low * count > max(0, room.left) + 256:
-                raise FieldError(f"{count} items do not fit into {room.left} bytes")
-            space = Room(room.left // max(1, count), False)
-            return c.ListContainer(one(source, ctx, space) for _ in range(count))
-
-        return draw
-
-    def _range(self, con: Any) -> Draw:
-        one, (low, high) = self.of(con.subcon), sizes(con.subcon)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            items = c.ListContainer()
-            if low == high and low:
-                most = max(0, room.left) // low
-                count = most if room.is_exact else source.integer(0, min(most, 4) if source.integer(0, 3) else most)
-                items.extend(one(source, ctx, Room(low, True)) for _ in range(count))
-                return items
-            left = room.left
-            for _ in range(source.integer(0, 4)):
-                item = one(source, ctx, Room(left, False))
-                left -= max(1, _measure(con.subcon, item, ctx))
-                if left < 0:
-                    break
-                items.append(item)
-            return items
-
-        return draw
-
-    def _multiplexed(self, con: Multiplexed) -> Draw:
-        one = self.of(con.body)
-        return lambda source, ctx, room: one(source, ctx, room) if con.is_present(ctx) else None
-
-    def _branch(self, con: Any) -> Draw:
-        yes, no = self.of(con.thensubcon), self.of(con.elsesubcon)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            holds = con.condfunc(ctx) if callable(con.condfunc) else con.condfunc
-            return (yes if holds else no)(source, ctx, room)
-
-        return draw
-
-    def _switch(self, con: Any) -> Draw:
-        cases = {key: self.of(case) for key, case in con.cases.items()}
-        other = self.of(con.default)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            key = con.keyfunc(ctx) if callable(con.keyfunc) else con.keyfunc
-            return cases.get(key, other)(source, ctx, room)
-
-        return draw
-
-    def _prefixed(self, con: Any) -> Draw:
-        one = self.of(con.subcon)
-        return lambda source, ctx, room: one(source, ctx, Room(max(0, min(room.left - 1, 24)), False))
-
-    def _terminated(self, con: Any) -> Draw:
-        mark: bytes = con.term
-
-        def draw(source: Source, ctx: Any, room: Room) -> bytes:
-            return source.bytes(source.integer(0, max(0, min(room.left - len(mark), 8)))).replace(mark[:1], b"")
-
-        return draw if isinstance(con.subcon, type(c.GreedyBytes)) else self._parsed(con)
-
-    def _sequence(self, con: Any) -> Draw:
-        """`PrefixedArray`: a count that is rebuilt, and an array of so many."""
-        inner = con.subcons[-1]
-        inner = inner.subcon if isinstance(inner, c.Renamed) else inner
-        if not isinstance(inner, c.Array):
-            return self._parsed(con)
-        one, (low, _) = self.of(inner.subcon), sizes(inner.subcon)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            most = max(0, room.left - 1) // max(1, low)
-            count = source.integer(0, min(4, most))
-            return c.ListContainer(one(source, ctx, Room(room.left // max(1, count), False)) for _ in range(count))
-
-        return draw
-
-    def _layout(self, layout: BitLayout) -> Draw:
-        draws = [(slot, self._hinted(slot.name, self.of(slot.field))) for slot in layout.slots]
-        many = {s.name for s in layout.slots if sum(o.name == s.name for o in layout.slots) > 1}
-        full = (1 << 8 * layout.size) - 1
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            inner = c.Container(_=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False)
-            values = c.Container()
-            free = full
-            for slot, one in draws:
-                if slot.mux is not None and not slot.mux.is_present(inner):
-                    values[slot.name] = inner[slot.name] = None
-                    continue
-                for position in slot.positions:
-                    free &= ~(1 << position)
-                value = one(source, inner, room)
-                if slot.name in many:
-                    value = c.ListContainer([*values.get(slot.name, ()), value])
-                values[slot.name] = inner[slot.name] = value
-            if layout.has_reserved:
-                values["reserved"] = number(source, 0, full) & free if source.integer(0, 1) else 0
-            return values
-
-        return draw
-
-    def _delimited(self, con: Delimited) -> Draw:
-        banned = {con.separator.decode("latin-1")}
-        framing = self.message.framing
-        if framing is not None and framing.end:
-            banned |= set(framing.end.decode("latin-1"))
-        draws = [(item.name, _ascii(item.subcon, "".join(ch for ch in _CHARACTERS if ch not in banned))) for item in con.fields]
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            values = c.Container()
-            count = len(draws)
-            if con.least < count and source.integer(0, 1):
-                count = source.integer(con.least, count)
-            for index, (name, one) in enumerate(draws):
-                values[name] = one(source) if index < count else None
-            if con.more:
-                values["more"] = c.ListContainer("X" * source.integer(0, 3) for _ in range(source.integer(0, 2)))
-                if count < len(draws):
-                    values["more"] = c.ListContainer()
-            return values
-
-        return draw
-
-    # -------------------------------------------------- everything else
-
-    def _parsed(self, con: Any) -> Draw:
-        """Values of a construct that the walk does not know: bytes that it reads to their end."""
-        low, high = sizes(con)
-
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
-            problem = "none tried"
-            for attempt in range(ATTEMPTS):
-                use = source if attempt < 4 else spread(source.integer(0, 255) << 8 | attempt)
-                top = max(low, min(room.left, 24)) if high is None else high
-                data = use.bytes(room.left if room.is_exact and high is None else use.integer(low, max(low, top)))
-                stream = io.BytesIO(data)
-                try:
-                    value = con._parsereport(stream, ctx, "")
-                except (c.ConstructError, AcesError, ValueError, LookupError, TypeError) as error:
-                    problem = str(error)
-                    continue
-                if not (room.is_exact and high is None and stream.read(1)):
-                    return value
-            raise FieldError(f"no bytes found that {con!r} reads: {problem}")
-
-        return draw
-
-    _TABLE: tuple[tuple[Any, Callable[[Any, Any], Draw]], ...] = (
-        (c.Rebuild, _nothing),
-        (c.Const, _const),
-        (c.FormatField, _format),
-        (c.BytesInteger, _integer),
-        (Bits, _bits),
-        (c.Bytes, _bytes),
-        (type(c.GreedyBytes), _greedy),
-        (c.VarInt.__class__, _varint),
-        (c.ZigZag.__class__, _varint),
-        (c.Pass.__class__, _nothing),
-        (c.Terminated.__class__, _nothing),
-        (c.StringEncoded, _text),
-        (c.Mapping, _mapping),
-        (c.FocusedSeq, _sequence),
-        (c.Struct, _struct),
-        (c.Array, _array),
-        (c.GreedyRange, _range),
-        (Multiplexed, _multiplexed),
-        (c.IfThenElse, _branch),
-        (c.Switch, _switch),
-        (c.Prefixed, _prefixed),
-        (c.NullTerminated, _terminated),
-        (BitLayout, _layout),
-        (Delimited, _delimited),
-    )
-
-
-def _measure(con: Any, value: Any, context: Any) -> int:
-    """How many bytes a value takes."""
-    if value is None:
-        return 0
-    if isinstance(value, bytes):
-        return len(value)
-    stream = io.BytesIO()
-    try:
-        con._build(value, stream, context, "")
-    except (c.ConstructError, AcesError, KeyError, TypeError, AttributeError):
-        return 0
-    return len(stream.getvalue())
-
-
-def _content(source: Source, size: int, message: Message) -> bytes:
-    """Bytes that may hold what the framing looks for: sync, end, stuffing."""
-    data = source.bytes(size)
-    framing = message.framing
-    if framing is None or size < 2:
-        return data
-    how = source.integer(0, 7)
-    marks = framing.sync or framing.end
-    if framing.stuffing is not None and how < 3:
-        marks = getattr(framing.stuffing, "pattern", b"\xc0\xdb\x00")
-    if how < 4 and marks and not (framing.end and framing.stuffing is None and marks == framing.end):
-        at = source.integer(0, max(0, size - len(marks)))
-        data = (data[:at] + marks + data[at + len(marks) :])[:size]
-    if framing.end and framing.stuffing is None:
-        data = data.replace(framing.end[:1], b"\x55")
-    return data
-
-
-def _float(kind: str) -> Draw:
-    size = {"e": 2, "f": 4, "d": 8}[kind]
-    unpack = struct.Struct(f"<{kind}").unpack
-    plain = [0.0, -0.0, 1.0, -1.5, 0.1, 1e-3, float("inf"), float("-inf"), float("nan"), 6.1e-05, 65504.0]
-    plain = [unpack(struct.pack(f"<{kind}", value))[0] for value in plain]
-
-    def draw(source: Source, ctx: Any, room: Room) -> float:
-        if source.integer(0, 2) == 0:
-            return source.choice(plain)
-        return float(unpack(source.bytes(size))[0])
-
-    return draw
-
-
-#: Characters of drawn texts, simplest first.
-_CHARACTERS = "0A1Bz9 .-+/_$*#~,;:é\xff\x01"
-
-
-def _ascii(field: AsciiField, characters: str) -> Callable[[Source], str]:
-    digits = "0123456789"
-
-    def some(source: Source, low: int, high: int, of: str = digits) -> str:
-        return "".join(source.choice(of) for _ in range(source.integer(low, high)))
-
-    def draw(source: Source) -> str:
-        if source.integer(0, 5) == 0:
-            return ""
-        if isinstance(field, AsciiEnumeration) and field.names and source.integer(0, 3):
-            return source.choice(list(field.names.values()))
-        if isinstance(field, AsciiInteger):
-            return source.choice(("", "-", "+")) + some(source, 1, 6)
-        if isinstance(field, AsciiNumber):
-            return source.choice(("", "-", "+")) + some(source, 1, 6) + source.choice(("", ".", "." + some(source, 1, 6)))
-        if isinstance(field, AsciiDegrees):
-            return some(source, 4, 5) + source.choice(("", "." + some(source, 0, 5)))
-        text = some(source, 0, 6, characters)
-        return text if field.accepts(text) else ""
-
-    return draw
-
-
-__all__ = ["Packet", "Room", "UndrawableError", "draw_packet", "draw_values", "frame_of"]
+__all__ = ["Packet", "UndrawableError", "draw_packet", "draw_values", "frame_of"]

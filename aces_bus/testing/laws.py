@@ -38,7 +38,9 @@ from ._values import Packet
 def _fail(number: int, wire: Wire, direction: Way, text: str, scene: Scene | None = None) -> NoReturn:
     label = " + ".join(v.label for v in variants_of(wire))
     where = "" if scene is None else f"\n  scene: {_shown(scene)}"
-    raise AssertionError(f"law {number} ({LAWS[number - 1].name}) of {label}, direction {direction!r}: {text}{where}")
+    raise AssertionError(
+        f"law {number} ({LAWS[number - 1].name}) of {label}, direction {direction!r}: {text}{where}"
+    )
 
 
 def _shown(scene: Scene) -> str:
@@ -81,7 +83,12 @@ def _values_survive(wire: Wire, direction: Way, packet: Packet) -> None:
     try:
         parsed = plain(message.struct.parse(image, raw=True, request=request))
     except (ConstructError, AcesError) as error:
-        _fail(1, wire, direction, f"{message.name} built from {plain(packet.values)} is not read again: {image.hex()}: {error!r}")
+        _fail(
+            1,
+            wire,
+            direction,
+            f"{message.name} built from {plain(packet.values)} is not read again: {image.hex()}: {error!r}",
+        )
     wanted = plain(packet.values)
     if {k: parsed.get(k) for k in wanted} != wanted:
         _fail(1, wire, direction, f"{message.name}: {wanted} comes back as {parsed} ({image.hex()})")
@@ -129,11 +136,21 @@ def oracle(wire: Wire, direction: Way, scene: Scene) -> None:
         else:
             message = names[item.protocol or "", item.message]
             request = {name: item.fields[name] for name in message.request_fields}
-            image = image_of(scene.words[item.offset]) if _is_can(wire) else scene.words[item.offset : item.offset + item.size]
+            image = (
+                image_of(scene.words[item.offset])
+                if _is_can(wire)
+                else scene.words[item.offset : item.offset + item.size]
+            )
             wanted_item = replace(item, fields=plain(message.struct.parse(image, request=request)))
         physically.append(wanted_item)
     if physical != physically:
-        _fail(2, wire, direction, "physical: " + _first_difference("construct", physically, "the scanner", physical), scene)
+        _fail(
+            2,
+            wire,
+            direction,
+            "physical: " + _first_difference("construct", physically, "the scanner", physical),
+            scene,
+        )
 
 
 def chunking(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int]) -> None:
@@ -143,9 +160,17 @@ def chunking(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int]) -> N
     counts = copied(scanner.counts)
     pieces = heard(scanner := scanner_of(wire, direction), scene, cuts)
     if pieces != whole:
-        _fail(3, wire, direction, f"cut at {cuts}: " + _first_difference("whole", whole, "in pieces", pieces), scene)
+        _fail(
+            3,
+            wire,
+            direction,
+            f"cut at {cuts}: " + _first_difference("whole", whole, "in pieces", pieces),
+            scene,
+        )
     if copied(scanner.counts) != counts:
-        _fail(3, wire, direction, f"cut at {cuts}: counts {copied(scanner.counts)} instead of {counts}", scene)
+        _fail(
+            3, wire, direction, f"cut at {cuts}: counts {copied(scanner.counts)} instead of {counts}", scene
+        )
 
 
 def _first_difference(one: str, first: list[Any], other: str, second: list[Any]) -> str:
@@ -169,12 +194,22 @@ def resynchronisation(wire: Wire, direction: Way, scene: Scene) -> None:
         who = cast(wire, direction)
         bound = _contextual(variants_of(wire), direction)
         for number, frame in enumerate(scene.words):
-            if frame.is_error_frame or given[number].message or given[number].reason.startswith("unknown: needs"):
+            if (
+                frame.is_error_frame
+                or given[number].message
+                or given[number].reason.startswith("unknown: needs")
+            ):
                 continue
             image = image_of(frame)
             for variant, message in who.messages:
                 if (variant.name, message.name) not in bound and _reads(message, image):
-                    _fail(4, wire, direction, f"frame {number} is {message.name}, but was {given[number].reason}", scene)
+                    _fail(
+                        4,
+                        wire,
+                        direction,
+                        f"frame {number} is {message.name}, but was {given[number].reason}",
+                        scene,
+                    )
         return
     covered = bytearray(len(scene))
     for item in given:
@@ -193,7 +228,13 @@ def resynchronisation(wire: Wire, direction: Way, scene: Scene) -> None:
                     continue
                 packet = seen[start : start + judged.size]
                 name = next((m.name for m in messages if _reads(m, packet)), "a packet without a message")
-                _fail(4, wire, direction, f"at {start} stands {variant.name} {name} {packet.hex()}, not heard", scene)
+                _fail(
+                    4,
+                    wire,
+                    direction,
+                    f"at {start} stands {variant.name} {name} {packet.hex()}, not heard",
+                    scene,
+                )
         begin = end
 
 
@@ -203,7 +244,9 @@ def _contextual(variants: tuple[Variant, ...], direction: Way) -> frozenset[tupl
 
 
 @lru_cache(maxsize=1024)
-def _framings(variants: tuple[Variant, ...], direction: Way) -> list[tuple[Variant, Framing, tuple[Message, ...]]]:
+def _framings(
+    variants: tuple[Variant, ...], direction: Way
+) -> list[tuple[Variant, Framing, tuple[Message, ...]]]:
     found: dict[tuple[Variant, Framing], list[Message]] = {}
     for variant, message in cast(variants, direction).messages:
         if message.framing is not None:
@@ -233,7 +276,13 @@ def no_false_accept(wire: Wire, direction: Way, scene: Scene) -> None:
         try:
             message.struct.parse(image, raw=True, request=request)
         except (ConstructError, AcesError) as error:
-            _fail(5, wire, direction, f"{message.name} was accepted in {image.hex()}, where it is not: {error!r}", scene)
+            _fail(
+                5,
+                wire,
+                direction,
+                f"{message.name} was accepted in {image.hex()}, where it is not: {error!r}",
+                scene,
+            )
 
 
 # ---------------------------------------------------------------------- 6, 7, 8
@@ -246,7 +295,11 @@ def accounting(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (
     counts = copied(scanner.counts)
     if scanner.counts.balance or counts["total"] != len(scene):
         _fail(6, wire, direction, f"bins do not sum to {len(scene)}: {counts}", scene)
-    spans = [(i, 1) for i in range(len(given))] if _is_can(wire) else [(g.meta.offset, g.meta.size) for g in given]
+    spans = (
+        [(i, 1) for i in range(len(given))]
+        if _is_can(wire)
+        else [(g.meta.offset, g.meta.size) for g in given]
+    )
     at = 0
     losses: dict[str, int] = {}
     decoded = records = 0
@@ -254,7 +307,9 @@ def accounting(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (
         raw = item.meta.raw
         wanted = bytes(scene.words[offset].data) if _is_can(wire) else scene.words[offset : offset + size]
         if offset != at or size < 1 or raw != wanted:
-            _fail(6, wire, direction, f"at {at}, something of {size} from {offset} on, raw {raw.hex()}", scene)
+            _fail(
+                6, wire, direction, f"at {at}, something of {size} from {offset} on, raw {raw.hex()}", scene
+            )
         at += size
         if isinstance(item, Unknown):
             losses[item.reason] = losses.get(item.reason, 0) + size
@@ -264,11 +319,19 @@ def accounting(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (
     if at != len(scene) or (decoded, records, pending, losses) != tuple(
         counts[name] for name in ("decoded", "records", "pending", "reasons")
     ):
-        _fail(6, wire, direction, f"given: decoded={decoded} records={records} pending={pending} {losses}; counts: {counts}", scene)
+        _fail(
+            6,
+            wire,
+            direction,
+            f"given: decoded={decoded} records={records} pending={pending} {losses}; counts: {counts}",
+            scene,
+        )
     less = scanner_of(wire, direction, everything=False)
     names = [type(item).__name__ for item in play(less, scene, cuts)]
     if copied(less.counts) != counts:
-        _fail(6, wire, direction, f"without everything, counts are {copied(less.counts)}, not {counts}", scene)
+        _fail(
+            6, wire, direction, f"without everything, counts are {copied(less.counts)}, not {counts}", scene
+        )
     if names != [type(item).__name__ for item in given if not isinstance(item, Unknown)]:
         _fail(6, wire, direction, "without everything, other records come", scene)
 
@@ -294,11 +357,23 @@ def bounded(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) 
         scanner.feed(chunk)
         at = max(at, cut)
         if scanner.buffered > scanner.max_size:
-            _fail(7, wire, direction, f"{scanner.buffered} bytes held after {at}, max_size is {scanner.max_size}", scene)
+            _fail(
+                7,
+                wire,
+                direction,
+                f"{scanner.buffered} bytes held after {at}, max_size is {scanner.max_size}",
+                scene,
+            )
     scanner.close()
     limit = _work_allowed(scanner.framings, scene.words, len(cuts))
     if scanner.check_work > limit:
-        _fail(7, wire, direction, f"checks read {scanner.check_work} bytes of {len(scene)}; {limit} is the limit", scene)
+        _fail(
+            7,
+            wire,
+            direction,
+            f"checks read {scanner.check_work} bytes of {len(scene)}; {limit} is the limit",
+            scene,
+        )
 
 
 def _work_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int:
@@ -324,7 +399,8 @@ def calm(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> 
         scanner = scanner_of(wire, direction, everything=everything, raw=raw)
         try:
             for record in play(scanner, scene, cuts):
-                repr(record), record.meta
+                assert repr(record)
+                assert record.meta is not None
             _provoke(scanner, scene)
         except Exception as error:
             _fail(8, wire, direction, f"raised {error!r} (everything={everything}, raw={raw})", scene)
@@ -407,7 +483,9 @@ def part_accepted(message: Message, image: bytes) -> bytes | None:
 # ---------------------------------------------------------------------- all of them
 
 
-def draw_arguments(law: Law, wire: Wire, direction: Way, source: Source, *, size: int = 400) -> tuple[Any, ...]:
+def draw_arguments(
+    law: Law, wire: Wire, direction: Way, source: Source, *, size: int = 400
+) -> tuple[Any, ...]:
     """What `law.holds(wire, direction, …)` takes besides: a scene of about `size` bytes, and cuts where it wants them."""
     cut_by = source.branch()
     if law.number == 7 and not _is_can(wire) and source.integer(0, 1):
@@ -431,7 +509,6 @@ def directions(variant: Variant) -> tuple[Way, ...]:
 def wires(protocol: Protocol) -> list[tuple[Variant, Way]]:
     """Every dialect of a protocol × shipped configuration × direction."""
     return [(variant, way) for variant in protocol.variants() for way in directions(variant)]
-
 
 
 @dataclass(frozen=True)
@@ -465,7 +542,10 @@ __all__ = [
     "LAWS",
     "Exemption",
     "Law",
+    "Packet",
     "Scene",
+    "Way",
+    "Wire",
     "accounting",
     "bounded",
     "calm",
@@ -474,11 +554,15 @@ __all__ = [
     "directions",
     "draw_arguments",
     "exemptions",
+    "heard",
     "no_false_accept",
     "oracle",
     "part_accepted",
+    "play",
     "resynchronisation",
     "round_trip",
+    "told",
     "unambiguous",
+    "variants_of",
     "wires",
 ]

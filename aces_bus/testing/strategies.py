@@ -14,7 +14,9 @@ from typing import Any
 try:
     from hypothesis import strategies as st
 except ImportError as missing:
-    raise ImportError("aces_bus.testing.strategies needs Hypothesis: pip install 'aces-bus[testing]'") from missing
+    raise ImportError(
+        "aces_bus.testing.strategies needs Hypothesis: pip install 'aces-bus[testing]'"
+    ) from missing
 
 from ..protocol.spec.message import Message
 from ..protocol.spec.protocol import Variant
@@ -49,7 +51,8 @@ def packets(draw: Any, variant: Variant, direction: Way = None, message: str | N
 
 def entropy(size: int) -> st.SearchStrategy[Entropy]:
     """What wires are made of: up to about `size` bytes' worth of choices."""
-    return st.binary(min_size=size // 2, max_size=size).map(Entropy)
+    # Read from its end: what Hypothesis shrinks to zero, the front, is then the tail that a scene does without.
+    return st.binary(min_size=size // 2, max_size=size).map(lambda data: Entropy(data[::-1]))
 
 
 def streams(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
@@ -77,7 +80,9 @@ def cuts(scene: Scene) -> st.SearchStrategy[tuple[int, ...]]:
     return entropy(32).map(lambda source: draw_cuts(scene, source))
 
 
-def arguments(law: Law, wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[tuple[Any, ...]]:
+def arguments(
+    law: Law, wire: Wire, direction: Way = None, *, size: int = 400
+) -> st.SearchStrategy[tuple[Any, ...]]:
     """What `law.holds(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
     return entropy(size // 3).map(lambda source: draw_arguments(law, wire, direction, source, size=size))
 

@@ -158,7 +158,10 @@ can_corners.message(
     payload=Struct("sign" / SignMagnitude(16, "big"), "tail" / GreedyBytes),
 )
 SetMode = can_corners.message(
-    "SetMode", id=0x260 + Node, direction="to device", payload=Struct("mode" / Enumeration(Byte, plain=0, fancy=1))
+    "SetMode",
+    id=0x260 + Node,
+    direction="to device",
+    payload=Struct("mode" / Enumeration(Byte, plain=0, fancy=1)),
 )
 can_corners.message(
     "Plain",
@@ -190,7 +193,9 @@ can_corners.message(
     extended=True,
     check=Crc("CRC8-AUTOSAR", over=(IdBytes(4, mask=0xFFFF), slice(1, None), Extra()), field="crc"),
     check_extra=b"\x42",
-    payload=BitLayout(5, "crc" / bits(8), "turn" / Counter(bits(4)), "value" / bits(12, at=16), "flag" / bits(1, at=39)),
+    payload=BitLayout(
+        5, "crc" / bits(8), "turn" / Counter(bits(4)), "value" / bits(12, at=16), "flag" / bits(1, at=39)
+    ),
 )
 can_corners.message(
     "Nested",
@@ -225,7 +230,11 @@ _opaque = opaque_corners.framing(
     check=Sum(2, inverted=True, order="big", over=slice(3, -2)),
 )
 _opaque("Numbers", match={"kind": 1}, payload=Struct("a" / VarInt, "b" / ZigZag, "c" / Doubled(Byte)))
-_opaque("Things", match={"kind": 2}, payload=Struct("things" / PrefixedArray(Byte, Struct("x" / Byte, "y" / Int16ul))))
+_opaque(
+    "Things",
+    match={"kind": 2},
+    payload=Struct("things" / PrefixedArray(Byte, Struct("x" / Byte, "y" / Int16ul))),
+)
 _opaque(
     "Branches",
     match={"kind": 3},
@@ -236,20 +245,42 @@ _opaque(
         "three" / Switch(this.flag, {0: Bytes(3), 2: Int32ul}, default=Pass),
     ),
 )
-_opaque("Prefix", match={"kind": 4}, payload=Struct("text" / Prefixed(Byte, Text()), "tail" / GreedyRange(Int16ub)))
-_opaque("Counted", match={"kind": 5}, payload=Struct("n" / Rebuild(Byte, len_(this.items)), "items" / Array(this.n, Byte)))
-_opaque("Sized", match={"kind": Capture("size", range(16, 21))}, payload=Struct("data" / Bytes(this._.size - 16), "end" / Const(b"!")))
+_opaque(
+    "Prefix",
+    match={"kind": 4},
+    payload=Struct("text" / Prefixed(Byte, Text()), "tail" / GreedyRange(Int16ub)),
+)
+_opaque(
+    "Counted",
+    match={"kind": 5},
+    payload=Struct("n" / Rebuild(Byte, len_(this.items)), "items" / Array(this.n, Byte)),
+)
+_opaque(
+    "Sized",
+    match={"kind": Capture("size", range(16, 21))},
+    payload=Struct("data" / Bytes(this._.size - 16), "end" / Const(b"!")),
+)
 _opaque("Many", match={"kind": 6}, payload=Struct("many" / Array(70, Byte)))
 
 # ---------------------------------------------------------------------- streams: checks and heads of every kind
 
 check_corners = Protocol("check_corners", link="serial")
 _xor = check_corners.framing(
-    name="xor", sync=b"\x7e", header=Struct("length" / Byte, "kind" / Byte), size=this.length * 2 + 5, max_size=64, check=Xor()
+    name="xor",
+    sync=b"\x7e",
+    header=Struct("length" / Byte, "kind" / Byte),
+    size=this.length * 2 + 5,
+    max_size=64,
+    check=Xor(),
 )
 _xor("Xored", match={"kind": (1, 2, 9)}, payload=Struct("words" / GreedyRange(Int16ul), "last" / Byte))
 _fixed = check_corners.framing(
-    name="fixed", sync=b"\x7f\x7f", not_next=b"\x7f\x00", size=9, max_size=9, check=Crc("CRC16-IBM-3740", over=slice(0, -2))
+    name="fixed",
+    sync=b"\x7f\x7f",
+    not_next=b"\x7f\x00",
+    size=9,
+    max_size=9,
+    check=Crc("CRC16-IBM-3740", over=slice(0, -2)),
 )
 _fixed("Fixed", payload=Struct("five" / Bytes(5)))
 _fletch = check_corners.framing(
@@ -271,8 +302,18 @@ _extra = extra_corners.framing(
     max_size=261,
     check=Crc("CRC16-MCRF4XX", over=(slice(1, -2), Extra())),
 )
-_extra("First", match={"number": 0}, check_extra=b"\x32", payload=Struct("value" / Float32l, "signs" / SignMagnitude(8)))
-_extra("Second", match={"number": 0xFE}, check_extra=b"\x00\x01", payload=Struct("text" / Text(4), "rest" / Text()))
+_extra(
+    "First",
+    match={"number": 0},
+    check_extra=b"\x32",
+    payload=Struct("value" / Float32l, "signs" / SignMagnitude(8)),
+)
+_extra(
+    "Second",
+    match={"number": 0xFE},
+    check_extra=b"\x00\x01",
+    payload=Struct("text" / Text(4), "rest" / Text()),
+)
 
 sum_corner = Protocol("sum_corner", link="serial")
 _sum = sum_corner.framing(
@@ -286,7 +327,9 @@ _sum = sum_corner.framing(
 _sum("Any", payload=Struct("data" / GreedyBytes))  # unlike Dynamixel, FF FF FF is not excluded
 
 unchecked_corner = Protocol("unchecked_corner", link="datagram")
-_bare = unchecked_corner.framing(sync=b"\x00", header=Struct("length" / Byte), size=this.length + 2, max_size=257)
+_bare = unchecked_corner.framing(
+    sync=b"\x00", header=Struct("length" / Byte), size=this.length + 2, max_size=257
+)
 _bare("Bare", payload=Struct("data" / GreedyBytes))
 
 CORNERS: dict[str, Protocol] = {

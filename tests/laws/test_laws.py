@@ -35,7 +35,12 @@ def test_law_holds(law: Law, case: Case) -> None:
     if law.streams_only and laws.variants_of(case.wire)[0].link == "can":
         pytest.skip("a law of streams")
 
-    @settings(max_examples=_examples(case), suppress_health_check=list(HealthCheck), phases=PHASES, print_blob=False)
+    @settings(
+        max_examples=_examples(case),
+        suppress_health_check=(HealthCheck.too_slow, HealthCheck.data_too_large),
+        phases=PHASES,
+        print_blob=False,
+    )
     @given(strategies.arguments(law, case.wire, case.direction))
     def holds(arguments: tuple[Any, ...]) -> None:
         law.holds(case.wire, case.direction, *arguments)
@@ -53,6 +58,6 @@ def test_every_registered_protocol_is_tested() -> None:
                 assert (protocol.name, dialect, configuration) in tested
     for case in CASES:
         (variant,) = laws.variants_of(case.wire)
-        ways = {c.direction for c in CASES if c.wire is case.wire}
+        ways: set[laws.Way] = {c.direction for c in CASES if c.wire is case.wire}
         heard = {m.name for way in ways for m in variant.facing(way)}
         assert heard == set(variant.messages), f"{variant}: no direction has {set(variant.messages) - heard}"

@@ -49,7 +49,9 @@ def a_stream() -> Protocol:
     )
     packet(
         "Move",
-        payload=Struct(Const(1, Byte), "speed" / Quantity(Int16sl, scale=0.5), "flags" / Flags(Byte, a=0, b=3)),
+        payload=Struct(
+            Const(1, Byte), "speed" / Quantity(Int16sl, scale=0.5), "flags" / Flags(Byte, a=0, b=3)
+        ),
     )
     packet("Text", payload=Struct(Const(2, Byte), "data" / GreedyBytes))
     return made
@@ -59,7 +61,11 @@ def a_bus() -> Protocol:
     """Frames with unused bits, signs, a check, a request with its answers."""
     made = Protocol("victim", link="can")
     node = Capture("node", range(8))
-    made.message("Layout", id=0x10 + node, payload=BitLayout(2, "a" / bits(5), "b" / Quantity(bits(6, at=8), scale=0.5)))
+    made.message(
+        "Layout",
+        id=0x10 + node,
+        payload=BitLayout(2, "a" / bits(5), "b" / Quantity(bits(6, at=8), scale=0.5)),
+    )
     made.message("Sign", id=0x20 + node, payload=Struct("value" / SignMagnitude(16)))
     made.message(
         "Checked",
@@ -68,8 +74,20 @@ def a_bus() -> Protocol:
         payload=BitLayout(3, "crc" / bits(8), "value" / bits(16)),
     )
     ask = made.message("Ask", id=0x40 + node, direction="to device", payload=Struct("which" / Byte))
-    made.message("One", id=0x50 + node, direction="from device", reply_to=ask.where(which=1), payload=Struct("x" / Int16ul))
-    made.message("Two", id=0x50 + node, direction="from device", reply_to=ask.where(which=2), payload=Struct("y" / Int16sl))
+    made.message(
+        "One",
+        id=0x50 + node,
+        direction="from device",
+        reply_to=ask.where(which=1),
+        payload=Struct("x" / Int16ul),
+    )
+    made.message(
+        "Two",
+        id=0x50 + node,
+        direction="from device",
+        reply_to=ask.where(which=2),
+        payload=Struct("y" / Int16sl),
+    )
     made.message("Exact", id=0x60, payload=Struct(Const(b"\x01"), "rest" / Byte), over="General")
     made.message("General", id=0x60, payload=Struct("all" / Int16ul))
     return made
@@ -120,7 +138,9 @@ def _printed(patch: pytest.MonkeyPatch, module: Any, name: str, old: str, new: s
 
 def a_scale_is_wrong(patch: pytest.MonkeyPatch) -> None:
     good = load.print_decoders
-    patch.setattr(load, "print_decoders", lambda *args, **more: good(*args, **more).replace("* 0.5", "* 0.25"))
+    patch.setattr(
+        load, "print_decoders", lambda *args, **more: good(*args, **more).replace("* 0.5", "* 0.25")
+    )
 
 
 def _decided(patch: pytest.MonkeyPatch, spoil: Callable[[Any, bytes], Any]) -> None:
@@ -180,7 +200,9 @@ def losses_are_counted_short(patch: pytest.MonkeyPatch) -> None:
 def error_frames_are_not_counted(patch: pytest.MonkeyPatch) -> None:
     good = Counts.lose
     patch.setattr(
-        Counts, "lose", lambda self, size, reason: None if reason == "error frame" else good(self, size, reason)
+        Counts,
+        "lose",
+        lambda self, size, reason: None if reason == "error frame" else good(self, size, reason),
     )
 
 

@@ -84,7 +84,9 @@ def a_rare_selector(p: Protocol) -> None:
 
 
 def a_selector_of_other_values(p: Protocol) -> None:
-    p.message("One", id=5, payload=Struct("which" / Byte, "a" / Multiplexed("which", tuple(range(1, 256)), Byte)))
+    p.message(
+        "One", id=5, payload=Struct("which" / Byte, "a" / Multiplexed("which", tuple(range(1, 256)), Byte))
+    )
     p.message("Two", id=5, payload=Struct("b" / Byte))
 
 
@@ -104,7 +106,12 @@ def dialects_that_share_one(p: Protocol) -> None:
 
 def _framed(p: Protocol, **more: Any) -> Any:
     return p.framing(
-        sync=b"\xa5", header=Struct("op" / Byte, "size" / Byte), size=this.size + 4, max_size=64, check=InvertedSum(), **more
+        sync=b"\xa5",
+        header=Struct("op" / Byte, "size" / Byte),
+        size=this.size + 4,
+        max_size=64,
+        check=InvertedSum(),
+        **more,
     )
 
 
@@ -128,7 +135,9 @@ def framings_that_begin_alike(p: Protocol) -> None:
 def stuffing_that_moves_bytes(p: Protocol) -> None:
     """The kind of One is its second byte on the wire, where Two may have anything."""
     head = Struct("kind" / Byte)
-    cobs = p.framing(name="cobs", header=head, end=b"\0", stuffing=Cobs(), max_size=32, check=Crc("CRC8-AUTOSAR"))
+    cobs = p.framing(
+        name="cobs", header=head, end=b"\0", stuffing=Cobs(), max_size=32, check=Crc("CRC8-AUTOSAR")
+    )
     cobs("One", match={"kind": 1}, payload=Struct("a" / Byte))
     p.framing(name="plain", header=head, size=6)("Two", match={"kind": 5}, payload=Struct("b" / Bytes(5)))
 
@@ -181,8 +190,12 @@ def other_flags(p: Protocol) -> None:
 
 def sets_that_do_not_meet(p: Protocol) -> None:
     head = Struct("op" / Byte)
-    p.message("One", id=5, prefix=head, match={"op": Capture("n", range(16)) + 0x30}, payload=Struct("a" / Byte))
-    p.message("Two", id=5, prefix=head, match={"op": Capture("n", range(16)) + 0x40}, payload=Struct("b" / Byte))
+    p.message(
+        "One", id=5, prefix=head, match={"op": Capture("n", range(16)) + 0x30}, payload=Struct("a" / Byte)
+    )
+    p.message(
+        "Two", id=5, prefix=head, match={"op": Capture("n", range(16)) + 0x40}, payload=Struct("b" / Byte)
+    )
 
 
 def a_selector_whose_lengths_differ(p: Protocol) -> None:
@@ -192,8 +205,12 @@ def a_selector_whose_lengths_differ(p: Protocol) -> None:
 
 def a_wide_head_of_many_values(p: Protocol) -> None:
     head = Struct("op" / Int16ul)
-    p.message("One", id=5, prefix=head, match={"op": Capture("n", range(0, 60000, 10))}, payload=Struct("a" / Byte))
-    p.message("Two", id=5, prefix=head, match={"op": Capture("n", range(5, 60000, 10))}, payload=Struct("b" / Byte))
+    p.message(
+        "One", id=5, prefix=head, match={"op": Capture("n", range(0, 60000, 10))}, payload=Struct("a" / Byte)
+    )
+    p.message(
+        "Two", id=5, prefix=head, match={"op": Capture("n", range(5, 60000, 10))}, payload=Struct("b" / Byte)
+    )
 
 
 def opposite_directions(p: Protocol) -> None:
@@ -248,11 +265,16 @@ def test_order_settles_an_ambiguity() -> None:
 def _random_message(made: Protocol, name: str, rng: random.Random) -> Message:
     """A message over identifiers 0…7 and at most two bytes, of which the second matters only up to 2."""
     identifier = rng.choice(
-        (rng.randrange(8), Capture("n", range(rng.randrange(1, 5))) + rng.randrange(4), Capture("n", (0, 1)) << 2 | 1)
+        (
+            rng.randrange(8),
+            Capture("n", range(rng.randrange(1, 5))) + rng.randrange(4),
+            Capture("n", (0, 1)) << 2 | 1,
+        )
     )
     values = tuple(sorted(rng.sample(range(6), rng.randrange(1, 4))))
     kind = rng.randrange(5)
-    prefix = match = None
+    prefix: Struct | None = None
+    match: dict[str, Any] = {}
     if kind == 0:
         payload = Struct(Const(rng.randrange(4), Byte), "a" / GreedyBytes)
     elif kind == 1:
@@ -265,12 +287,12 @@ def _random_message(made: Protocol, name: str, rng: random.Random) -> Message:
     else:
         prefix, match = Struct("op" / Byte), {"op": Capture("k", range(3)) << 1 | rng.randrange(2)}
         payload = Struct("a" / GreedyBytes)
-    length = None
+    length: int | tuple[int, ...] | None = None
     if kind in (0, 4) and rng.randrange(2):
         length = rng.randrange(1, 3)
     if kind in (0, 4) and length is None:
         length = (1, 2)
-    return made.message(name, id=identifier, prefix=prefix, match=match or {}, length=length, payload=payload)
+    return made.message(name, id=identifier, prefix=prefix, match=match, length=length, payload=payload)
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -314,6 +314,20 @@ def test_two_protocols_that_claim_a_frame_warn_once(aces: Aces, log: Path, arm: 
     assert any("both claim" in m for m in calm.messages)
 
 
+def test_any_two_of_several_protocols_may_clash(aces: Aces, tmp_path: Path) -> None:
+    """A frame that the second and the third claim warns too."""
+    for name, identifier in (("one", 1), ("two", 2), ("three", 2)):
+        (tmp_path / f"{name}.py").write_text(
+            f"from aces_bus.protocol import Protocol\n{name} = Protocol({name!r}, link='can')\n"
+            f"{name}.message('M{name}', id={identifier}, length=0)\n"
+        )
+    (tmp_path / "a.log").write_text("(1.0) can0 002#\n")
+    options = [word for name in ("one", "two", "three") for word in ("-p", tmp_path / f"{name}.py")]
+    result = aces("decode", tmp_path / "a.log", *options, "--format", "jsonl")
+    assert result.objects[0]["message"] == "Mtwo"
+    assert any(m.startswith("two and three both claim identifier 0x002") for m in result.messages)
+
+
 def test_protocols_that_share_only_what_does_not_occur_are_calm(
     aces: Aces, tmp_path: Path, arm: str, spec: Path
 ) -> None:

@@ -71,11 +71,13 @@ def test_an_unknown_option_names_those_that_exist(aces: Aces) -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_explains_itself(aces: Aces, verb: str) -> None:
-    """`aces VERB --help` and `aces help VERB` print what the verb is for."""
+def test_every_verb_explains_itself(aces: Aces, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`aces VERB --help` and `aces help VERB` print what the verb is for, on a terminal of 80 columns."""
+    monkeypatch.setenv("COLUMNS", "80")
     result = aces(verb, "--help")
     assert result.status == 0
     assert f"usage: aces {verb}" in result.out
+    assert max(map(len, result.out.splitlines())) <= 80
     assert aces("help", verb).out == result.out
 
 

@@ -3,10 +3,11 @@
   aces decode walk.log -p hubo
   aces decode session.bin -p robotis --direction from
   candump can0 | aces decode -p hubo -
-  aces decode walk.log -p hubo --message Encoder --where board=3 --format csv > encoder.csv
+  aces decode walk.log -p hubo --message Encoder --where board=3 -o encoder.csv
 
-A FILE is a candump log, the hex dump of the vendor's serial monitor, or raw serial bytes; `-` is standard input. What
-it is, its content says. With protocols of several links, each file goes to those of its own.
+A FILE is a candump log, the hex dump of the vendor's serial monitor, or raw
+serial bytes; `-` is standard input. What it is, its content says. With
+protocols of several links, each file goes to those of its own.
 """
 
 from __future__ import annotations
@@ -45,30 +46,42 @@ BATCH = 1024
 
 EPILOG = """\
 protocols (-p):
-  hubo                     an installed protocol; `aces protocols` lists them
-  hubo:D08  hubo@drchubo   in one dialect, with one of its configurations
-  hubo@robot.toml          with a configuration of your own: tables such as [channels] with lines 0x00 = 2;
-                           base = "NAME" at the top changes a shipped one
-  my_spec.py[:NAME]        declared in a Python file, which is executed with your rights: name only what you trust
+  hubo                an installed protocol; `aces protocols` lists them
+  hubo:D08            in one of its dialects
+  hubo@drc_hubo       with one of its configurations; also hubo:D08@hubo2
+  hubo@robot.toml     with your own: tables such as [channels] with lines such
+                      as 0x00 = 2; base = "NAME" on top changes a shipped one
+  my_spec.py[:NAME]   declared in a Python file. It is executed with your
+                      rights: name only what you trust
 
 conditions (--where):
-  board=3  position.1<0  servos.id=3  mode=torque  error=overload  data=0a00  meta.time>12.5
-  Fields are named as they are printed; `position>100` holds when any of several positions does. Several conditions
-  must all hold. Put < and > in quotes: the shell takes them otherwise.
+  board=3  position.1<0  servos.id=3  mode=torque  error=overload  data=0a00
+  temperature=none  meta.time>12.5
+  Fields are named as they are printed. `position>100` holds when any of
+  several positions does. Several conditions must all hold. Put < and > in
+  quotes: the shell takes them otherwise.
 
 formats:
-  text    for people: times count from the first record; on a terminal coloured, and cut to its width
-  jsonl   one JSON object a line; numbers in the sheet's units, enumerations by name, flags as a list of names, bytes as
-          hexadecimal, NaN as null
-  csv     with one --message: one row a record, one column a field; otherwise one row a value (field, value, unit)
+  text    for people: times count from the first item of a file; on a terminal
+          coloured, and folded to its width
+  jsonl   one JSON object a line; numbers in the sheet's units, enumerations by
+          name, flags as a list of names, bytes as hexadecimal, NaN as null
+  csv     with one --message: one row a record, one column a field; otherwise
+          one row a value (field, value, unit)
 
-summary (the last line on stderr, of each kind of link; the parts sum to the first number):
-  frames= CAN, or bytes= streams   = decoded + unknown + malformed + filtered + errors, or + skipped + pending
-  filtered: refused by --filter, or decoded and refused by --message or --where. Filters apply after recognition, so
-  that a reply is told by its request even where the request is not shown.
+summary (last on stderr, one line a kind of link; the parts sum to the total):
+  frames = decoded + unknown + malformed + filtered + errors           (CAN)
+  bytes = decoded + unknown + malformed + skipped + filtered + pending (streams)
+  filtered: refused by --filter; or decoded, and refused by --message or
+  --where. Filters apply after recognition, so that a reply is told by its
+  request even where the request is not shown.
 
-exit status: 0; 1 with --strict and anything unknown, malformed, skipped, pending or unreadable; 2 after a wrong call or
-a file that cannot be read (the others are decoded); 130 after Ctrl-C, except where the input was live.
+exit status:
+  0    also after Ctrl-C where the input was live
+  1    --strict, and anything was unknown, malformed, skipped, pending or
+       unreadable
+  2    a wrong call, or a file that cannot be read (the others are decoded)
+  130  after Ctrl-C
 """
 
 
@@ -199,7 +212,9 @@ class Decoding:
         self.status = 0
         self.is_warned = False
         #: Interfaces that --filter names; those that occurred are taken out.
-        self.absent = {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
+        self.absent = (
+            {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
+        )
         #: All that occurred, while one is missing.
         self.present: set[str] = set()
         #: The source that the writer has not been told of yet.

@@ -1,12 +1,14 @@
-"""List the installed protocols, the messages of one, and how a message is laid out.
+"""List the installed protocols, the messages of one, the layout of a message.
 
-  aces protocols                        all protocols
-  aces protocols robotis                its messages and registers
-  aces protocols robotis Status         its bits as a picture, its fields as a table
-  aces protocols hubo:D08 NameInfo      in one dialect; also my_spec.py NameInfo
+  aces protocols                    all protocols
+  aces protocols robotis            its messages and registers
+  aces protocols robotis Status     its bits as a picture, its fields as a table
+  aces protocols hubo:D08 NameInfo  in one dialect; also my_spec.py NameInfo
 
-`unchecked` protocols have no check in their packets: what looks like a packet is taken for one. Frames on CAN are
-checked by the bus itself.
+`unchecked` protocols have no check in their packets: what looks like a packet
+is taken for one. Frames on CAN are checked by the bus itself. → goes to the
+device, ← comes from it. In pictures, -1 is the last byte of a packet whose
+length is not fixed, and `11…8` are bits of the field's own number.
 """
 
 from __future__ import annotations

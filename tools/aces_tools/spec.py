@@ -1,12 +1,16 @@
 """Tools for the authors of protocols.
 
-  aces spec stubs robotis               print the stub: what editors and type checkers are told of the records
-  aces spec stubs robotis -o            write records.pyi beside the spec, and the module records.py that goes with it
-  aces spec stubs my_spec.py -o         the same for a protocol in a file: my_spec_records.pyi, my_spec_records.py
-  aces spec stubs robotis --check       exit 1, with the difference, when they are not what -o would write
+  aces spec stubs robotis           print the stub: what editors and type
+                                    checkers are told of the records
+  aces spec stubs robotis -o        write records.pyi beside the spec, and
+                                    records.py, the module that goes with it
+  aces spec stubs my_spec.py -o     the same: my_spec_records.pyi and .py
+  aces spec stubs robotis --check   exit 1, with the difference, when they are
+                                    not what -o would write
 
-With both files there, `from aces_protocols.robotis.records import Status` gives the type of these records, in every
-dialect and configuration: isinstance(record, Status), case Status(error=error). Check the files in.
+With both files there, `from aces_protocols.robotis.records import Status` is
+the type of these records in every dialect and configuration, for isinstance
+and match (`case Status(error=error):`). Check both files in.
 
 A Python file is executed with your rights: name only what you trust.
 """

@@ -1,0 +1,131 @@
+"""What is drawn is what it says: valid by construction, every message, and small when it shrinks."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from construct import Byte, Check, Struct, this
+from hypothesis import find, given, settings
+from hypothesis import strategies as st
+
+from aces_bus.protocol import CanScanner, Protocol, Scanner, StreamScanner, Unknown, make_scanner
+from aces_bus.testing import laws, strategies
+from aces_bus.testing._play import plain
+from aces_bus.testing._source import Entropy, spread
+from aces_bus.testing._values import Packet, UndrawableError, draw_packet
+from tests.laws.wires import PROTOCOLS, REGISTERED
+
+VARIANTS = [v for protocol in PROTOCOLS.values() for v in protocol.variants()]
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.label)
+def test_every_message_is_drawn_and_heard(variant: Any) -> None:
+    """A scanner that hears nothing but a drawn packet, its request having been sent, hears that message."""
+    scanner = make_scanner([variant], direction=laws.directions(variant)[0], everything=True)
+    for message in variant.facing(None):
+        for seed in range(6):
+            packet = draw_packet(message, spread(seed), variant)
+            scanner.reset()
+            assert [type(r).__name__ for r in _hear(scanner, packet)] == [message.name]
+
+
+def _hear(scanner: Scanner, packet: Packet) -> list[Any]:
+    if isinstance(scanner, CanScanner):
+        if packet.request is not None:
+            scanner.sent(packet.request.word)
+        return scanner.feed([packet.word])
+    assert isinstance(scanner, StreamScanner)
+    if packet.request is not None:
+        scanner.sent(packet.request.word)
+    return scanner.feed(packet.word) + scanner.idle()
+
+
+@pytest.mark.parametrize("name", [*REGISTERED, "ubx", "nmea0183", "opaque_corners", "can_corners"])
+def test_strategies_draw_valid_packets(name: str) -> None:
+    """`packets` and `fields` give what `message.struct` builds and reads."""
+    variant = PROTOCOLS[name].variant()
+
+    @settings(max_examples=30)
+    @given(st.data())
+    def holds(data: st.DataObject) -> None:
+        packet = data.draw(strategies.packets(variant))
+        request = packet.request.values if packet.request is not None else packet.values
+        read = plain(packet.message.struct.parse(packet.image, raw=True, request=request))
+        assert {k: read[k] for k in packet.values} == plain(packet.values)
+        values = data.draw(strategies.fields(packet.message))
+        assert set(values) <= set(packet.message.fields)
+
+    holds()
+
+
+@pytest.mark.parametrize("name", REGISTERED)
+def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
+    """Among some scenes there are records, losses of several kinds, and our own transmissions where replies need them."""
+    variant = PROTOCOLS[name].variant()
+    for direction in laws.directions(variant):
+        scanner = make_scanner([variant], direction=direction, everything=True)
+        reasons: set[str] = set()
+        decoded = total = 0
+        for seed in range(1, 60):
+            (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed))
+            scanner.reset()
+            given = laws.play(scanner, scene)
+            reasons |= {item.kind for item in given if isinstance(item, Unknown)}
+            decoded += scanner.counts.decoded
+            total += scanner.counts.total
+        assert 0.3 < decoded / total < 0.95
+        assert len(reasons) >= 2
+
+
+def test_a_wire_shrinks_to_little() -> None:
+    """What breaks a law is shown small: here, one packet of the message looked for."""
+    variant = PROTOCOLS["robotis"].variant()
+
+    def has_reset(scene: laws.Scene) -> bool:
+        return any(p.message.name == "Reset" for p in scene.packets)
+
+    scene = find(strategies.streams(variant, "to device"), has_reset, settings=settings(max_examples=2000))
+    assert len(scene.packets) <= 2
+    assert len(scene.words) <= 40
+
+
+def test_a_dry_source_gives_the_simplest() -> None:
+    """Lows, firsts and zeros, for ever."""
+    source = Entropy(b"")
+    assert source.is_dry
+    assert [source.integer(3, 9), source.choice("ab"), source.bytes(3), source.bytes(9)] == [
+        3,
+        "a",
+        bytes(3),
+        bytes(9),
+    ]
+
+
+def test_what_cannot_be_drawn_says_so() -> None:
+    """A message that contradicts itself is named with its line."""
+    made = Protocol("never", link="can")
+    message = made.message("Never", id=1, payload=Struct("a" / Byte, "b" / Check(this.a > 300)))
+    with pytest.raises(
+        UndrawableError, match=r"message never\.Never.*test_strategies\.py:\d+.*no valid packet found"
+    ):
+        draw_packet(message, spread(1))
+
+
+def test_without_hypothesis_the_extra_is_named() -> None:
+    """The strategies say what to install; the laws need nothing."""
+    program = (
+        "import sys; sys.modules['hypothesis'] = None\n"
+        "from aces_bus.testing import laws\n"
+        "for name in ('strategies', 'longrun'):\n"
+        "    try:\n"
+        "        __import__('aces_bus.testing.' + name)\n"
+        "    except ImportError as error:\n"
+        "        assert 'aces-bus[testing]' in str(error), error\n"
+        "    else:\n"
+        "        raise SystemExit(name)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

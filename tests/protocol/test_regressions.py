@@ -1,0 +1,212 @@
+"""Faults that the laws found, each as the smallest case that showed it."""
+
+from __future__ import annotations
+
+import pytest
+from construct import Byte, Bytes, GreedyBytes, Int16ul, Int32ul, PrefixedArray, Struct, this
+
+from aces_bus.errors import SpecError
+from aces_bus.frame import Frame
+from aces_bus.protocol import (
+    CanScanner,
+    Capture,
+    Crc,
+    Insert,
+    InvertedSum,
+    Multiplexed,
+    Protocol,
+    Reference,
+    StreamScanner,
+    Unknown,
+    make_scanner,
+)
+
+
+def _summed() -> Protocol:
+    made = Protocol("summed", link="serial")
+    packet = made.framing(
+        sync=b"\xff\xff",
+        header=Struct("id" / Byte, "length" / Byte),
+        size=this.length + 4,
+        max_size=259,
+        check=InvertedSum(),
+    )
+    packet("Any", payload=Struct("data" / GreedyBytes))
+    return made
+
+
+def _streaming(made: Protocol, direction: str | None = None) -> StreamScanner:
+    scanner = make_scanner([made.variant()], direction=direction, everything=True)  # type: ignore[arg-type]
+    assert isinstance(scanner, StreamScanner)
+    return scanner
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 500, 100_000])
+def test_false_headers_cost_no_more_than_twice_the_input(chunk: int) -> None:
+    """The prefix sums of a failed check ended where they began, so that every false header was summed anew."""
+    data = b"\xff\xff\x01\xff" * 25_000
+    scanner = _streaming(_summed())
+    for at in range(0, len(data), chunk):
+        scanner.feed(data[at : at + chunk])
+    scanner.close()
+    assert scanner.check_work <= 2 * len(data)
+    assert scanner.counts.balance == 0
+
+
+def test_a_packet_accepted_from_prefix_sums_is_not_counted_as_read_again() -> None:
+    """A packet behind a false header that reaches over it counted three times."""
+    inner = b"\xff\xff\x00\x02\x00\xfd"
+    scanner = _streaming(_summed())
+    scanner.feed(b"\xff\xff\x00\x20" + inner + bytes(40))
+    scanner.close()
+    assert scanner.counts.records == 1
+    assert scanner.check_work <= 2 * scanner.counts.total
+
+
+def test_closing_again_keeps_what_was_pending() -> None:
+    """The second close forgot the bytes that the first had left pending, and the bins no longer summed."""
+    scanner = _streaming(_summed())
+    scanner.feed(b"\xff\xff\x01")
+    scanner.close()
+    scanner.feed(b"\xff\xff")
+    scanner.close()
+    assert scanner.counts.pending == 5
+    assert scanner.counts.balance == 0
+
+
+def test_reference_and_scanner_name_the_same_fault_of_a_stuffed_packet() -> None:
+    """Of a packet with a wrong check and impossible stuffing the one said "checksum", the other "stuffing"."""
+    made = Protocol("stuffed", link="serial")
+    packet = made.framing(
+        sync=b"\xff\xff\xfd",
+        header=Struct("length" / Byte),
+        size=this.length + 4,
+        max_size=64,
+        stuffing=Insert(b"\xff\xff\xfd", b"\xfd"),
+        check=Crc("CRC16-UMTS"),
+    )
+    packet("Any", payload=Struct("data" / GreedyBytes))
+    data = b"\xff\xff\xfd\x06" + b"\xff\xff\xfd\x00" + b"\x12\x34"
+    scanner = _streaming(made)
+    given = scanner.feed(data) + scanner.close()
+    assert given[0].reason == "malformed: checksum"
+    assert Reference([made.variant()]).stream(data)[0].reason == "malformed: checksum"
+
+
+def test_records_in_a_prefixed_array_are_found() -> None:
+    """`PrefixedArray` hid its records from the walk that makes their types: `feed` raised KeyError."""
+    made = Protocol("arrays", link="can")
+    made.message("Things", id=1, payload=Struct("things" / PrefixedArray(Byte, Struct("x" / Byte))))
+    (record,) = made.scanner().feed([Frame(1, b"\x02\x07\x08")])
+    assert [thing.x for thing in record.things] == [7, 8]
+
+
+def test_rare_selectors_are_seen_by_the_ambiguity_check() -> None:
+    """Multiplexed lengths were tried at random: a selector of 16 bits was never hit, and two messages passed as apart."""
+    made = Protocol("rare", link="can")
+    made.message("One", id=5, payload=Struct("which" / Int16ul, "a" / Multiplexed("which", 1000, Int16ul)))
+    with pytest.raises(SpecError, match="both accept 005#E8030000"):
+        made.message("Two", id=5, payload=Struct("b" / Int32ul))
+
+
+def test_wide_heads_are_tested_against_their_pattern() -> None:
+    """A head with more than 4096 possible numbers was not tested at all: any number was accepted."""
+    made = Protocol("wide", link="can")
+    head = Struct("n" / Int16ul)
+    made.message(
+        "Range", id=1, prefix=head, match={"n": Capture("n", range(5000))}, payload=Struct("x" / Byte)
+    )
+    made.message(
+        "Scattered",
+        id=2,
+        prefix=Struct("n" / Int32ul),
+        match={
+            "n": Capture("a", range(1000)) << 3 | Capture("b", range(7)) | Capture("c", range(1000)) << 15
+        },
+        payload=Struct("x" / Byte),
+    )
+    scanner = made.scanner(everything=True)
+    given = scanner.feed(
+        [
+            Frame(1, b"\x87\x13\x01"),
+            Frame(1, b"\x88\x13\x01"),
+            Frame(2, b"\x06\0\0\0\1"),
+            Frame(2, b"\x07\0\0\0\1"),
+        ]
+    )
+    assert [type(item).__name__ for item in given] == ["Range", "Unknown", "Scattered", "Unknown"]
+
+
+def _asking() -> Protocol:
+    made = Protocol("asking", link="can")
+    node = Capture("node", range(4))
+    ask = made.message("Ask", id=0x10 + node, direction="to device", payload=Struct("which" / Byte))
+    for name, which in (("One", 1), ("Two", 2)):
+        made.message(
+            name,
+            id=0x20 + node,
+            direction="from device",
+            reply_to=ask.where(which=which),
+            payload=Struct("value" / Int16ul),
+        )
+    return made
+
+
+def test_what_we_send_tells_replies_also_when_only_replies_are_heard() -> None:
+    """`sent` looked for requests among the messages of the scanner's own direction, where there are none."""
+    scanner = make_scanner([_asking().variant()], direction="from device")
+    assert isinstance(scanner, CanScanner)
+    scanner.sent(Frame(0x11, b"\x02"))
+    assert [type(r).__name__ for r in scanner.feed([Frame(0x21, b"\x05\x00")])] == ["Two"]
+
+
+def test_what_we_send_is_noted_by_the_protocol_that_it_is_of() -> None:
+    """On a wire of two protocols the first took any packet of the right length for its own request."""
+
+    def asking(name: str, sync: bytes) -> Protocol:
+        made = Protocol(name, link="serial")
+        packet = made.framing(sync=sync, size=4)
+        ask = packet("Ask", direction="to device", payload=Struct("which" / Byte, "pad" / Bytes(2)))
+        for reply, which in (("One", 1), ("Two", 2)):
+            packet(
+                reply,
+                direction="from device",
+                reply_to=ask.where(which=which),
+                payload=Struct("value" / Bytes(3)),
+            )
+        return made
+
+    first, second = asking("first", b"\xa1"), asking("second", b"\xa2")
+    scanner = make_scanner([first.variant(), second.variant()], direction="from device", everything=True)
+    assert isinstance(scanner, StreamScanner)
+    scanner.sent(b"\xa2\x02\x00\x00")
+    given = scanner.feed(b"\xa1abc\xa2abc")
+    assert isinstance(given[0], Unknown)
+    assert (given[0].reason, type(given[1]).__name__) == ("unknown: needs request Ask", "Two")
+
+
+def test_a_reply_that_another_protocol_claimed_leaves_no_reason_behind() -> None:
+    """The reason "needs request" of a frame that somebody else then claimed was given to the next frame lost."""
+    other = Protocol("other", link="can")
+    other.message("Mine", id=0x21, payload=Struct("x" / Int16ul))
+    scanner = make_scanner([_asking().variant(), other.variant()], everything=True)
+    assert isinstance(scanner, CanScanner)
+    given = scanner.feed([Frame(0x21, b"\x05\x00"), Frame(0x21, b"\x05")])
+    assert type(given[0]).__name__ == "Mine"
+    assert given[1].reason == "malformed: length 1, One has 2 bytes"
+
+
+def test_reset_forgets_everything() -> None:
+    """A scanner that was reset is as if just made: no counts, no held bytes, no requests."""
+    scanner = make_scanner([_asking().variant()], everything=True)
+    assert isinstance(scanner, CanScanner)
+    scanner.feed([Frame(0x11, b"\x01"), Frame(0x7FF)])
+    scanner.reset()
+    assert scanner.counts.total == 0
+    (lost,) = scanner.feed([Frame(0x21, b"\x05\x00")])
+    assert lost.reason == "unknown: needs request Ask"
+    stream = _streaming(_summed())
+    stream.feed(b"\xff\xff\x01")
+    stream.reset()
+    (record,) = stream.feed(b"\xff\xff\x00\x02\x00\xfd")
+    assert (record.meta.offset, stream.counts.total, stream.buffered) == (0, 6, 0)
