@@ -209,7 +209,8 @@ def plain(value: Any) -> Any:
         pairs = cast("Mapping[str, Any]", value)
         return {name: plain(inner) for name, inner in pairs.items() if not name.startswith("_")}
     if isinstance(value, list):
-        return [plain(inner) for inner in cast("list[Any]", value)]
+        items: list[Any] = value
+        return [plain(inner) for inner in items]
     return value
 
 
