@@ -561,6 +561,7 @@ __all__ = [
     "play",
     "resynchronisation",
     "round_trip",
+    "scanner_of",
     "told",
     "unambiguous",
     "variants_of",

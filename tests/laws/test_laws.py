@@ -9,12 +9,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import can
+import msgspec
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
+from aces_bus.protocol import make_scanner
 from aces_bus.testing import laws, strategies
+from aces_bus.testing._source import spread
 from aces_bus.testing.laws import LAWS, Law
-from tests.laws.wires import CASES, MIXED, REGISTERED, Case
+from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 
 #: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
 EXAMPLES = 24
@@ -61,3 +65,37 @@ def test_every_registered_protocol_is_tested() -> None:
         ways: set[laws.Way] = {c.direction for c in CASES if c.wire is case.wire}
         heard = {m.name for way in ways for m in variant.facing(way)}
         assert heard == set(variant.messages), f"{variant}: no direction has {set(variant.messages) - heard}"
+
+
+@pytest.mark.parametrize("name", ["hubo", "can_corners", "j1939_like"])
+def test_python_can_messages_are_frames(name: str) -> None:
+    """A scanner hears the same in python-can's messages as in `Frame`s, and takes impossible ones calmly."""
+    variant = PROTOCOLS[name].variant()
+    for seed in range(1, 12):
+        (scene,) = laws.draw_arguments(LAWS[1], variant, None, spread(seed))
+        messages = [
+            can.Message(
+                timestamp=frame.timestamp or 0.0,
+                arbitration_id=frame.arbitration_id,
+                is_extended_id=frame.is_extended_id,
+                is_remote_frame=frame.is_remote_frame,
+                is_error_frame=frame.is_error_frame,
+                is_fd=frame.is_fd,
+                channel=frame.channel,
+                data=None if frame.is_remote_frame else frame.data,
+                dlc=frame.dlc,
+                is_rx=frame.is_rx is not False,
+            )
+            for frame in scene.words
+        ]
+        frames = [msgspec.structs.replace(frame, timestamp=frame.timestamp or 0.0) for frame in scene.words]
+        alike = laws.Scene(tuple(frames), (), scene.sent_at)
+        wanted = laws.heard(laws.scanner_of(variant, None), alike)
+        assert laws.heard(laws.scanner_of(variant, None), laws.Scene(messages, (), scene.sent_at)) == wanted
+    scanner = make_scanner([variant], everything=True)
+    odd = [
+        can.Message(arbitration_id=1, dlc=8),
+        can.Message(arbitration_id=0x1FFFFFFF, dlc=64, is_fd=True, data=[0] * 64),
+    ]
+    odd[0].data = bytearray(20)
+    assert len(scanner.feed(odd)) == 2

@@ -192,6 +192,8 @@ class StreamScanner:
         # What is held is summed anew by a stride: it must not be the greater part.
         if self._finder is not None and len(data) >= WORTH and 2 * len(data) >= len(buffer):
             reached = self._stride(buffer, base, time, found, lose)
+            if self._finder.summed:
+                self._state.work -= reached - lost  # accepted: counted with the records
         if reached < len(buffer):
             reached = self._scan(
                 buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state
@@ -229,13 +231,8 @@ class StreamScanner:
             # The scan function asks them too, for what stands between.
             self._sums[0].lend(base, base + finder.summed, *finder.sums)
             self._state.work += finder.summed
-        decode, scan, emit, state, failure = (
-            self._decode,
-            self._scan,
-            found.append,
-            self._state,
-            self._failure,
-        )
+        decode, scan, emit = self._decode, self._scan, found.append
+        state, failure = self._state, self._failure
         mark = self.framings[0].sync[:1]
         at = 0
         for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
@@ -253,8 +250,6 @@ class StreamScanner:
                 at = start + 1
                 continue
             record = decode(packet, base + start, time, None, packet, None)
-            if finder.summed:
-                state.work -= end - start  # counted with the records
             if record is None:
                 lose(base + start, end - start, "unknown")
             else:
