@@ -14,7 +14,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-long check lint types pristine format bench golden clean
+.PHONY: help venv demo test test-long check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -84,6 +84,9 @@ format: $(VENV)/.dev ## let ruff rewrite the sources
 
 bench: $(VENV)/.bench ## measure beside the peers, on this machine
 	$(BIN)/aces bench live $(ARGS)
+
+bench-framings: $(VENV)/.bench ## UBX, MAVLink and NMEA beside their usual libraries
+	$(BIN)/python -m tests.bench.framings
 
 golden: $(VENV)/.dev ## write the golden files anew; read the diff before you commit it
 	$(BIN)/python -m pytest tests -q --update-golden $(ARGS)

@@ -28,7 +28,7 @@ PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "short")
 settings.load_profile(PROFILE)
 
 # A program, and files that tests read; none of them is a test or holds a doctest.
-collect_ignore = ["pristine.py"]
+collect_ignore = ["pristine.py", "bench/framings.py"]
 collect_ignore_glob = ["golden/*", "data/*"]
 
 Golden = Callable[[str, str], None]

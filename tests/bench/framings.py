@@ -1,0 +1,74 @@
+"""Other framings beside their usual libraries: `make bench-framings`, or `python -m tests.bench.framings`.
+
+The specs are those of `tests/specs`; streams are repeated worked examples, fed in chunks of 4096 bytes; fields are parsed
+on both sides. pymavlink computes its CRC in C when `fastcrc` is installed, which it asks for.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from aces_tools.benchmarks.timing import fastest, optional
+from tests.specs.cases import MAVLINK1, NMEA0183, UBX
+from tests.specs.catalogue import SPECS
+
+CHUNK = 4096
+#: spec, target as a ratio, stream
+STREAMS: dict[str, tuple[str, float, bytes]] = {
+    "UBX: NAV-PVT, NAV-STATUS, ACK": ("ubx", 20, (UBX[0].data * 4 + UBX[1].data + UBX[4].data) * 200),
+    "MAVLink 1: ATTITUDE": ("mavlink1", 6, MAVLINK1[1].data * 2500),
+    "NMEA 0183: seven sentences": ("nmea0183", 8, b"".join(case.data for case in NMEA0183) * 150),
+}
+
+
+def ours(name: str, data: bytes) -> int:
+    """How many records the scanner finds."""
+    scanner = SPECS[name].scanner(direction="both" if name == "mavlink1" else "from device")
+    return sum(len(scanner.feed(data[at : at + CHUNK])) for at in range(0, len(data), CHUNK))
+
+
+def peer(name: str, data: bytes) -> Callable[[], int] | None:
+    """The same through the library that people use, or None where it is not installed."""
+    if name == "mavlink1":
+        common = optional("pymavlink.dialects.v10.common")
+        if common is None:
+            return None
+
+        def mavlink() -> int:
+            parser = common.MAVLink(None)
+            parser.robust_parsing = True
+            return sum(
+                len(parser.parse_buffer(data[at : at + CHUNK]) or ()) for at in range(0, len(data), CHUNK)
+            )
+
+        return mavlink
+    module = optional("pyubx2" if name == "ubx" else "pynmeagps")
+    if module is None:
+        return None
+    reader: Any = module.UBXReader if name == "ubx" else module.NMEAReader
+    options = {"protfilter": module.UBX_PROTOCOL} if name == "ubx" else {}
+    return lambda: sum(1 for _ in reader(io.BytesIO(data), **options))
+
+
+def main() -> None:
+    """Print a line a framing: MB/s of both, their ratio, the target."""
+    for title, (name, target, data) in STREAMS.items():
+        other = peer(name, data)
+        contenders: dict[str, Callable[[], object]] = {"aces": partial(ours, name, data)}
+        if other is not None:
+            contenders["peer"] = other
+        best = {who: len(data) / seconds / 1e6 for who, seconds in fastest(contenders, rounds=7).items()}
+        line = f"{title:32} aces {best['aces']:6.2f} MB/s"
+        if other is not None:
+            ratio = best["aces"] / best["peer"]
+            line += f"  peer {best['peer']:6.3f} MB/s  {ratio:5.1f} ×  (target ≥ {target:g} ×)"
+        else:
+            line += "  (its library is not installed: pip install 'aces-bus[bench]')"
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
