@@ -73,7 +73,7 @@ lint: $(VENV)/.dev
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
-	$(BIN)/pyright --warnings --pythonpath $(BIN)/python
+	$(BIN)/pyright --project . --warnings --pythonpath $(BIN)/python
 
 pristine: $(VENV)/.dev
 	$(BIN)/python tests/pristine.py

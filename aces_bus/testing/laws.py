@@ -498,7 +498,7 @@ def draw_arguments(
 def directions(variant: Variant) -> tuple[Way, ...]:
     """The directions in which a variant can be scanned, as far as they differ."""
     ways: list[Way] = [None]
-    if variant.link != "can" and variant.needs_direction is not None:
+    if variant.needs_direction is not None:
         ways = ["both"]
     for way in DIRECTIONS:
         if 0 < len(variant.facing(way)) < len(variant.messages):

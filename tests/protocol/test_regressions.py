@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from construct import Byte, Bytes, GreedyBytes, Int16ul, Int32ul, PrefixedArray, Struct, this
 
-from aces_bus.errors import SpecError
+from aces_bus.errors import CallerError, SpecError
 from aces_bus.frame import Frame
 from aces_bus.protocol import (
     CanScanner,
@@ -210,3 +210,14 @@ def test_reset_forgets_everything() -> None:
     stream.reset()
     (record,) = stream.feed(b"\xff\xff\x00\x02\x00\xfd")
     assert (record.meta.offset, stream.counts.total, stream.buffered) == (0, 6, 0)
+
+
+def test_frames_that_only_their_direction_tells_apart_need_one() -> None:
+    """Streams were refused without a direction, CAN frames were given to whichever message was declared first."""
+    made = Protocol("opposite", link="can")
+    made.message("Set", id=1, direction="to device", payload=Struct("x" / Byte))
+    made.message("Is", id=1, direction="from device", payload=Struct("y" / Byte))
+    with pytest.raises(CallerError, match="bytes alone do not tell Is from Set"):
+        made.scanner()
+    (record,) = made.scanner(direction="from device").feed([Frame(1, b"\x07")])
+    assert record.y == 7

@@ -67,8 +67,7 @@ def make_scanner(
     `direction` limits it to messages to or from the device; "both" pairs requests and replies. With `everything`, what
     is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
 
-    Raises `CallerError` when the protocols are not of one kind of link, or when a stream's protocol needs a direction
-    and none is given.
+    Raises `CallerError` when the protocols are not of one kind of link, or when one needs a direction and none is given.
     """
     if not variants:
         raise CallerError("a scanner needs at least one protocol")
@@ -76,7 +75,7 @@ def make_scanner(
     if len(links) > 1:
         named = ", ".join(f"{v.name} ({v.link})" for v in variants)
         raise CallerError(f"one wire carries one kind of link; these are of several: {named}")
-    if direction is None and links == {"stream"}:
+    if direction is None:
         for variant in variants:
             clash = variant.needs_direction
             if clash is not None:
