@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import construct as c
@@ -65,28 +66,63 @@ def draw_packet(message: Message, source: Source, variant: Variant | None = None
     Raises `UndrawableError` when none is found.
     """
     problem = ""
-    links = (
-        []
-        if variant is None
-        else [r for r in (*message.reply_to, *message.after) if r.message.name in variant.messages]
-    )
+    occasions = _occasions(message, variant) if variant is not None else ()
     for attempt in range(ATTEMPTS):
         use = source if attempt == 0 else spread(source.integer(0, 255) << 8 | attempt)
         request = None
         try:
-            values = draw_values(message, use)
-            if links and variant is not None:
-                link = use.choice(links)
-                request = _draw_request(message, values, link, variant[link.message.name], use)
-                for name in _outer(message) & _outer(request.message):
+            if occasions:
+                occasion = use.choice(occasions)
+                values = draw_values(
+                    message, use, {name: _member(v, use) for name, v in occasion.shared if v is not None}
+                )
+                request = _draw_request(values, occasion, use)
+                for name, _ in occasion.shared:
                     values[name] = request.values[name]
                 for name in message.request_fields:
                     values[name] = request.values.get(name)
                 values.update(_payload(message, values, use))
+            else:
+                values = draw_values(message, use)
             return Packet(message, values, bytes(message.struct.build(values, raw=True)), request)
         except (FieldError, c.ConstructError) as error:
             problem = str(error)
     raise UndrawableError(f"{message!r} ({message.place}): no valid packet found; the last try: {problem}")
+
+
+@dataclass(frozen=True)
+class Occasion:
+    """An occasion for a reply: the link, the request as the variant has it, and the fields that both have, with the
+    numbers that both allow (None: any)."""
+
+    link: Request
+    asked: Message
+    shared: tuple[tuple[str, Collection[int] | None], ...]
+
+
+@lru_cache(maxsize=4096)
+def _occasions(message: Message, variant: Variant) -> tuple[Occasion, ...]:
+    found: list[Occasion] = []
+    for link in (*message.reply_to, *message.after):
+        asked = variant.messages.get(link.message.name)
+        if asked is None:
+            continue
+        shared: dict[str, Collection[int] | None] = {}
+        for name in sorted(_outer(message) & _outer(asked)):
+            limits = [_allowed(message, name), _allowed(asked, name), dict(link.values).get(name)]
+            sets = [frozenset(limit) for limit in limits if limit is not None]
+            shared[name] = tuple(sorted(frozenset.intersection(*sets))) if sets else None
+        if all(values is None or values for values in shared.values()):
+            found.append(Occasion(link, asked, tuple(shared.items())))
+    return tuple(found)
+
+
+def _allowed(message: Message, name: str) -> Collection[int] | None:
+    """The numbers that a field of identifier or head may have; None when any."""
+    captures = list(message.identifier.captures)
+    for head in message.heads:
+        captures += head.pattern.captures if head.pattern is not None else ()
+    return next((capture.values for capture in captures if capture.name == name), None)
 
 
 def draw_values(message: Message, source: Source, fixed: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -151,18 +187,16 @@ def _room(message: Message, source: Source) -> Room:
     return Room(max(0, most), False)
 
 
-def _draw_request(
-    message: Message, values: Mapping[str, Any], link: Request, asked: Message, source: Source
-) -> Packet:
+def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: Source) -> Packet:
     """A request that the reply answers: fields that both have are equal, those that the link names are as it says."""
-    fixed = {name: values[name] for name in _outer(message) & _outer(asked)}
-    for name, allowed in link.values:
+    fixed = {name: values[name] for name, _ in occasion.shared}
+    for name, allowed in occasion.link.values:
         if fixed.get(name, values.get(name)) not in allowed:
             fixed[name] = source.choice(sorted(allowed))
         else:
             fixed.setdefault(name, values[name])
-    drawn = draw_values(asked, source, fixed)
-    return Packet(asked, drawn, bytes(asked.struct.build(drawn, raw=True)))
+    drawn = draw_values(occasion.asked, source, fixed)
+    return Packet(occasion.asked, drawn, bytes(occasion.asked.struct.build(drawn, raw=True)))
 
 
 def _member(values: Any, source: Source) -> int:
