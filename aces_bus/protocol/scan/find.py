@@ -48,11 +48,14 @@ class Finder:
         ends = starts + self._sizes(data, starts)
         sizes = ends - starts
         possible = (sizes >= framing.min_size) & (sizes <= framing.max_size)
-        starts, ends = starts[possible], ends[possible]
+        if not possible.all():
+            starts, ends = starts[possible], ends[possible]
         cut = np.flatnonzero(ends > len(data))
-        stop = int(starts[cut[0]]) if len(cut) else last
-        decided = starts < stop
-        starts, ends = starts[decided], ends[decided]
+        stop = last
+        if len(cut):
+            # Starts rise: what stands before the first incomplete one is decided.
+            stop = int(starts[cut[0]])
+            starts, ends = starts[: cut[0]], ends[: cut[0]]
         if framing.check is not None and self.cover is not None and len(starts):
             data = data[: int(ends.max())]
             good = self._checked(data, framing.check, starts + self.cover, ends - framing.check_size)
@@ -64,6 +67,8 @@ class Finder:
         if affine is None:
             return self.framing.fixed_size
         head = affine.length
+        if head.size == 1:
+            return data[starts + head.offset] * np.int64(affine.factor) + affine.constant
         number = np.zeros(len(starts), dtype=np.int64)
         for index in range(head.size):
             shift = 8 * (index if head.order == "little" else head.size - 1 - index)
