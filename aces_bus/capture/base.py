@@ -2,7 +2,8 @@
 
 1. A capture is read once, front to back, like the file it is.
 2. Counters cover what has been read so far, and are up to date before anything is handed out.
-3. `lines` is the sum of the lines that gave something, and of the unreadable, comment and blank ones.
+3. `lines` is the sum of the lines that gave something, and of the unreadable, comment, blank and other ones. Formats
+   that have objects or rows instead of lines count those.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from types import TracebackType
 from typing import ClassVar, Literal, NamedTuple, Self
 
 from ..frame import Frame
+from ..frame_table import Channels, FrameTable
 from ._source import Source
 
 Link = Literal["can", "serial"]
@@ -24,7 +26,7 @@ EXCERPT = 80
 
 
 class Problem(NamedTuple):
-    """A line that could not be read: its number (from 1), why, and how it begins."""
+    """A line or object that could not be read: its number (from 1), why, and how it begins."""
 
     line: int
     reason: str
@@ -58,6 +60,8 @@ class Capture(ABC):
         self.lines_unreadable = 0
         self.lines_comment = 0
         self.lines_blank = 0
+        #: What the file holds beside frames, by kind and in words: {"LIN frames": 12, "bus statistics": 3}.
+        self.others: dict[str, int] = {}
         self.problems: list[Problem] = []
 
     @property
@@ -77,6 +81,10 @@ class Capture(ABC):
     ) -> None:
         self.close()
 
+    def _other_kind(self, kind: str, count: int = 1) -> None:
+        """Count what is readable and no frame."""
+        self.others[kind] = self.others.get(kind, 0) + count
+
     def _unreadable(self, number: int, reason: str, line: bytes) -> None:
         self.lines_unreadable += 1
         if len(self.problems) < PROBLEMS_KEPT:
@@ -93,16 +101,33 @@ class CanCapture(Capture):
         self.frames = 0
         #: Frames that the recording program itself says it lost.
         self.frames_dropped = 0
+        #: The names of channels by the numbers that tables use.
+        self.channels = Channels()
         self._stream: Iterator[list[Frame]] | None = None
+        self._columns: Iterator[FrameTable] | None = None
 
-    @abstractmethod
+    # A format implements one of these two, or both where each is worth its own code.
+
     def _lists(self) -> Iterator[list[Frame]]:
         """Frames as they come out of each block that was read; none of the lists is empty."""
+        for table in self._tables():
+            yield table.frames()
+
+    def _tables(self) -> Iterator[FrameTable]:
+        """The same as columns, with the channels of `self.channels`; none of the tables is empty."""
+        for frames in self._lists():
+            yield FrameTable.from_frames(frames, self.channels)
 
     def _pieces(self) -> Iterator[list[Frame]]:
         if self._stream is None:
             self._stream = self._lists()
         return self._stream
+
+    def tables(self) -> Iterator[FrameTable]:
+        """All frames as columns, in tables of some ten thousand rows; instead of iterating, not beside it."""
+        if self._columns is None:
+            self._columns = self._tables()
+        return self._columns
 
     def __iter__(self) -> Iterator[Frame]:
         for frames in self._pieces():
