@@ -115,20 +115,20 @@ class CanScanner:
         self.variants = tuple(variants)
         self.direction = direction
         self.everything = everything
-        self._wires = [_Wire(variant, direction, raw=raw) for variant in variants]
-        self._table = dict(self._wires[0].table)
-        self._merged = len(self._wires) > 1
+        self.wires = [_Wire(variant, direction, raw=raw) for variant in variants]
+        self._table = dict(self.wires[0].table)
+        self._merged = len(self.wires) > 1
         self._counts = Counts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
         if self._merged:
             owners: dict[int, str] = {}
-            for wire in self._wires:
+            for wire in self.wires:
                 for key in wire.table:
                     owner = owners.setdefault(key, wire.variant.label)
                     if owner != wire.variant.label:
                         self.contested.setdefault(key, (owner, wire.variant.label))
-            keys = {key for wire in self._wires for key in wire.table}
+            keys = {key for wire in self.wires for key in wire.table}
             self._table = {key: self._chain(key) for key in keys}
         #: Records given out, and how many of them were `Unknown`.
         self._given = [0, 0]
@@ -137,7 +137,7 @@ class CanScanner:
 
     def _chain(self, key: int) -> Decode:
         """The protocols that claim a key, in order."""
-        found = [d for wire in self._wires if (d := wire.table.get(key) or wire.lookup(key)) is not None]
+        found = [d for wire in self.wires if (d := wire.table.get(key) or wire.lookup(key)) is not None]
         if len(found) == 1:
             return found[0]
 
@@ -155,7 +155,7 @@ class CanScanner:
         return decode
 
     def _forget_needs(self) -> None:
-        for wire in self._wires:
+        for wire in self.wires:
             wire.forget_need()
 
     @property
@@ -164,7 +164,7 @@ class CanScanner:
         counts = self._counts
         counts.records = counts.decoded = self._given[0] - self._given[1]
         counts.total = counts.decoded + sum(counts.reasons.values())
-        counts.missed = sum(wire.missed for wire in self._wires)
+        counts.missed = sum(wire.missed for wire in self.wires)
         return counts
 
     def feed(self, frames: Iterable[Any], /) -> list[Any]:
@@ -214,12 +214,12 @@ class CanScanner:
             record = self._rare(frame, key, data)
             if record is not None:
                 return record
-        reasons = [wire.reason(key, data) for wire in self._wires]
+        reasons = [wire.reason(key, data) for wire in self.wires]
         return self._lost(frame, next((r for r in reasons if r != "unknown"), "unknown"))
 
     def _rare(self, frame: Any, key: int, data: bytes) -> Any:
         """The record of a frame with flags, or with an identifier of a pattern too large to spell out."""
-        for wire in self._wires:
+        for wire in self.wires:
             decode = self._table.get(key) if not self._merged or key in self._table else None
             decode = decode or wire.lookup(key)
             if decode is None:
@@ -259,7 +259,7 @@ class CanScanner:
         """Forget everything seen, counts included: as if just made."""
         self._counts = Counts()
         self._given[:] = 0, 0
-        for wire in self._wires:
+        for wire in self.wires:
             wire.reset()
 
     def sent(self, frame: Any) -> None:
@@ -268,7 +268,7 @@ class CanScanner:
             frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
         )
         data = bytes(frame.data)
-        for wire in self._wires:
+        for wire in self.wires:
             for message in wire.matching(key, wire.asked):
                 if wire.note(message, data, key, frame.timestamp, frame.channel, data):
                     return

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -113,7 +114,7 @@ class RecordColumns:
         self.everything = everything
         self.scanner = make_scanner(variants, direction=direction, everything=True, raw=raw)
         self.link = self.scanner.link
-        self._channels = Channels()
+        self.channels = Channels()
         self._rows = 0
         self._gatherers: dict[type[Record], Gatherer] = {
             kind: Gatherer(kind, flatten(variant.messages[name]), raw=raw)
@@ -129,16 +130,20 @@ class RecordColumns:
     def feed(self, words: Any, /) -> list[MessageTable]:
         """The tables of a piece of a capture."""
         if isinstance(words, FrameTable):
-            self._channels = words.channels
-            items = self.scanner.feed(words.frames())
             rows = np.arange(self._rows, self._rows + len(words))
             self._rows += len(words)
-            return self.tables(items, rows)
+            return self.frames(words, rows)
         return self.tables(self.scanner.feed(words), None)
 
     def close(self) -> list[MessageTable]:
         """The capture has ended."""
         return self.tables(self.scanner.close(), None)
+
+    def frames(self, table: FrameTable, rows: Array) -> list[MessageTable]:
+        """The tables of frames that are `rows` of the capture, in rising order. Instants stay exact."""
+        self.channels = table.channels
+        tables = self.tables(self.scanner.feed(table.frames()), rows)
+        return [replace(one, time=table.time[np.searchsorted(rows, one.row)]) for one in tables]
 
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
         """Records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
@@ -155,14 +160,14 @@ class RecordColumns:
                         if rows is not None
                         else np.fromiter((item.meta.offset or 0 for item in some), np.int64, len(some))
                     )
-                    tables.append(lost_table(some, numbers, self._channels, is_stream=rows is None))
+                    tables.append(lost_table(some, numbers, self.channels, is_stream=rows is None))
                 continue
             numbers = (
                 rows[indices]
                 if rows is not None
                 else np.fromiter((item._key for item in some), np.int64, len(some))
             )
-            tables.append(self._gatherers[kind].table(some, numbers, self._channels))
+            tables.append(self._gatherers[kind].table(some, numbers, self.channels))
         return tables
 
 
@@ -177,4 +182,7 @@ def make_column_scanner(
 
     With `everything` there is also a table named "" of what was not decoded, with the columns `reason` and `raw`.
     """
-    return RecordColumns(variants, direction=direction, everything=everything, raw=raw)
+    from .can_columns import CanColumns
+
+    kind = CanColumns if variants and variants[0].link == "can" else RecordColumns
+    return kind(variants, direction=direction, everything=everything, raw=raw)

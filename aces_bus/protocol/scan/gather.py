@@ -22,38 +22,42 @@ from .record import Record
 _WIDTHS = (8, 16, 32, 64)
 
 
+#: The conditions a value hangs on: (selector, the raw values that make it present), outermost first.
+Whens = tuple[tuple[str, tuple[int, ...]], ...]
+
+
 def leaves_of(
     plan: p.MessagePlan,
-) -> Iterator[tuple[str, p.PlanField, p.Node, tuple[str | int, ...], bool]]:
-    """(path, field, node, way to the value in the record, whether it may be absent) of every single value."""
+) -> Iterator[tuple[str, p.PlanField, p.Node, tuple[str | int, ...], Whens]]:
+    """(path, field, node, way to the value in the record, what its presence hangs on) of every single value."""
     for field in plan.fields:
-        yield from _leaves(field.name, field, field.node, (field.name,), field.when is not None)
+        yield from _leaves(field.name, field, field.node, (field.name,), _whens(field))
+
+
+def _whens(field: p.PlanField) -> Whens:
+    return () if field.when is None else (field.when,)
 
 
 def _leaves(
-    path: str, field: p.PlanField, node: p.Node, way: tuple[str | int, ...], optional: bool
-) -> Iterator[tuple[str, p.PlanField, p.Node, tuple[str | int, ...], bool]]:
+    path: str, field: p.PlanField, node: p.Node, way: tuple[str | int, ...], whens: Whens
+) -> Iterator[tuple[str, p.PlanField, p.Node, tuple[str | int, ...], Whens]]:
     if isinstance(node, p.Many):
         for index, item in enumerate(node.items):
-            yield from _leaves(f"{path}.{index}", field, item, (*way, index), optional)
+            yield from _leaves(f"{path}.{index}", field, item, (*way, index), whens)
     elif isinstance(node, p.Group):
         for inner in node.fields:
             yield from _leaves(
-                f"{path}.{inner.name}",
-                inner,
-                inner.node,
-                (*way, inner.name),
-                optional or inner.when is not None,
+                f"{path}.{inner.name}", inner, inner.node, (*way, inner.name), (*whens, *_whens(inner))
             )
     else:
-        yield path, field, node, way, optional
+        yield path, field, node, way, whens
 
 
 @lru_cache(maxsize=4096)
 def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
     """What the columns of a message are, in the order of its fields."""
     return tuple(
-        _kind(path, field, node, optional, raw) for path, field, node, _, optional in leaves_of(plan)
+        _kind(path, field, node, bool(whens), raw) for path, field, node, _, whens in leaves_of(plan)
     )
 
 

@@ -138,6 +138,30 @@ class MessageTable:
         """The columns, all or those named."""
         return (self[name] for name in (self.names if names is None else names))
 
+    def take(self, which: Any) -> MessageTable:
+        """The lines `which`: an index array, a boolean array or a slice. Columns that are not computed yet stay so."""
+
+        def make(kind: ColumnKind) -> Column:
+            column = self[kind.name]
+            return Column(kind, column.values[which], None if column.absent is None else column.absent[which])
+
+        return MessageTable(
+            self.protocol,
+            self.message,
+            self.direction,
+            self.is_stream,
+            self.time[which],
+            self.channel[which],
+            self.channels,
+            self.key[which],
+            self.row[which],
+            self.rx[which],
+            self.kinds,
+            make,
+            self.doc,
+            None if self.size is None else self.size[which],
+        )
+
     @cached_property
     def seconds(self) -> Array:
         """Time as float64 seconds, NaN where unknown."""
