@@ -116,7 +116,7 @@ class CanScanner:
         self.direction = direction
         self.everything = everything
         self.wires = [_Wire(variant, direction, raw=raw) for variant in variants]
-        self._table = dict(self.wires[0].table)
+        self._table = dict(self.wires[0].table) if self.wires else {}
         self._merged = len(self.wires) > 1
         self._counts = Counts()
         #: Keys that two protocols claim, with their names, first the one that wins.

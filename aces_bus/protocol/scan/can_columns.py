@@ -66,9 +66,8 @@ class CanColumns:
         self.everything = everything
         self.raw = raw
         # What takes the slow way: it also gives the reasons of losses.
-        self._slow = RecordColumns(variants, direction=direction, everything=True, raw=raw)
-        assert isinstance(self._slow.scanner, CanScanner)
-        self._scanner = self._slow.scanner
+        self._scanner = CanScanner(variants, direction=direction, everything=True, raw=raw)
+        self._slow = RecordColumns(variants, everything=True, raw=raw, scanner=self._scanner)
         self._wires = self._scanner.wires
         self._candidates: list[tuple[_Candidate, ...]] = [(), (), ()]
         self._by_names: dict[tuple[tuple[int, str], ...], int] = {}
@@ -179,16 +178,21 @@ class CanColumns:
 
     # ------------------------------------------------------------------ feeding
 
-    def feed(self, table: FrameTable, /) -> list[MessageTable]:
-        """The tables of a piece of a capture, one a message that occurs in it, in the order in which they first may."""
+    def feed(self, table: FrameTable, rows: Array | None = None, /) -> list[MessageTable]:
+        """The tables of a piece of a capture, one a message that occurs in it.
+
+        `rows` are the frames' numbers in the capture, rising; by default they go on where the last piece ended.
+        """
         if not len(table):
             return []
         slots = self._slots_of(table)
         top = len(self._candidates)
         order = np.argsort(slots.astype(np.uint16) if top < 1 << 16 else slots, kind="stable")
         ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
-        batch = _Batch(table, order, self._fed)
+        if rows is None:
+            rows = np.arange(self._fed, self._fed + len(table))
         self._fed += len(table)
+        batch = _Batch(table, order, rows)
         lost: list[_Lost] = []
         tables: dict[tuple[str, str], list[MessageTable]] = {}
         start = 0
@@ -205,7 +209,7 @@ class CanColumns:
             else:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
             start = end
-        out = [_merged(some) for some in tables.values()]
+        out = [merged(some) for some in tables.values()]
         if lost and self.everything:
             out.append(self._lost_table(batch, lost))
         return out
@@ -271,11 +275,11 @@ class CanColumns:
         """Frames that the live scanner decides, in their order."""
         places = batch.order[start:end]
         some = batch.table.take(places)
-        for table in self._slow.frames(some, places + batch.first):
+        for table in self._slow.frames(some, batch.numbers[places]):
             if table.message:
                 tables.setdefault((table.protocol, table.message), []).append(table)
             elif self.everything:
-                lost.append(_Lost(table.row - batch.first, table["reason"].values.tolist()))
+                lost.append(_Lost(np.searchsorted(batch.numbers, table.row), table["reason"].values.tolist()))
 
     # ------------------------------------------------------------------ losses
 
@@ -325,7 +329,7 @@ class CanColumns:
             some.channel,
             some.channels,
             some.key,
-            places + batch.first,
+            batch.numbers[places],
             _way(some.flags),
             LOST,
             make,
@@ -355,10 +359,12 @@ class CanColumns:
 class _Batch:
     """A table of frames in the order of their slots; the sorted columns are made once."""
 
-    def __init__(self, table: FrameTable, order: Array, first: int) -> None:
+    def __init__(self, table: FrameTable, order: Array, numbers: Array) -> None:
         self.table = table
         self.order = order
-        self.first = first
+        #: The frames' numbers in the capture, in the table's order.
+        self.numbers = numbers
+        self._row = numbers[order]
         self._data = _gathered(table.data, order)
         self._lengths = table.length[order]
         self._keys = table.key[order]
@@ -395,7 +401,7 @@ class _Batch:
             some(self._channel),
             self.table.channels,
             some(self._keys),
-            some(self.order) + self.first,
+            some(self._row),
             some(self._rx),
             decoder.kinds,
             make,
@@ -417,7 +423,7 @@ def _way(flags: Array) -> Array:
     return np.where(flags & RX, 1, np.where(flags & TX, 0, 2)).astype(np.uint8)
 
 
-def _merged(tables: list[MessageTable]) -> MessageTable:
+def merged(tables: list[MessageTable]) -> MessageTable:
     """One table of several of a message, in the order of the capture."""
     if len(tables) == 1:
         return tables[0]

@@ -21,7 +21,7 @@ from .counts import Counts
 from .gather import Gatherer
 from .message_table import Array, Column, ColumnKind, MessageTable
 from .record import Record, Unknown
-from .scanner import make_scanner
+from .scanner import Scanner, make_scanner
 
 
 class ColumnScanner(Protocol):
@@ -110,9 +110,11 @@ class RecordColumns:
         direction: Direction | Literal["both"] | None = None,
         everything: bool = False,
         raw: bool = False,
+        scanner: Scanner | None = None,
     ) -> None:
         self.everything = everything
-        self.scanner = make_scanner(variants, direction=direction, everything=True, raw=raw)
+        #: One that gives everything; by default the live one of these variants.
+        self.scanner = scanner or make_scanner(variants, direction=direction, everything=True, raw=raw)
         self.link = self.scanner.link
         self.channels = Channels()
         self._rows = 0
@@ -183,6 +185,10 @@ def make_column_scanner(
     With `everything` there is also a table named "" of what was not decoded, with the columns `reason` and `raw`.
     """
     from .can_columns import CanColumns
+    from .channels import ChannelColumns
 
-    kind = CanColumns if variants and variants[0].link == "can" else RecordColumns
-    return kind(variants, direction=direction, everything=everything, raw=raw)
+    kind: Any = RecordColumns
+    if variants and variants[0].link == "can":
+        kind = ChannelColumns if any(variant.channel is not None for variant in variants) else CanColumns
+    made: ColumnScanner = kind(variants, direction=direction, everything=everything, raw=raw)
+    return made

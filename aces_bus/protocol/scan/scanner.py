@@ -67,6 +67,8 @@ def make_scanner(
     `direction` limits it to messages to or from the device; "both" pairs requests and replies. With `everything`, what
     is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
 
+    A variant bound to a channel (`variant.on("can0")`) decides about that channel's frames only.
+
     Raises `CallerError` when the protocols are not of one kind of link, or when one needs a direction and none is given.
     """
     if not variants:
@@ -84,6 +86,10 @@ def make_scanner(
                     " say the direction: 'to device', 'from device' or 'both'"
                 )
     if links == {"can"}:
+        if any(variant.channel is not None for variant in variants):
+            from .channels import ChannelScanner
+
+            return ChannelScanner(variants, direction=direction, everything=everything, raw=raw)
         return CanScanner(variants, direction=direction, everything=everything, raw=raw)
     return StreamScanner(variants, direction=direction, everything=everything, raw=raw)
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Collection, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -304,6 +305,18 @@ class Variant:
             if narrow is not None:
                 messages.append(narrow)
         self.messages: dict[str, Message] = {m.name: m for m in messages}
+        #: The only channel whose frames it decides about; None: all.
+        self.channel: str | None = None
+        self._bound: dict[str, Variant] = {}
+
+    def on(self, channel: str) -> Variant:
+        """The same variant, bound to a channel: scanners ask it about that channel's frames only (CAN)."""
+        if self.link != "can":
+            raise CallerError(f"{self.label}: only protocols on CAN are bound to a channel")
+        if channel not in self._bound:
+            self._bound[channel] = bound = copy.copy(self)
+            bound.channel = channel
+        return self._bound[channel]
 
     @property
     def label(self) -> str:
