@@ -4,25 +4,40 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .benchmarks.timing import Row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "subject",
-        choices=["live"],
-        help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk",
+        choices=["live", "columns"],
+        help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole captures, beside "
+        "cantools, python-can, polars, asammdf and C",
     )
     parser.add_argument(
         "--quick", action="store_true", help="a few seconds instead of a minute; rougher figures"
+    )
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="columns: frames of the log (default: 1,000,000)"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object a row instead of the table")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from .benchmarks import live
+    rows: Iterable[Row]
+    if arguments.subject == "live":
+        from .benchmarks import live
 
-    rows = live.run(quick=arguments.quick)
+        rows = live.run(quick=arguments.quick)
+    else:
+        from .benchmarks import columns
+
+        rows = columns.run(quick=arguments.quick, frames=arguments.frames)
     if arguments.json:
         for row in rows:
             print(json.dumps(asdict(row), ensure_ascii=False), flush=True)
@@ -41,10 +56,17 @@ def run(arguments: argparse.Namespace) -> int:
             table.add_row(f"[bold]{subject}[/]")
         mark = {True: "[green]met[/]", False: "[red]below[/]", None: ""}[row.is_met]
         ratio = f"{row.ratio:.2f} ×" if row.ratio is not None else ""
-        table.add_row(f"  {row.contender}", f"{row.value:.3g}", row.unit, ratio, row.target, mark)
+        table.add_row(f"  {row.contender}", _figure(row.value), row.unit, ratio, row.target, mark)
     console.print(table)
     console.print(
         "Fastest of several rounds, contenders in turn; only the ratios carry over to other machines.",
         style="dim",
     )
     return 0
+
+
+def _figure(value: float) -> str:
+    """Three digits, large numbers with their thousands: 12,300,000."""
+    if value < 1000:
+        return f"{value:.3g}"
+    return f"{round(value, 2 - len(str(int(value))) + 1):,.0f}"

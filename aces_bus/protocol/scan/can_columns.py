@@ -11,6 +11,7 @@ in an array for 11-bit identifiers, in a sorted list for all other keys.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -40,6 +41,8 @@ class _Candidate(NamedTuple):
     message: Message
     decoder: RowDecoder
     protocol: str
+    #: The number of its variant.
+    wire: int
 
 
 class _Lost(NamedTuple):
@@ -49,8 +52,28 @@ class _Lost(NamedTuple):
     reasons: list[str]
 
 
+#: A rolling counter of one device: protocol's place, message, field, channel, key.
+_Who = tuple[int, str, str, str | None, int]
+
+
+@dataclass
+class Handover:
+    """What one process leaves to another when they share a capture; see `CanColumns.hand_over`. It can be pickled."""
+
+    counts: Counts
+    #: Frames that hang on others, and their numbers in the piece.
+    deferred: list[tuple[FrameTable, Array]]
+    #: Of each rolling counter: its first and last value in the piece, and its modulus.
+    counters: dict[_Who, tuple[int, int, int]]
+    frames: int
+
+
 class CanColumns:
-    """The column scanner of CAN; made by `make_column_scanner`."""
+    """The column scanner of CAN; made by `make_column_scanner`.
+
+    Several processes can share a capture: each has a scanner with `defer`, which leaves frames that hang on others
+    alone, and one process, given every `hand_over` in the order of the capture, decodes these (`adopt`).
+    """
 
     link = "can"
 
@@ -61,8 +84,11 @@ class CanColumns:
         direction: Direction | Literal["both"] | None = None,
         everything: bool = False,
         raw: bool = False,
+        defer: bool = False,
     ) -> None:
         self.variants = tuple(variants)
+        self._defer = defer
+        self._deferred: list[tuple[FrameTable, Array]] = []
         self.everything = everything
         self.raw = raw
         # What takes the slow way: it also gives the reasons of losses.
@@ -80,7 +106,7 @@ class CanColumns:
         self._counts = Counts()
         self._fed = 0
         self._reasons: dict[tuple[int, int], str] = {}
-        self._last: dict[tuple[str, str, int, int], int] = {}
+        self._counters: dict[_Who, tuple[int, int, int]] = {}
 
     @property
     def contested(self) -> Mapping[int, tuple[str, str]]:
@@ -129,7 +155,7 @@ class CanColumns:
         if name not in self._decoders:
             variant = self.variants[number]
             decoder = RowDecoder(flatten(message), raw=self.raw, message=message)
-            self._decoders[name] = _Candidate(message, decoder, variant.name)
+            self._decoders[name] = _Candidate(message, decoder, variant.name, number)
         return self._decoders[name]
 
     def _slots_of(self, table: FrameTable) -> Array:
@@ -275,6 +301,9 @@ class CanColumns:
         """Frames that the live scanner decides, in their order."""
         places = batch.order[start:end]
         some = batch.table.take(places)
+        if self._defer:
+            self._deferred.append((some, batch.numbers[places]))
+            return
         for table in self._slow.frames(some, batch.numbers[places]):
             if table.message:
                 tables.setdefault((table.protocol, table.message), []).append(table)
@@ -347,13 +376,47 @@ class CanColumns:
             values = raw.column(kinds[name], rows).values.astype(np.int64)
             for one in np.unique(who).tolist():
                 mine = values[who == one]
-                place = (message.name, name, one, id(candidate.decoder))
-                before = self._last.get(place)
-                if before is not None:
-                    mine = np.concatenate([np.array([before]), mine])
                 self._counts.missed += int(((mine[1:] - mine[:-1] - 1) % modulo).sum())
-                if before is not None or len(self._last) < REMEMBERED:
-                    self._last[place] = int(mine[-1])
+                channel = table.channels.names[one >> 32]
+                place = (candidate.wire, message.name, name, channel, one & 0xFFFF_FFFF)
+                self._go_on(place, int(mine[0]), int(mine[-1]), modulo)
+
+    def _go_on(self, place: _Who, first: int, last: int, modulo: int) -> None:
+        """A counter goes on from what was last seen of it."""
+        known = self._counters.get(place)
+        if known is not None:
+            self._counts.missed += (first - known[1] - 1) % modulo
+        if known is not None or len(self._counters) < REMEMBERED:
+            self._counters[place] = (first if known is None else known[0], last, modulo)
+
+    # ------------------------------------------------------------------ several processes
+
+    def hand_over(self) -> Handover:
+        """What has been seen since the last call, for `adopt`; this scanner then begins anew."""
+        given = Handover(self._counts, self._deferred, self._counters, self._fed)
+        self._counts, self._deferred, self._counters, self._fed = Counts(), [], {}, 0
+        return given
+
+    def adopt(self, given: Handover, first: int | None = None) -> list[MessageTable]:
+        """Go on behind a piece that another process has decoded: the tables of the frames that it left.
+
+        `first` is the number in the capture of the piece's first frame, by default where the last piece ended.
+        """
+        if first is None:
+            first = self._fed
+        self._counts.decoded += given.counts.decoded
+        self._counts.missed += given.counts.missed
+        for reason, number in given.counts.reasons.items():
+            self._counts.lose(number, reason)
+        for place, (first, last, modulo) in given.counters.items():
+            self._go_on(place, first, last, modulo)
+        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        for table, rows in given.deferred:
+            for one in self._slow.frames(table, rows + first):
+                if one.message or self.everything:
+                    tables.setdefault((one.protocol, one.message), []).append(one)
+        self._fed += given.frames
+        return [merged(some) for some in tables.values()]
 
 
 class _Batch:
@@ -387,7 +450,7 @@ class _Batch:
             part = column[start:end]
             return part if which is None else part[which]
 
-        message, decoder, protocol = candidate
+        message, decoder, protocol, _ = candidate
 
         def make(kind: ColumnKind) -> Column:
             return decoder.column(kind, rows)

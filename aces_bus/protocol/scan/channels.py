@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Any, Generic, Literal, TypeVar
 
@@ -16,7 +17,7 @@ from ...frame_table import FrameTable
 from ..spec.message import Direction
 from ..spec.protocol import Variant
 from .can import CanScanner
-from .can_columns import CanColumns, merged
+from .can_columns import CanColumns, Handover, merged
 from .counts import Counts
 from .message_table import Array, MessageTable
 
@@ -121,11 +122,29 @@ class ChannelColumns(_Channels[CanColumns]):
         direction: Direction | Literal["both"] | None = None,
         everything: bool = False,
         raw: bool = False,
+        defer: bool = False,
     ) -> None:
         super().__init__(
-            variants, lambda mine: CanColumns(mine, direction=direction, everything=everything, raw=raw)
+            variants,
+            lambda mine: CanColumns(mine, direction=direction, everything=everything, raw=raw, defer=defer),
         )
         self._fed = 0
+
+    def hand_over(self) -> dict[str | None, Handover]:
+        """What has been seen since the last call, by channel; see `CanColumns.hand_over`."""
+        given = {channel: scanner.hand_over() for channel, scanner in self._scanners.items()}
+        frames, self._fed = self._fed, 0
+        return {channel: replace(one, frames=frames) for channel, one in given.items()}
+
+    def adopt(self, given: Mapping[str | None, Handover]) -> list[MessageTable]:
+        """Go on behind a piece that another process has decoded: the tables of the frames that it left."""
+        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        for channel, one in given.items():
+            scanner = self.of(channel)
+            for table in scanner.adopt(one, self._fed):
+                tables.setdefault((table.protocol, table.message), []).append(table)
+        self._fed += max((one.frames for one in given.values()), default=0)
+        return [merged(some) for some in tables.values()]
 
     def feed(self, table: FrameTable, /) -> list[MessageTable]:
         """The tables of a piece of a capture, one a message that occurs in it."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from operator import attrgetter
 from typing import Any
@@ -63,19 +63,29 @@ def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
 
 def _kind(path: str, field: p.PlanField, node: p.Node, optional: bool, raw: bool) -> ColumnKind:
     steps: tuple[p.Step, ...] = getattr(node, "steps", ())
-    names = flags = None
+    names: Mapping[float, str] | None = None
+    flags = None
     if not raw:
         for step in steps:
             if isinstance(step, p.Names):
                 names = dict(step.values)
             elif isinstance(step, p.FlagBits):
                 flags = dict(step.bits)
-            elif isinstance(step, p.Scale) and step.unknown:
-                optional = True
+            elif isinstance(step, p.Scale):
+                optional = optional or bool(step.unknown)
+                if step.names:
+                    names = {physical(raw, step): name for raw, name in step.names}
     if isinstance(node, (p.Cell, p.FromRequest, p.Opaque)):
         optional = True
     unit = "" if raw else str(getattr(node, "unit", ""))
     return ColumnKind(path, unit, field.doc, names, flags, dtype_of(node, raw) is None, optional)
+
+
+def physical(raw: float, step: p.Scale) -> float:
+    """A raw number in its unit, computed as everywhere."""
+    if step.offset:
+        return (raw * step.scale if step.scale != 1 else raw) + step.offset
+    return raw * step.scale if step.scale != 1 else raw
 
 
 def dtype_of(node: p.Node, raw: bool = False) -> Any:

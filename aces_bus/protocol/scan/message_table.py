@@ -25,14 +25,14 @@ class ColumnKind:
     """What is known of a column before any value: its name and meaning. All tables of a message have the same kinds.
 
     `name` is the value's path in the record (`speed`, `position.0`, `servos.1.id`). `unit` is the sheet's. `names` maps
-    raw numbers to names (an enumeration), `flags` flag names to bit numbers. `is_object` says that values are Python
+    the column's numbers to names (an enumeration), `flags` flag names to bit numbers. `is_object` says that values are Python
     objects: bytes, texts, and whatever has no fixed shape. `optional` says that values may be absent.
     """
 
     name: str
     unit: str = ""
     doc: str = ""
-    names: Mapping[int, str] | None = None
+    names: Mapping[float, str] | None = None
     flags: Mapping[str, int] | None = None
     is_object: bool = False
     optional: bool = False
@@ -63,7 +63,9 @@ class Column:
         values: list[Any] = self.values.tolist()
         names = self.kind.names
         if names is not None:
-            values = [names.get(value, value) if isinstance(value, int) else value for value in values]
+            values = [
+                names.get(value, value) if isinstance(value, (int, float)) else value for value in values
+            ]
         if self.absent is not None:
             values = [
                 None if gone else value for value, gone in zip(values, self.absent.tolist(), strict=True)

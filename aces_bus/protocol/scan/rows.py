@@ -158,8 +158,13 @@ class RowDecoder:
     def present(self, selector: str, values: Sequence[int], rows: Rows) -> Array:
         """Where a field is there: its selector has one of the values, and is there itself."""
         found = among(self._selectors[selector](rows), values)
-        outer = self._whens.get(selector)
-        return found if outer is None else found & self.present(*outer, rows)
+        there = self._is_there(selector, rows)
+        return found if there is None else found & there
+
+    def _is_there(self, name: str, rows: Rows) -> Array | None:
+        """Where a top field is there; None: always."""
+        when = self._whens.get(name)
+        return None if when is None else self.present(*when, rows)
 
     def _column(
         self, node: p.Node, whens: tuple[tuple[str, tuple[int, ...]], ...]
@@ -201,6 +206,9 @@ class RowDecoder:
 
         def read(rows: Rows) -> tuple[Array, None]:
             out = np.empty(len(rows), object)
+            if size is None and (not len(rows) or int(rows.lengths.max()) - tail <= start):
+                out[:] = "" if is_text else b""
+                return out, None
             width = rows.data.shape[1]
             raw = rows.data.tobytes()
             if size is not None:
@@ -241,6 +249,12 @@ class RowDecoder:
                 for value, some in masks.items():
                     if value is not None:
                         mask[chosen == value] = some
+            for selector, table in node.more:
+                chosen = self._selectors[selector](rows)
+                there = self._is_there(selector, rows)
+                for value, some in table:
+                    here = chosen == value if there is None else (chosen == value) & there
+                    mask[here] &= mask.dtype.type(full & ~some) if dtype is not None else full & ~some
             left = word.astype(kind) & mask
             return left.astype(dtype) if dtype is not None else left, None
 

@@ -9,6 +9,7 @@ Intel (little-endian), a third signed, most of them scaled, some with value tabl
 from __future__ import annotations
 
 import random
+from pathlib import Path
 
 import numpy as np
 
@@ -98,3 +99,19 @@ def car_traffic(count: int, first: int = 0, seed: int = 1) -> FrameTable:
         rng.integers(0, 256, (count, 8), np.uint8),
         Channels(["can0"]),
     )
+
+
+def write_car_log(path: Path, count: int, piece: int = 100_000) -> int:
+    """Write the traffic as a candump log; the number of bytes."""
+    size = 0
+    with open(path, "wb") as file:
+        for first in range(0, count, piece):
+            table = car_traffic(min(piece, count - first), first)
+            text = table.data.tobytes().hex().upper()
+            rows = zip(table.time.tolist(), table.id.tolist(), range(0, len(text), 16), strict=True)
+            lines = [
+                f"({ns // 1_000_000_000}.{ns // 1000 % 1_000_000:06}) can0 {identifier:03X}#{text[at : at + 16]}\n"
+                for ns, identifier, at in rows
+            ]
+            size += file.write("".join(lines).encode())
+    return size

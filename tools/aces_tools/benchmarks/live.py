@@ -228,6 +228,23 @@ class _Port:
         return self.at >= len(self.data)
 
 
+def sdk_packets(data: bytes) -> Callable[[], int] | None:
+    """How many good packets dynamixel_sdk finds in `data`, as a function; None where it is not installed."""
+    sdk = optional("dynamixel_sdk")
+    if sdk is None:
+        return None
+    handler = sdk.PacketHandler(1.0)
+
+    def run() -> int:
+        port = _Port(data)
+        count = 0
+        while port.at < len(data):
+            count += handler.rxPacket(port)[1] == 0
+        return count
+
+    return run
+
+
 def serial_rows(*, rounds: int, size: int) -> list[Row]:
     """Dynamixel 1.0 records beside dynamixel_sdk."""
     from aces_protocols.robotis.spec import robotis
@@ -243,16 +260,12 @@ def serial_rows(*, rounds: int, size: int) -> list[Row]:
         found["aces"] = scanner.counts.records
 
     contenders: dict[str, Callable[[], object]] = {"aces records": ours}
-    sdk = optional("dynamixel_sdk")
+    sdk = sdk_packets(data)
     if sdk is not None:
-        handler = sdk.PacketHandler(1.0)
+        count = sdk
 
         def peer() -> None:
-            port = _Port(data)
-            count = 0
-            while port.at < len(data):
-                count += handler.rxPacket(port)[1] == 0
-            found["sdk"] = count
+            found["sdk"] = count()
 
         contenders["dynamixel_sdk"] = peer
     best = {name: len(data) / seconds / 1e6 for name, seconds in fastest(contenders, rounds=rounds).items()}
