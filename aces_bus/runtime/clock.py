@@ -1,0 +1,158 @@
+"""Time as a parameter: the monotonic clock in life, a virtual one in tests and simulations.
+
+1. An instant is integer nanoseconds of one clock, and has that clock's name; instants of two clocks are never compared.
+2. Virtual time moves only when somebody advances it, from event to event; nothing waits, and no thread is needed.
+3. Events at the same instant run in the order in which they were asked for: the same program, the same run.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from ..errors import CallerError
+
+
+class Clock(Protocol):
+    """What has a time. `name` says which clock an instant belongs to."""
+
+    name: str
+
+    def now(self) -> int:
+        """This instant, in ns."""
+        ...
+
+    def sleep_until(self, instant: int) -> None:
+        """Return when `instant` (ns) has come: wait for it, or bring it about."""
+        ...
+
+
+class RealClock:
+    """The monotonic clock of this machine.
+
+    `epoch_ns` is what to add to one of its instants to get nanoseconds since 1970, as of when the clock was made: a step
+    of the wall clock does not move it.
+    """
+
+    name = "monotonic"
+
+    def __init__(self) -> None:
+        self.epoch_ns = time.time_ns() - time.monotonic_ns()
+
+    def now(self) -> int:
+        """This instant, in ns."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, instant: int) -> None:
+        """Wait until `instant` (ns)."""
+        left = instant - time.monotonic_ns()
+        if left > 0:
+            time.sleep(left / 1e9)
+
+
+class Timer:
+    """An event that is to happen; `cancel` takes it back."""
+
+    __slots__ = ("action", "instant")
+
+    def __init__(self, instant: int, action: Callable[[], None]) -> None:
+        self.instant = instant
+        self.action: Callable[[], None] | None = action
+
+    def cancel(self) -> None:
+        """It will not happen; after it has, this does nothing."""
+        self.action = None
+
+
+class VirtualClock:
+    """A clock that jumps from event to event.
+
+    `call_at` and `call_in` plan events; `advance_to`, `advance` and `run` let them happen. An event may plan others.
+    Whatever an event raises comes out of the call that advanced the clock, with the clock at that event.
+
+    >>> clock = VirtualClock()
+    >>> timer = clock.call_in(5_000, lambda: print("at", clock.now()))
+    >>> clock.advance(10_000)
+    at 5000
+    >>> clock.now()
+    10000
+    """
+
+    name = "virtual"
+    epoch_ns = 0
+
+    def __init__(self, start: int = 0) -> None:
+        self._now = start
+        self._events: list[tuple[int, int, Timer]] = []
+        self._count = 0
+
+    def now(self) -> int:
+        """This instant, in ns."""
+        return self._now
+
+    def call_at(self, instant: int, action: Callable[[], None]) -> Timer:
+        """Plan `action` for `instant` (ns); one that has passed happens at the next advance, at its present time."""
+        if instant < self._now:
+            instant = self._now
+        timer = Timer(instant, action)
+        self._count += 1
+        heapq.heappush(self._events, (instant, self._count, timer))
+        return timer
+
+    def call_in(self, delay: int, action: Callable[[], None]) -> Timer:
+        """Plan `action` for `delay` ns from now."""
+        return self.call_at(self._now + delay, action)
+
+    @property
+    def next_event(self) -> int | None:
+        """When the next event is to happen; None when nothing is planned."""
+        events = self._events
+        while events and events[0][2].action is None:
+            heapq.heappop(events)
+        return events[0][0] if events else None
+
+    def step(self, until: int | None = None) -> bool:
+        """Let the next event happen; False when nothing is planned (up to the instant `until`, ns)."""
+        events = self._events
+        while events:
+            instant, _, timer = events[0]
+            action = timer.action
+            if action is None:
+                heapq.heappop(events)
+                continue
+            if until is not None and instant > until:
+                return False
+            heapq.heappop(events)
+            timer.action = None
+            self._now = instant
+            action()
+            return True
+        return False
+
+    def advance_to(self, instant: int) -> None:
+        """Let everything happen that is planned up to `instant` (ns), which is then the time."""
+        if instant < self._now:
+            raise CallerError(f"virtual time cannot go back from {self._now} ns to {instant} ns")
+        while self.step(instant):
+            pass
+        self._now = max(self._now, instant)
+
+    def advance(self, duration: int) -> None:
+        """The same for a duration in ns."""
+        self.advance_to(self._now + duration)
+
+    def sleep_until(self, instant: int) -> None:
+        """Bring `instant` (ns) about; one that has passed is there already."""
+        if instant > self._now:
+            self.advance_to(instant)
+
+    def run(self, until: Callable[[], bool] | None = None, *, most: int = 10_000_000) -> bool:
+        """Let events happen until `until()` holds, nothing is planned or `most` events have passed; whether it holds."""
+        for _ in range(most):
+            if until is not None and until():
+                return True
+            if not self.step():
+                break
+        return until is not None and until()
