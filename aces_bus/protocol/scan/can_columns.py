@@ -17,8 +17,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable
+from ...frame_table import REMOTE as REMOTE_FLAG
 from ..codegen.flatten import flatten
-from ..keys import REMOTE
 from ..spec.message import Direction, Message
 from ..spec.order import ordered
 from ..spec.protocol import Variant
@@ -325,8 +325,7 @@ class CanColumns:
             )
             reason = self._reasons.get((key, length)) if known else None
             if reason is None:
-                size = 0 if key & REMOTE else length
-                data = raw[index * width : index * width + size]
+                data = raw[index * width : index * width + length]
                 reasons = [wire.reason(key, data) for wire in self._wires]
                 reason = next((r for r in reasons if r != "unknown"), "unknown")
                 if known and len(self._reasons) < REMEMBERED:
@@ -430,6 +429,9 @@ class _Batch:
         self._row = numbers[order]
         self._data = _gathered(table.data, order)
         self._lengths = table.length[order]
+        if int(np.bitwise_or.reduce(table.flags)) & REMOTE_FLAG:
+            # A remote frame's number is what it asks for; data it has none.
+            self._lengths = np.where(table.flags[order] & REMOTE_FLAG, 0, self._lengths)
         self._keys = table.key[order]
         self._time = table.time[order]
         self._channel = table.channel[order]

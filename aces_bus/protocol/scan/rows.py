@@ -286,7 +286,7 @@ def number_reader(scalar: p.Scalar) -> Read:
         kind = {"float": "f", "int": "i", "uint": "u"}[scalar.kind]
         dtype = np.dtype(f"{'<' if _is_little(scalar) else '>'}{kind}{scalar.size}")
         if kind == "f":
-            return lambda rows: rows.whole(dtype, scalar.offset).astype(np.float64)
+            return lambda rows: _doubled(rows.whole(dtype, scalar.offset))
         return lambda rows: rows.whole(dtype, scalar.offset)
     if len(scalar.bits) > 64:
         return _wide(scalar)
@@ -354,7 +354,13 @@ def _float_bits(scalar: p.Scalar) -> Read:
     """A float whose bits stand anywhere."""
     size = len(scalar.bits) // 8
     number = number_reader(p.Scalar("uint", scalar.offset, scalar.size, "little", scalar.bits))
-    return lambda rows: number(rows).astype(f"u{size}").view(f"f{size}").astype(np.float64)
+    return lambda rows: _doubled(number(rows).astype(f"u{size}").view(f"f{size}"))
+
+
+def _doubled(numbers: Array) -> Array:
+    """Floats as float64; a signalling NaN becomes a quiet one without a word."""
+    with np.errstate(invalid="ignore"):
+        return numbers.astype(np.float64)
 
 
 def _long(offset: int, size: int) -> Read:
