@@ -24,9 +24,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import can
 from can import BusABC, BusState, CanInitializationError, CanOperationError, CanProtocol, Message
 
+from ..errors import CallerError
 from ..frame import Frame
 from ..runtime import VirtualClock
 from .faults import NO_FAULTS, Faults
@@ -335,9 +335,7 @@ def to_frame(message: Message) -> Frame:
             None,
             message.dlc if message.is_remote_frame else None,
         )
-    except can.CanError:
-        raise
-    except ValueError as error:
+    except CallerError as error:
         raise CanOperationError(str(error)) from error
 
 

@@ -1,0 +1,330 @@
+"""The gatekeeper of a CAN bus: one owner, any python-can backend, many who listen.
+
+1. The rules of `gate`. A gate that only listens opens a bus that does not acknowledge, where the backend can do that.
+2. What one backend does wrong in its own way is known in `backends`, or found by what it does; see the constants.
+
+Two time stamps are kept. `frame.timestamp` is the adapter's, in seconds of its own clock; `host_ns` is this machine's
+monotonic clock when the frame was read. An adapter's clock that goes back is told as an event "clock".
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from ..capture.filters import CanFilter
+from ..errors import CallerError
+from ..frame import Frame
+from ..runtime import Clock
+from .backends import ECHOES, quiet_options, reader_of, silence
+from .gate import POLL_S, Gate
+from .inbox import LIMIT, Inbox, Listener
+from .wire import arbitration
+
+#: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
+BATCH = 256
+#: This many times nothing, each at once and not after `POLL_S`, is how some backends say that they are dead.
+HOLLOW = 50
+#: Exceptions that are no `CanError`, in a row, after which the bus is opened anew.
+STRANGE = 20
+#: Frames that wait to be sent, at most.
+OUTBOX = 4096
+
+
+class Received(msgspec.Struct, frozen=True, gc=False):
+    """A frame and when the host read it: `host_ns`, of the monotonic clock."""
+
+    frame: Frame
+    host_ns: int
+
+
+Open = Callable[[], Any]
+
+
+class CanGate(Gate[Received]):
+    """One CAN bus and its only owner.
+
+    with CanGate({"interface": "socketcan", "channel": "can0"}) as gate:
+        inbox = gate.subscribe()
+        gate.send(Frame(0x123, b"\\x01"))
+        for item in inbox.get(1.0): ...
+
+    `open_bus` is a function that gives a python-can bus, or python-can's own keywords. `reopen`: a lost bus is opened
+    again, for ever. `send_rate` limits what is sent, in frames/s.
+    """
+
+    items = "frames"
+
+    def __init__(
+        self,
+        open_bus: Open | Mapping[str, Any],
+        *,
+        name: str = "",
+        listen_only: bool = False,
+        reopen: bool = True,
+        send_rate: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        if send_rate is not None and send_rate <= 0:
+            raise CallerError(f"a send rate of {send_rate} frames/s lets nothing through")
+        options = None if callable(open_bus) else dict(open_bus)
+        self._interface = "" if options is None else str(options.get("interface") or "")
+        self._open: Open
+        if options is None:
+            assert callable(open_bus)
+            self._open = open_bus
+        else:
+            self._open = _opener(options, listen_only=listen_only)
+        channel = str(options.get("channel") or self._interface) if options else "can"
+        super().__init__(name or channel, listen_only=listen_only, reopen=reopen, clock=clock)
+        self.send_rate = send_rate
+        self._waiting: list[tuple[int, int, Frame]] = []
+        self._count = 0
+        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=OUTBOX)
+        self._controller = "error-active"
+        self._last_stamp: float | None = None
+
+    # ------------------------------------------------------------------ the bus
+
+    def _opened(self) -> Any:
+        bus = self._open()
+        if self.listen_only:
+            silence(bus)
+        self._read = reader_of(bus)
+        self._last_stamp = None
+        self._controller = "error-active"
+        self._is_echoing = self._interface in ECHOES or type(bus).__module__.split(".")[-1] in ECHOES
+        return bus
+
+    def _shut(self, bus: Any) -> None:
+        bus.shutdown()
+
+    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received]:
+        """A queue of what arrives from now on, at most `limit` frames; `close` it to leave."""
+        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.frame))
+
+    def listen(
+        self,
+        listener: Callable[[list[Received]], None],
+        *,
+        limit: int = LIMIT,
+        filter: CanFilter | None = None,
+    ) -> Listener[Received]:
+        """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
+        return self._listened(self.subscribe(limit=limit, filter=filter), listener)
+
+    # ------------------------------------------------------------------ receiving
+
+    def _receive(self) -> None:
+        """The receive thread."""
+        hollow = strange = 0
+        while not self._stopping.is_set():
+            began = self.clock.now()
+            error: Exception | None = None
+            message = None
+            try:
+                message = self._read(POLL_S)
+            except Exception as raised:  # CanError, OSError, and whatever a backend lets through
+                error = raised
+            if message is not None:
+                hollow = strange = 0
+                error = self._hand_over(message)
+            if error is not None:
+                strange += 1
+                if not _is_end(error) and strange < STRANGE:
+                    self._misunderstood(error)
+                    continue
+                strange = 0
+                if not self._lose(error):
+                    return
+            elif message is None:
+                # A live backend has waited; a dead one comes back at once, for ever.
+                hollow = hollow + 1 if self.clock.now() - began < POLL_S * 1e8 else 0
+                if hollow >= HOLLOW:
+                    hollow = 0
+                    if not self._lose(None):
+                        return
+                self._look_at_state()
+
+    def _hand_over(self, message: Any) -> Exception | None:
+        """A frame and all that wait behind it; what reading them raised."""
+        batch: list[Received] = []
+        failed: Exception | None = None
+        for _ in range(BATCH):
+            host = self.clock.now()
+            frame = self._frame(message)
+            if frame is not None:
+                batch.append(Received(frame, host))
+            try:
+                message = self._read(0)
+            except Exception as error:
+                failed = error
+                break
+            if message is None:
+                break
+        self.counters.received += len(batch)
+        self._put(batch)
+        lost = getattr(self._read, "take_dropped", None)
+        if lost is not None and (count := lost()):
+            self.counters.kernel_dropped += count
+            self._tell("dropped", f"the system dropped {count} frames before they could be read", count)
+        return failed
+
+    def _frame(self, message: Any) -> Frame | None:
+        try:
+            frame = Frame(
+                message.arbitration_id,
+                bytes(message.data),
+                message.timestamp,
+                message.channel if message.channel is None else str(message.channel),
+                message.is_extended_id,
+                message.is_remote_frame,
+                message.is_error_frame,
+                message.is_fd,
+                message.bitrate_switch,
+                message.error_state_indicator,
+                message.is_rx,
+                message.dlc if message.is_remote_frame else None,
+            )
+        except (CallerError, AttributeError, TypeError) as error:
+            self._misunderstood(error)
+            return None
+        if self._is_echoing and self._is_echo(frame):
+            self.counters.echoes += 1
+            return None
+        stamp = frame.timestamp
+        if stamp is not None:
+            if self._last_stamp is not None and stamp < self._last_stamp:
+                self._tell("clock", f"the adapter's clock went back by {self._last_stamp - stamp:.6f} s")
+            self._last_stamp = stamp
+        return frame
+
+    def _is_echo(self, frame: Frame) -> bool:
+        """Whether a backend that hears itself gives back what was sent; each frame once."""
+        try:
+            self._echoes.remove((arbitration(frame), frame.data))
+        except ValueError:
+            return False
+        return True
+
+    def _misunderstood(self, error: BaseException) -> None:
+        self.counters.bad_input += 1
+        self._tell("bad input", f"{type(error).__name__}: {error}")
+        flush = getattr(self._bus, "flush", None)
+        if callable(flush) and isinstance(error, (UnicodeError, ValueError, IndexError)):
+            try:
+                flush()  # a text backend keeps the line that it cannot read, and reads nothing else until told so
+            except Exception:
+                pass
+
+    def _look_at_state(self) -> None:
+        try:
+            name = str(getattr(self._bus.state, "name", ""))
+        except Exception:  # not every backend has one
+            return
+        state = {"ERROR": "bus-off", "PASSIVE": "error-passive"}.get(name, "error-active")
+        if state != self._controller and not (self.listen_only and state == "error-passive"):
+            self._controller = state
+            self._tell(state)  # type: ignore[arg-type]
+
+    # ------------------------------------------------------------------ sending
+
+    def send(self, frame: Frame | Any, *, priority: int | None = None) -> None:
+        """Queue a frame (or a python-can message). The lowest `priority` goes first, by default as on the wire.
+
+        Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.
+        """
+        self._check_may_send()
+        made = frame if isinstance(frame, Frame) else self._as_frame(frame)
+        with self._outgoing:
+            if len(self._waiting) >= OUTBOX:
+                raise CallerError(f"{self.name}: {OUTBOX} frames wait to be sent; is anybody on the bus?")
+            self._count += 1
+            heapq.heappush(
+                self._waiting, (arbitration(made) if priority is None else priority, self._count, made)
+            )
+            self._outgoing.notify()
+
+    @staticmethod
+    def _as_frame(message: Any) -> Frame:
+        return Frame(
+            message.arbitration_id,
+            bytes(message.data),
+            None,
+            None,
+            message.is_extended_id,
+            message.is_remote_frame,
+            False,
+            message.is_fd,
+            message.bitrate_switch,
+            message.error_state_indicator,
+            None,
+            message.dlc if message.is_remote_frame else None,
+        )
+
+    @property
+    def waiting(self) -> int:
+        """How many frames wait to be sent."""
+        return len(self._waiting)
+
+    def _transmit(self) -> None:
+        """The transmit thread."""
+        import can
+
+        pause = 0 if self.send_rate is None else round(1e9 / self.send_rate)
+        due = 0
+        while True:
+            with self._outgoing:
+                while not self._stopping.is_set() and (not self._waiting or self.state != "open"):
+                    self._outgoing.wait(1.0)
+                if self._stopping.is_set():
+                    return
+            if pause and (left := due - self.clock.now()) > 0:
+                if self._stopping.wait(left / 1e9):
+                    return
+            with self._outgoing:
+                if not self._waiting:
+                    continue
+                _, _, frame = heapq.heappop(self._waiting)
+            due = max(due, self.clock.now()) + pause
+            if self._is_echoing:
+                self._echoes.append((arbitration(frame), frame.data))
+            try:
+                self._bus.send(
+                    can.Message(
+                        arbitration_id=frame.arbitration_id,
+                        data=frame.data,
+                        dlc=frame.length,
+                        is_extended_id=frame.is_extended_id,
+                        is_remote_frame=frame.is_remote_frame,
+                        is_fd=frame.is_fd,
+                        bitrate_switch=frame.bitrate_switch,
+                        error_state_indicator=frame.error_state_indicator,
+                    ),
+                    timeout=1.0,
+                )
+                self.counters.sent += 1
+            except Exception as error:  # CanError, OSError, and whatever a backend lets through
+                self.counters.send_failed += 1
+                self._tell("send failed", f"{frame.arbitration_id:#x}: {type(error).__name__}: {error}")
+
+
+def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:
+    def open_bus() -> Any:
+        import can
+
+        more = quiet_options(str(options.get("interface") or "")) if listen_only else {}
+        return can.Bus(**{**options, **more})
+
+    return open_bus
+
+
+def _is_end(error: BaseException) -> bool:
+    """Whether an exception says that the bus is gone, and not only that something was not understood."""
+    import can
+
+    return isinstance(error, (can.CanError, OSError, EOFError)) or "serial" in type(error).__module__

@@ -1,0 +1,123 @@
+"""Bounded queues from the receive thread to those who want to know.
+
+1. The receive thread only puts; it never waits for a reader and never runs a reader's code.
+2. A full queue drops its oldest items and counts them: what is there is always the newest.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, TypeVar
+
+Item = TypeVar("Item")
+
+#: What a queue holds at most when nobody says otherwise: eight seconds of a full 1 Mbit/s bus.
+LIMIT = 65_536
+
+
+class Inbox(Generic[Item]):
+    """A queue of what arrives; `dropped` counts what did not fit."""
+
+    def __init__(
+        self,
+        limit: int = LIMIT,
+        wanted: Callable[[Item], bool] | None = None,
+        leave: Callable[[Any], None] | None = None,
+        overflowed: Callable[[int], None] | None = None,
+    ) -> None:
+        self._items: deque[Item] = deque()
+        self._limit = limit
+        self._wanted = wanted
+        self._leave, self._overflowed = leave, overflowed
+        self._ready = threading.Condition(threading.Lock())
+        self._is_closed = False
+        self.dropped = 0
+
+    def put(self, items: Sequence[Item]) -> None:
+        """Add what has arrived; the receive thread's side."""
+        if self._wanted is not None:
+            items = [item for item in items if self._wanted(item)]
+        if not items or self._is_closed:
+            return
+        with self._ready:
+            queue = self._items
+            queue.extend(items)
+            too_many = len(queue) - self._limit
+            if too_many > 0:
+                for _ in range(too_many):
+                    queue.popleft()
+                self.dropped += too_many
+            self._ready.notify_all()
+        if too_many > 0 and self._overflowed is not None:
+            self._overflowed(too_many)
+
+    def get(self, timeout: float | None = None) -> list[Item]:
+        """All that is there; waits up to `timeout` seconds (None: for ever) for the first. Empty at the end of both."""
+        with self._ready:
+            if not self._items and not self._is_closed:
+                self._ready.wait_for(lambda: self._items or self._is_closed, timeout)
+            found = list(self._items)
+            self._items.clear()
+            return found
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether nothing more will come."""
+        return self._is_closed
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def end(self) -> None:
+        """Nothing more comes: readers are woken, and get what is left."""
+        with self._ready:
+            self._is_closed = True
+            self._ready.notify_all()
+
+    def close(self) -> None:
+        """Leave: nothing more is put in."""
+        self.end()
+        if self._leave is not None:
+            self._leave(self)
+
+
+class Listener(Generic[Item]):
+    """A reader's function on a thread of its own. What it raises is told and does not end it."""
+
+    def __init__(
+        self,
+        inbox: Inbox[Item],
+        function: Callable[[list[Item]], None],
+        failed: Callable[[BaseException], None],
+        name: str,
+    ) -> None:
+        self.inbox = inbox
+        self._function, self._failed = function, failed
+        self.failures = 0
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            items = self.inbox.get()
+            if items:
+                try:
+                    self._function(items)
+                except Exception as error:  # whatever a user's function may raise
+                    self.failures += 1
+                    self._failed(error)
+            elif self.inbox.is_closed:
+                return
+
+    @property
+    def dropped(self) -> int:
+        """How much came too fast for the function."""
+        return self.inbox.dropped
+
+    def stop(self, timeout: float = 5.0) -> None:
+        """Leave; what is still queued is given to the function first."""
+        self.inbox.close()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout)
