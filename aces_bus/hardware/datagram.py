@@ -1,0 +1,137 @@
+"""The gatekeeper of UDP datagrams.
+
+1. The rules of `gate`. A datagram is whole or not there; who sent it is told with it.
+2. It binds to loopback unless another address is named: nobody on the network is listened to by accident.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from typing import Any
+
+import msgspec
+
+from ..errors import CallerError
+from ..runtime import Clock
+from .gate import POLL_S, Gate
+
+Address = tuple[str, int]
+
+#: The longest payload of a UDP datagram over IPv4.
+MOST = 65_507
+OUTBOX = 4096
+
+
+class Datagram(msgspec.Struct, frozen=True, gc=False):
+    """A datagram: its bytes, who sent it, and the host's monotonic clock when it was read (ns)."""
+
+    data: bytes
+    source: tuple[str, int]
+    host_ns: int
+
+
+class DatagramGate(Gate[Datagram]):
+    """One UDP socket and its only owner.
+
+    `bind` is (address, port) to receive at; port 0 takes a free one, which `address` then tells. `peer` is where `send`
+    goes when it is not told; with `only_peer` datagrams of others are counted as bad input and not handed on.
+    """
+
+    items = "datagrams"
+
+    def __init__(
+        self,
+        bind: Address = ("127.0.0.1", 0),
+        *,
+        peer: Address | None = None,
+        only_peer: bool = False,
+        name: str = "",
+        listen_only: bool = False,
+        reopen: bool = True,
+        clock: Clock | None = None,
+    ) -> None:
+        super().__init__(
+            name or f"udp {bind[0]}:{bind[1]}", listen_only=listen_only, reopen=reopen, clock=clock
+        )
+        self.bind, self.peer, self.only_peer = bind, peer, only_peer
+        if only_peer and peer is None:
+            raise CallerError(f"{self.name}: only_peer needs a peer")
+        self._waiting: deque[tuple[bytes, Address]] = deque()
+
+    def _opened(self) -> Any:
+        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            made.bind(self.bind)
+            made.settimeout(POLL_S)
+        except BaseException:
+            made.close()
+            raise
+        return made
+
+    def _shut(self, bus: Any) -> None:
+        bus.close()
+
+    @staticmethod
+    def _describe(bus: Any) -> str:
+        return "{}:{}".format(*bus.getsockname())
+
+    @property
+    def address(self) -> Address:
+        """Where it receives; raises `CallerError` while it is not open."""
+        bus = self._bus
+        if bus is None:
+            raise CallerError(f"{self.name}: this gate is not open")
+        host, port = bus.getsockname()
+        return str(host), int(port)
+
+    def _receive(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                data, source = self._bus.recvfrom(65_536)
+            except TimeoutError:
+                continue
+            except ConnectionError:  # nobody was there for what we sent: some systems say so here
+                continue
+            except OSError as error:
+                if self._stopping.is_set() or not self._lose(error):
+                    return
+                continue
+            if self.only_peer and source != self.peer:
+                self.counters.bad_input += 1
+                self._tell("bad input", f"a datagram of {source[0]}:{source[1]}, who is not the peer")
+                continue
+            self.counters.received += 1
+            self._put([Datagram(data, source, self.clock.now())])
+
+    def send(self, data: bytes, to: Address | None = None) -> None:
+        """Queue a datagram to `to`, by default to the peer.
+
+        Raises `CallerError` when this gate only listens, is not open, knows no address, or the datagram is too long.
+        """
+        self._check_may_send()
+        address = to if to is not None else self.peer
+        if address is None:
+            raise CallerError(f"{self.name}: to whom? Give an address or a peer")
+        if len(data) > MOST:
+            raise CallerError(f"{self.name}: a datagram carries at most {MOST} bytes, not {len(data)}")
+        with self._outgoing:
+            if len(self._waiting) >= OUTBOX:
+                raise CallerError(f"{self.name}: {OUTBOX} datagrams wait to be sent")
+            self._waiting.append((bytes(data), address))
+            self._outgoing.notify()
+
+    def _transmit(self) -> None:
+        while True:
+            with self._outgoing:
+                while not self._stopping.is_set() and (not self._waiting or self.state != "open"):
+                    self._outgoing.wait(1.0)
+                if self._stopping.is_set():
+                    return
+                data, address = self._waiting.popleft()
+            try:
+                self._bus.sendto(data, address)
+                self.counters.sent += 1
+            except OSError as error:
+                self.counters.send_failed += 1
+                self._tell("send failed", f"to {address[0]}:{address[1]}: {error}")

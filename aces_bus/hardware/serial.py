@@ -1,0 +1,205 @@
+"""The gatekeeper of a serial line: ports, `socket://`, `rfc2217://`, ptys; RS-485 with its echo and its turnaround.
+
+1. The rules of `gate`. Bytes are handed over as they come, with the time they were read; nothing here finds packets.
+2. On a half-duplex line nothing is sent while somebody else speaks: after bytes were heard, `turnaround` must pass.
+3. What a half-duplex adapter hears of itself is taken out, byte by byte; what differs is a collision, and is told.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import msgspec
+
+from ..errors import CallerError
+from ..runtime import Clock
+from .gate import POLL_S, Gate
+
+#: Bytes that wait to be sent, at most.
+OUTBOX = 1 << 20
+#: Bytes that are read at once.
+BLOCK = 4096
+#: Seconds after which an echo that did not come is given up.
+ECHO_S = 0.5
+
+
+class Heard(msgspec.Struct, frozen=True, gc=False):
+    """Bytes of a line, and the host's monotonic clock when they were read (ns). `is_own`: sent by this gate."""
+
+    data: bytes
+    host_ns: int
+    is_own: bool = False
+
+
+class SerialGate(Gate[Heard]):
+    """One serial line and its only owner.
+
+    with SerialGate("/dev/ttyUSB0", baud=57_600, half_duplex=True) as gate:
+        inbox = gate.subscribe()
+        gate.send(packet)
+        for item in inbox.get(1.0):
+            records += scanner.feed(item.data, item.host_ns / 1e9)
+
+    `url` is what pyserial opens: a port, `socket://host:port`, `rfc2217://…`, `loop://`. `baud` in bit/s. `half_duplex`: one
+    pair of wires for both ways; `echo` says whether the adapter hears itself (None: as `half_duplex`). `turnaround` is the
+    silence, in seconds, that must lie between what others say and what is sent. `keep_own` also hands own bytes to readers.
+    """
+
+    items = "pieces"
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        baud: int = 115_200,
+        name: str = "",
+        listen_only: bool = False,
+        reopen: bool = True,
+        half_duplex: bool = False,
+        echo: bool | None = None,
+        turnaround: float = 0.0,
+        keep_own: bool = False,
+        clock: Clock | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(name or url, listen_only=listen_only, reopen=reopen, clock=clock)
+        if baud <= 0:
+            raise CallerError(f"{self.name}: a line speed of {baud} baud")
+        self.url, self.baud = url, baud
+        self.half_duplex = half_duplex
+        self.echo = half_duplex if echo is None else echo
+        self.turnaround_ns = round(turnaround * 1e9)
+        self.keep_own = keep_own
+        self._options = options
+        self._waiting: deque[bytes] = deque()
+        self._size = 0
+        self._echo_due = bytearray()
+        self._echo_until = 0
+        self._heard_at = 0
+
+    def _opened(self) -> Any:
+        import serial
+
+        port = serial.serial_for_url(
+            self.url, baudrate=self.baud, timeout=POLL_S, write_timeout=5.0, **self._options
+        )
+        self._echo_due.clear()
+        return port
+
+    def _shut(self, bus: Any) -> None:
+        bus.close()
+
+    @staticmethod
+    def _describe(bus: Any) -> str:
+        return f"{bus.name} at {bus.baudrate} baud" if getattr(bus, "name", None) else ""
+
+    # ------------------------------------------------------------------ receiving
+
+    def _receive(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                data = self._bus.read(1)
+                if data and (more := self._bus.in_waiting):
+                    data += self._bus.read(min(more, BLOCK))
+            except (
+                Exception
+            ) as error:  # SerialException, OSError, TypeError of a port that was closed under us
+                if self._stopping.is_set() or not self._lose(error):
+                    return
+                continue
+            if data:
+                self._hear(data)
+
+    def _hear(self, data: bytes) -> None:
+        now = self.clock.now()
+        own = 0
+        if self._echo_due:
+            own = self._take_echo(data, now)
+        if own:
+            self.counters.echoes += own
+            data = data[own:]
+        if data:
+            self._heard_at = now
+            self.counters.received += len(data)
+            self._put([Heard(data, now)])
+
+    def _take_echo(self, data: bytes, now: int) -> int:
+        """How many of these bytes are our own, coming back."""
+        with self._outgoing:
+            due = self._echo_due
+            if now > self._echo_until:
+                due.clear()
+                return 0
+            same = 0
+            for heard, said in zip(data, due, strict=False):
+                if heard != said:
+                    break
+                same += 1
+            if same < min(len(data), len(due)):
+                self._tell(
+                    "bad input", f"a collision: {data[same]:#04x} was heard where {due[same]:#04x} was sent"
+                )
+                self.counters.bad_input += 1
+                due.clear()
+                return same
+            del due[:same]
+            return same
+
+    # ------------------------------------------------------------------ sending
+
+    def send(self, data: bytes) -> None:
+        """Queue bytes, which are sent together.
+
+        Raises `CallerError` when this gate only listens, is not open, or too much waits.
+        """
+        self._check_may_send()
+        if not data:
+            return
+        with self._outgoing:
+            if self._size + len(data) > OUTBOX:
+                raise CallerError(f"{self.name}: {self._size} bytes wait to be sent; the line takes no more")
+            self._waiting.append(bytes(data))
+            self._size += len(data)
+            self._outgoing.notify()
+
+    @property
+    def waiting(self) -> int:
+        """How many bytes wait to be sent."""
+        return self._size
+
+    def _transmit(self) -> None:
+        while True:
+            with self._outgoing:
+                while not self._stopping.is_set() and (not self._waiting or self.state != "open"):
+                    self._outgoing.wait(1.0)
+                if self._stopping.is_set():
+                    return
+            if self._must_wait():
+                return
+            with self._outgoing:
+                data = self._waiting.popleft()
+                self._size -= len(data)
+                if self.echo:
+                    self._echo_due += data
+                    bits = 10 * (len(self._echo_due) + len(data))
+                    self._echo_until = (
+                        self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
+                    )
+            try:
+                self._bus.write(data)
+                self.counters.sent += len(data)
+                if self.keep_own:
+                    self._put([Heard(data, self.clock.now(), True)])
+            except (
+                Exception
+            ) as error:  # SerialException, OSError; the receive thread finds out whether it is gone
+                self.counters.send_failed += len(data)
+                self._tell("send failed", f"{len(data)} bytes: {type(error).__name__}: {error}")
+
+    def _must_wait(self) -> bool:
+        """Wait until others have been silent for long enough; True when the gate is to end."""
+        while self.turnaround_ns and (left := self._heard_at + self.turnaround_ns - self.clock.now()) > 0:
+            if self._stopping.wait(left / 1e9):
+                return True
+        return False
