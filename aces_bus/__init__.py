@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .capture.decode import decode as decode
     from .frame import Frame as Frame
     from .protocol import Protocol as Protocol
     from .protocol import Scanner as Scanner
@@ -24,6 +25,7 @@ __all__ = [
     "Scanner",
     "Unknown",
     "as_dict",
+    "decode",
     "list_protocols",
     "load_protocol",
     "make_scanner",
@@ -35,6 +37,10 @@ def __getattr__(name: str) -> Any:
         from .frame import Frame
 
         return Frame
+    if name == "decode":
+        from .capture.decode import decode
+
+        return decode
     if name in __all__:
         from . import protocol
 

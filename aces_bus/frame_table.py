@@ -223,8 +223,9 @@ def to_ns(seconds: float | None) -> int:
     text = repr(float(seconds))
     whole, _, fraction = text.partition(".")
     if len(fraction) <= 9 and fraction.isdigit() and whole.isdigit():
-        return int(whole + fraction.ljust(9, "0"))
-    number = int(Decimal(text).scaleb(9).to_integral_value())
+        number = int(whole + fraction.ljust(9, "0"))
+    else:
+        number = int(Decimal(text).scaleb(9).to_integral_value())
     return number if abs(number) < 1 << 63 else NO_TIME
 
 

@@ -34,6 +34,7 @@ FLOORS: dict[str, set[str]] = {
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
     "capture": {"protocol"},
+    "export": {"protocol"},  # decoded tables on disk
     "hardware": {"runtime", "capture"},  # replays captures; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from .base import CanCapture, Capture, Chunk, Direction, Link, Problem, SerialCapture
 from .filters import CanFilter, parse_filter
-from .open import open_capture
+from .open import formats, open_capture
 
 __all__ = [
     "CanCapture",
@@ -20,6 +20,7 @@ __all__ = [
     "Link",
     "Problem",
     "SerialCapture",
+    "formats",
     "open_capture",
     "parse_filter",
 ]

@@ -2,59 +2,133 @@
 
 1. The suffix is never looked at, and the link of the protocol in use decides only what bytes alone cannot: any file
    at all may be a raw serial recording.
-2. A wrong source is refused here, before anything is decoded, with what would work; a pipe that shows itself too late
+2. A format is a line of `FORMATS`: its name, what it is in words, what tells it, its reader. The order is from the most
+   to the least specific, and the first that matches reads.
+3. A wrong source is refused here, before anything is decoded, with what would work; a pipe that shows itself too late
    is refused while it is read.
 """
 
 from __future__ import annotations
 
 import re
-from typing import BinaryIO, Literal, overload
+from collections.abc import Callable
+from typing import BinaryIO, Literal, NamedTuple, overload
 
-from ..errors import CallerError, CaptureError
+from ..errors import CallerError, CaptureError, UnknownNameError
 from ._source import BLOCK, PathSource, Source
+from .asc import AscCapture, looks_like_asc
 from .base import CanCapture, Link, SerialCapture, printable
-from .candump import CandumpCapture, looks_like_candump, not_a_log, only_remarks
+from .blf import BlfCapture, looks_like_blf
+from .busmaster import BusmasterCapture, looks_like_busmaster
+from .candump import EXAMPLE, CandumpCapture, looks_like_candump, only_remarks
+from .canlog_csv import CanlogCsvCapture, looks_like_canlog_csv
+from .crtd import CrtdCapture, looks_like_crtd
 from .dxconf import OPENING, DxconfCapture
+from .gvret import GvretCapture, looks_like_gvret
+from .id_csv import IdCsvCapture, looks_like_id_csv
+from .mf4 import Mf4Capture, looks_like_mf4
+from .microchip import MicrochipCapture, looks_like_microchip
+from .pcap import PcapCapture, looks_like_pcap
+from .pcapng import PcapngCapture, looks_like_pcapng
 from .serial import RawCapture
+from .serial_log import OPENING as SERIAL_LOG
+from .serial_log import SerialLogCapture, looks_like_serial_log
+from .sqlite import SqliteCapture, looks_like_sqlite
+from .trc import TrcCapture, looks_like_trc
 
-_CONVERT = "convert it first: python -m can.logconvert FILE walk.log"
 
-#: Beginning → what such a file is, and what to do with it.
-_OTHERS: tuple[tuple[bytes, str, str], ...] = (
-    (b"\x1f\x8b", "gzip", "unpack it first: gzip -dc FILE | aces decode … -"),
-    (b"\x28\xb5\x2f\xfd", "zstandard", "unpack it first: zstd -dc FILE | aces decode … -"),
+class Format(NamedTuple):
+    """`matches` gets the first bytes (up to 64 KiB, of a pipe what is there, without a byte order mark)."""
+
+    name: str
+    words: str
+    matches: Callable[[bytes], bool]
+    reader: type[CanCapture] | type[SerialCapture]
+
+
+def _begins_after_blanks(beginning: bytes) -> Callable[[bytes], bool]:
+    return lambda head: head.lstrip().startswith(beginning)
+
+
+def _by_name_only(_: bytes) -> bool:
+    return False
+
+
+#: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
+FORMATS: tuple[Format, ...] = (
+    Format("blf", "Vector BLF log", looks_like_blf, BlfCapture),
+    Format("mf4", "ASAM MDF 4 bus log", looks_like_mf4, Mf4Capture),
+    Format("pcap", "pcap capture", looks_like_pcap, PcapCapture),
+    Format("pcapng", "pcapng capture", looks_like_pcapng, PcapngCapture),
+    Format("sqlite", "SQLite log of python-can", looks_like_sqlite, SqliteCapture),
+    Format("slog", "serial log of aces-bus", looks_like_serial_log, SerialLogCapture),
+    Format("dxconf", "hex dump of the vendor's serial monitor", _begins_after_blanks(OPENING), DxconfCapture),
+    Format("trc", "PEAK trace", looks_like_trc, TrcCapture),
+    Format("asc", "Vector ASC log", looks_like_asc, AscCapture),
+    Format("busmaster", "BUSMASTER log", looks_like_busmaster, BusmasterCapture),
+    Format("crtd", "CRTD log", looks_like_crtd, CrtdCapture),
+    Format("gvret", "SavvyCAN GVRET CSV", looks_like_gvret, GvretCapture),
+    Format("csv", "python-can CSV", looks_like_canlog_csv, CanlogCsvCapture),
+    Format("microchip", "Microchip CAN analyser log", looks_like_microchip, MicrochipCapture),
+    Format("id-csv", "CSV with named columns (time, id, data …)", looks_like_id_csv, IdCsvCapture),
+    Format("candump", "candump log", looks_like_candump, CandumpCapture),
+    Format("raw", "raw serial bytes", _by_name_only, RawCapture),
+)
+
+#: What we know and do not read: beginning, what it is, what to do with it.
+REFUSED: tuple[tuple[bytes, str, str], ...] = (
     (b"\xfd7zXZ\x00", "xz", "unpack it first: xz -dc FILE | aces decode … -"),
-    (b"LOGG", "a Vector BLF log", _CONVERT),
-    (b"MDF ", "an MDF measurement", _CONVERT),
-    (b"date ", "a Vector ASC log", _CONVERT),
-    (b";$FILEVERSION", "a PEAK trace", _CONVERT),
-    (b"SQLite format 3\x00", "an SQLite file", _CONVERT),
+    (b"BZh", "bzip2", "unpack it first: bzip2 -dc FILE | aces decode … -"),
+    (b"PK\x03\x04", "a zip archive", "unpack it first: unzip -p FILE | aces decode … -"),
     (b"\xff\xfe", "UTF-16 text", "convert it first: iconv -f UTF-16 -t UTF-8 FILE > walk.log"),
     (b"\xfe\xff", "UTF-16 text", "convert it first: iconv -f UTF-16 -t UTF-8 FILE > walk.log"),
 )
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+#: A pipe has shown what it is by the end of a first line, or by this many bytes; a magic number has at most so many.
+_ENOUGH, _MAGIC = 4096, 16
+
+
+def formats() -> dict[str, str]:
+    """The formats that can be read: the name that `open_capture(format=)` takes, and what it is in words."""
+    return {form.name: form.words for form in FORMATS}
 
 
 @overload
 def open_capture(
-    source: PathSource | BinaryIO, *, link: Literal["can"], name: str | None = None
+    source: PathSource | BinaryIO,
+    *,
+    link: Literal["can"],
+    name: str | None = None,
+    format: str | None = None,
 ) -> CanCapture: ...
 @overload
 def open_capture(
-    source: PathSource | BinaryIO, *, link: Literal["serial"], name: str | None = None
+    source: PathSource | BinaryIO,
+    *,
+    link: Literal["serial"],
+    name: str | None = None,
+    format: str | None = None,
 ) -> SerialCapture: ...
 @overload
 def open_capture(
-    source: PathSource | BinaryIO, *, link: Link | None = None, name: str | None = None
+    source: PathSource | BinaryIO,
+    *,
+    link: Link | None = None,
+    name: str | None = None,
+    format: str | None = None,
 ) -> CanCapture | SerialCapture: ...
 def open_capture(
-    source: PathSource | BinaryIO, *, link: Link | None = None, name: str | None = None
+    source: PathSource | BinaryIO,
+    *,
+    link: Link | None = None,
+    name: str | None = None,
+    format: str | None = None,
 ) -> CanCapture | SerialCapture:
     """Open a recording: a path, "-" for standard input, or a file opened in binary mode.
 
-    `link` is what the protocol in use speaks; None leaves it to the content, which then must say it: a candump log or a
-    hex dump. `name` is what messages call the source, by default its path.
+    `link` is what the protocol in use speaks; None leaves it to the content, which then must say it. `name` is what
+    messages call the source, by default its path. `format` is one of `formats()` and is used without a look at the
+    content.
 
     Raises `CaptureError`, naming the source and what would work, when it cannot be opened or is no such capture. Of a
     pipe the first bytes are awaited.
@@ -69,30 +143,42 @@ def open_capture(
     """
     if link not in ("can", "serial", None):
         raise CallerError(f"no capture format for a {link!r} link yet; there are formats for can and serial")
+    forced = None if format is None else _named(format, link)
     opened = Source(source, name)
     try:
-        return _tell(opened, link)
+        return _tell(opened, link) if forced is None else forced.reader(opened)
     except BaseException:
         opened.close()
         raise
 
 
+def _named(name: str, link: Link | None) -> Format:
+    for form in FORMATS:
+        if form.name == name:
+            if link not in (None, form.reader.link):
+                raise CallerError(
+                    f"format {name!r} is of a {form.reader.link} link, and the protocol speaks {link}"
+                )
+            return form
+    raise UnknownNameError("capture format", name, formats())
+
+
 def _tell(source: Source, link: Link | None) -> CanCapture | SerialCapture:
-    head = _text(source.head())
-    while link != "can" and len(head) < BLOCK and OPENING.startswith(head.lstrip()) and source.look_further():
-        head = _text(source.head())  # a pipe may give less than what tells the format
-    if head.lstrip().startswith(OPENING):
-        if link == "can":
-            raise CaptureError(f"{source.name}: a hex dump of a serial line; name a serial protocol")
-        return DxconfCapture(source)
-    candump = looks_like_candump(head)
+    more = source.live
+    while True:
+        head = source.head().removeprefix(b"\xef\xbb\xbf")
+        half = more and _is_half_a_line(head, link)
+        for form in () if half else FORMATS:
+            if form.matches(head):
+                if link in (None, form.reader.link):
+                    return form.reader(source)
+                raise _other_link(source, form)
+        if not half and not (more and _may_still_show(head, link)):
+            break
+        more = source.look_further()  # a pipe may give less than what tells the format
     if link == "serial":
-        if candump:
-            raise CaptureError(f"{source.name}: a candump log, not a serial capture; name a CAN protocol")
         return RawCapture(source)
-    if candump:
-        return CandumpCapture(source)
-    for start, kind, advice in _OTHERS:
+    for start, kind, advice in REFUSED:
         if head.startswith(start):
             raise CaptureError(f"{source.name}: this is {kind}; {advice}")
     if only_remarks(head) or (link == "can" and source.live):
@@ -100,8 +186,36 @@ def _tell(source: Source, link: Link | None) -> CanCapture | SerialCapture:
     raise _refusal(source, head, link)
 
 
-def _text(head: bytes) -> bytes:
-    return head.removeprefix(b"\xef\xbb\xbf")
+def _is_half_a_line(head: bytes, link: Link | None) -> bool:
+    """Whether more is worth waiting for: a magic number, or the end of a text's first line. candump's shows itself."""
+    text = head.lstrip()
+    if link == "serial" or text.startswith(b"("):
+        return False
+    return len(head) < _MAGIC or (len(head) < _ENOUGH and b"\n" not in text and not _CONTROL.search(text))
+
+
+def _may_still_show(head: bytes, link: Link | None) -> bool:
+    text = head.lstrip()
+    if link == "serial":  # any bytes may be what was meant: only a first line of a format is waited for
+        return len(head) < BLOCK and (OPENING.startswith(text) or SERIAL_LOG.startswith(head))
+    return len(head) < BLOCK and _only_remarks(text)
+
+
+def _only_remarks(text: bytes) -> bool:
+    """Whether the lines so far are all blank or comments of some format: nothing that says what follows."""
+    return all(
+        not line or line.startswith((b"#", b";", b"//")) for line in map(bytes.strip, text.split(b"\n"))
+    )
+
+
+def _other_link(source: Source, form: Format) -> CaptureError:
+    if form.reader.link == "can":
+        return CaptureError(f"{source.name}: {_a(form.words)}, not a serial capture; name a CAN protocol")
+    return CaptureError(f"{source.name}: {_a(form.words)}, of a serial line; name a serial protocol")
+
+
+def _a(words: str) -> str:
+    return f"{'an' if words[0] in 'aeiouAEIOU' else 'a'} {words}"
 
 
 def _refusal(source: Source, head: bytes, link: Link | None) -> CaptureError:
@@ -110,9 +224,13 @@ def _refusal(source: Source, head: bytes, link: Link | None) -> CaptureError:
     else:
         first = head.lstrip().split(b"\n", 1)[0]
         what = f"it begins with {printable(first)!r}"
+    known = ", ".join(form.words for form in FORMATS if form.reader.link == "can")
     if link is None:
         return CaptureError(
-            f"{source.name}: neither a candump log nor a hex dump: {what}; bytes alone do not say what they are: "
-            "say link='serial' for a raw serial capture"
+            f"{source.name}: not a format that says what it is: {what}; known are: {known}; say link='serial' for a "
+            "raw serial capture"
         )
-    return not_a_log(source.name, what)
+    return CaptureError(
+        f"{source.name}: not a CAN capture: {what}; known are: {known}; a line of a candump log reads {EXAMPLE} "
+        "(candump -L can0 > walk.log), and a serial capture needs a serial protocol"
+    )

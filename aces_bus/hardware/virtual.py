@@ -13,6 +13,9 @@ Three kinds of time, by `physics` and `clock`:
   the time is up, without waiting.
 
 Time stamps are seconds: since 1970 for the first two, of the virtual clock (from 0) for the third.
+
+A channel that is an address (`unix:can0`, `unix:/path/to.sock`, `tcp:127.0.0.1:29537/can0`) is a bus of another process: see
+`served`.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from ..errors import CallerError
 from ..frame import Frame
 from ..runtime import VirtualClock
 from .faults import NO_FAULTS, Faults
+from .served.address import is_served
 from .wire import Node, Wire, WireEvent
 
 #: Frames a receiver may leave unread; after that the oldest is dropped and counted.
@@ -93,7 +97,16 @@ class AcesBus(BusABC):
     `channel`: its name. `bitrate`, `data_bitrate`: bit/s. `fd`: whether the node takes CAN FD. `physics`: see the module.
     `listen_only`: never sends, not even an acknowledgement. `faults`: a `Faults`, of whoever opens the channel first.
     `restart_ms`: comes back from bus-off by itself after so long. `rx_queue_size`: frames kept unread.
+
+    With the address of a served bus as its channel this makes a `served.ServedBus`.
     """
+
+    def __new__(cls, channel: Any = "can0", *rest: Any, **options: Any) -> AcesBus:  # noqa: D102
+        if is_served(channel):
+            from .served.remote import ServedBus
+
+            return ServedBus(channel, *rest, **options)  # type: ignore[return-value]
+        return super().__new__(cls)
 
     def __init__(
         self,
@@ -310,9 +323,11 @@ class AcesBus(BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
+        from .served.remote import served_channels
+
         with _media_lock:
             names = list(_media) or ["can0"]
-        return [{"interface": "aces", "channel": name} for name in names]
+        return [{"interface": "aces", "channel": name} for name in [*names, *served_channels()]]
 
 
 # ---------------------------------------------------------------------- frames and messages

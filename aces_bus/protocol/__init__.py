@@ -24,6 +24,7 @@ from .spec.bits import BitLayout as BitLayout
 from .spec.bits import Split as Split
 from .spec.bits import Tuple as Tuple
 from .spec.bits import bits as bits
+from .spec.bits import float_bits as float_bits
 from .spec.checks import Check as Check
 from .spec.checks import Crc as Crc
 from .spec.checks import Extra as Extra

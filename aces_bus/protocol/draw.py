@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 
 from .codegen import plan as p
 from .codegen.flatten import flatten
+from .spec.fields import described
 from .spec.message import Message
 from .spec.pattern import describe_values
 
@@ -31,6 +32,8 @@ BIT = 8
 ROW = 8 * BIT + 7
 #: Lists of more bytes than this are one row; in messages of more bytes, so is each number of whole bytes.
 LONGEST = 16
+#: What stands above a picture of fields whose bits are those of others, too.
+SHARING = "of the same bits:"
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class _Cells:
     bits: dict[int, tuple[str, int, int]] = field(default_factory=dict)
     blocks: dict[int, _Block] = field(default_factory=dict)
     lines: list[tuple[str, str]] = field(default_factory=list)
+    taken: set[int] = field(default_factory=set)
 
     def claim(self, label: str, bits: Sequence[int]) -> None:
         for index, position in enumerate(bits):
@@ -66,27 +70,49 @@ class _Cells:
 
 
 def draw(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
-    """The layout of a message as lines of text; of multiplexed fields one more picture a selector value."""
+    """The layout of a message as lines of text; of multiplexed fields one more picture a selector value, of fields that
+    share bits one more for those behind the first."""
     marks = list(marks)
     base = _Cells()
     _mark(base, plan, [m for m in marks if m.offset >= 0])
-    variants: dict[tuple[str, tuple[int, ...]], _Cells] = {}
+    always: list[_Cells] = [base]
+    variants: dict[tuple[str, tuple[int, ...]], list[_Cells]] = {}
     is_brief = plan.least > LONGEST
     for one, when in _placed(plan.fields, "", None):
-        cells = base if when is None else variants.setdefault(when, _Cells())
-        _claim(cells, *one, is_brief=is_brief)
-    for (selector, _), cells in variants.items():
-        for position in cells.bits:
+        layers = always if when is None else variants.setdefault(when, [_Cells()])
+        _claim(_free(layers, one[1]), *one, is_brief=is_brief)
+    for (selector, _), layers in variants.items():
+        for position in layers[0].bits:
             base.bits.setdefault(position, (f"(by {selector})", -1, 0))
-        for offset, block in cells.blocks.items():
+        for offset, block in layers[0].blocks.items():
             base.blocks.setdefault(offset, _Block(offset, block.size, f"(by {selector})"))
     if plan.opaque:
         base.lines.append(("…", f"{', '.join(_payload_names(plan))}: no fixed places ({plan.opaque})"))
     tail = sorted((m for m in marks if m.offset < 0), key=lambda m: m.offset)
     lines = _picture(base, plan, tail)
-    for (selector, values), cells in variants.items():
-        lines += ["", f"{selector} = {_listed(values)}:", *_picture(cells, None, [])]
+    for cells in always[1:]:
+        lines += ["", SHARING, *_picture(cells, None, [])]
+    for (selector, values), layers in variants.items():
+        lines += ["", f"{selector} = {_listed(values)}:", *_picture(layers[0], None, [])]
+        for cells in layers[1:]:
+            lines += ["", SHARING, *_picture(cells, None, [])]
     return lines
+
+
+def _free(layers: list[_Cells], node: p.Node) -> _Cells:
+    """The first picture in which no other field has the bits of this one; a new one where there is none."""
+    bits: Sequence[int] = node.bits if isinstance(node, p.Scalar) else ()
+    if isinstance(node, p.Scalar) and node.kind == "float" and not bits:
+        bits = range(8 * node.offset, 8 * (node.offset + (node.size or 0)))
+    for cells in layers:
+        # Only numbers share bits; bytes of open size stand behind them.
+        if cells.taken.isdisjoint(bits):
+            break
+    else:
+        cells = _Cells()
+        layers.append(cells)
+    cells.taken.update(bits)
+    return cells
 
 
 def picture(message: Message) -> list[str]:
@@ -204,7 +230,8 @@ def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) 
         little = tuple(range(8 * node.offset, 8 * (node.offset + node.size)))
         bits = little if node.order == "little" else p.big_endian_bits(node.offset, node.size)
     is_flags = any(isinstance(step, p.FlagBits) for step in node.steps)
-    if is_brief and node.size > 1 and not is_flags and (node.kind == "float" or node.is_whole):
+    is_whole = not node.bits if node.kind == "float" else node.is_whole
+    if is_brief and node.size > 1 and not is_flags and is_whole:
         order = "low" if bits[0] < bits[-1] else "high"
         cells.blocks[node.offset] = _Block(
             node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True
@@ -478,8 +505,8 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
     if node.kind == "float":
         return FieldRow(
             name,
-            f"byte {_range(node.offset, node.size)}",
-            f"float{8 * node.size}{_order_of(node)}",
+            _bits_place(node.bits) if node.bits else f"byte {_range(node.offset, node.size)}",
+            f"float{len(node.bits) or 8 * node.size}{_order_of(node)}",
             node.unit,
             scale,
             offset,
@@ -569,8 +596,10 @@ def _names(steps: Sequence[p.Step]) -> str:
             return ", ".join(f"{raw}={name}" for raw, name in step.values)
         if isinstance(step, p.FlagBits):
             return ", ".join(f"bit {number}={name}" for name, number in step.bits)
-        if isinstance(step, p.Scale) and step.unknown:
-            return "not known: " + ", ".join(_short(raw) for raw in step.unknown)
+        if isinstance(step, p.Scale) and (step.unknown or step.names):
+            parts = [f"{raw}={name}" for raw, name in step.names]
+            unknown = "not known: " + ", ".join(_short(raw) for raw in step.unknown)
+            return ", ".join([*parts, unknown] if step.unknown else parts)
     return ""
 
 
@@ -581,7 +610,7 @@ def _short(number: float) -> str:
 
 
 def _listed(values: Sequence[int]) -> str:
-    return ", ".join(map(str, values))
+    return ", ".join(map(str, values)) if len(values) <= 4 else described(values)
 
 
 __all__ = ["FieldRow", "Mark", "captured_values", "draw", "marks_of", "picture", "row_of", "table"]

@@ -15,7 +15,7 @@ import construct as c
 
 from ..protocol.codegen import plan as p
 from ..protocol.codegen.flatten import flatten
-from ..protocol.spec.bits import BitLayout
+from ..protocol.spec.bits import FLOATS, BitLayout, Bits
 from ..protocol.spec.fields import Multiplexed, SignMagnitude
 from ..protocol.spec.message import Message
 
@@ -30,7 +30,12 @@ class Kind:
 
 
 def _has_format(mark: str) -> Callable[[Any], bool]:
-    return lambda con: isinstance(con, c.FormatField) and con.fmtstr[-1:] == mark
+    def concerns(con: Any) -> bool:
+        if isinstance(con, Bits):
+            return con.is_float and FLOATS[con.width][-1:] == mark
+        return isinstance(con, c.FormatField) and con.fmtstr[-1:] == mark
+
+    return concerns
 
 
 KINDS = (

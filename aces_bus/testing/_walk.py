@@ -17,7 +17,7 @@ from typing import Any
 import construct as c
 
 from ..errors import AcesError, FieldError
-from ..protocol.spec.bits import BitLayout, Bits
+from ..protocol.spec.bits import FLOATS, BitLayout, Bits, Slot
 from ..protocol.spec.delimited import (
     AsciiDegrees,
     AsciiEnumeration,
@@ -108,7 +108,7 @@ def _numbers_in(expression: Any) -> list[int]:
 
 def _is_integer(con: Any) -> bool:
     inner = innermost(con)
-    return isinstance(inner, (c.BytesInteger, Bits)) or (
+    return (isinstance(inner, (c.BytesInteger, Bits)) and not getattr(inner, "is_float", False)) or (
         isinstance(inner, c.FormatField) and inner.fmtstr[-1:] not in "efd"
     )
 
@@ -186,6 +186,8 @@ class _Walk:
         return draw
 
     def _bits(self, con: Bits) -> Draw:
+        if con.is_float:
+            return _float(FLOATS[con.width][-1:])
         low = -(1 << con.width - 1) if con.signed else 0
         high = low + (1 << con.width) - 1
         return lambda source, ctx, room: number(source, low, high)
@@ -374,7 +376,6 @@ class _Walk:
 
     def _layout(self, layout: BitLayout) -> Draw:
         draws = [(slot, self._hinted(slot.name, self.of(slot.field))) for slot in layout.slots]
-        many = {s.name for s in layout.slots if sum(o.name == s.name for o in layout.slots) > 1}
         full = (1 << 8 * layout.size) - 1
 
         def draw(source: Source, ctx: Any, room: Room) -> Any:
@@ -382,19 +383,31 @@ class _Walk:
                 _=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False
             )
             values = c.Container()
-            free = full
+            raws: dict[str, int | None] = {}
+            word = claimed = 0
             for slot, one in draws:
-                if slot.mux is not None and not slot.mux.is_present(inner):
-                    values[slot.name] = inner[slot.name] = None
+                if not slot.is_present(raws):
+                    values[slot.name] = inner[slot.name] = raws[slot.name] = None
                     continue
-                for position in slot.positions:
-                    free &= ~(1 << position)
                 value = one(source, inner, room)
-                if slot.name in many:
+                if layout.overlapping or slot.name in layout.selectors:
+                    bits = _number_of(slot, value, inner)
+                    raws[slot.name] = slot.inner.raw_of(bits)
+                    word |= slot.write(bits) & ~claimed
+                claimed |= slot.mask
+                if slot.name in layout.many:
                     value = c.ListContainer([*values.get(slot.name, ()), value])
                 values[slot.name] = inner[slot.name] = value
-            if layout.has_reserved:
-                values["reserved"] = number(source, 0, full) & free if source.integer(0, 1) else 0
+            if layout.overlapping:
+                # Where fields share bits, the first one's count: what all of them then are is read back.
+                if layout.has_reserved:
+                    word |= number(source, 0, full) & ~claimed if source.integer(0, 1) else 0
+                values = layout._parsereport(io.BytesIO(word.to_bytes(layout.size, "little")), ctx, "")
+            elif layout.has_reserved:
+                values["reserved"] = number(source, 0, full) & ~claimed if source.integer(0, 1) else 0
+            if layout.trailing:
+                behind = Room(room.left - layout.size, room.is_exact)
+                values[layout.trailing] = _content(source, self._some(source, behind), self.message)
             return values
 
         return draw
@@ -483,6 +496,13 @@ class _Walk:
 def _asked(expression: Any, context: Any) -> Any:
     """The value of an expression of other fields, or the plain value."""
     return expression(context) if callable(expression) else expression
+
+
+def _number_of(slot: Slot, value: Any, context: Any) -> int:
+    """The bits of a field with this raw value, as an unsigned number."""
+    out = io.BytesIO()
+    slot.field._build(value, out, context, "")
+    return int.from_bytes(out.getvalue(), "big")
 
 
 def _measure(con: Any, value: Any, context: Any) -> int:

@@ -28,6 +28,7 @@ from ..protocol.spec.ambiguity import Conflict, conflict, needing_context, unres
 from ..protocol.spec.framing import Framing, Verdict
 from ..protocol.spec.message import DIRECTIONS, Message
 from ..protocol.spec.protocol import Protocol, Variant
+from ._columns import MODES, difference
 from ._exemptions import Exemption, are_excused, exemptions
 from ._play import copied, heard, image_of, plain, play, scanner_of, told
 from ._scenes import Scene, Way, Wire, adversary, cast, draw_cuts, draw_scene, variants_of
@@ -118,10 +119,11 @@ def _accepted(wire: Wire, direction: Way, scene: Scene) -> Iterable[tuple[Messag
 # ---------------------------------------------------------------------- 2, 3
 
 
-def oracle(wire: Wire, direction: Way, scene: Scene) -> None:
-    """Law 2: the generated scanner hears exactly what the reference tells, values and losses.
+def oracle(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
+    """Law 2: the generated scanner hears exactly what the reference tells, values and losses; and so do columns.
 
-    Raw values against the reference; physical ones against construct, packet by packet.
+    Raw values against the reference; physical ones against construct, packet by packet; columns (`check_columns`)
+    against the generated scanner.
     """
     wanted = told(wire, direction, scene)
     got = heard(scanner_of(wire, direction), scene)
@@ -151,6 +153,33 @@ def oracle(wire: Wire, direction: Way, scene: Scene) -> None:
             "physical: " + _first_difference("construct", physically, "the scanner", physical),
             scene,
         )
+    cuts = tuple(cuts)
+    mode = MODES[
+        (len(scene) + len(cuts)) % len(MODES)
+    ]  # one a scene: a column scanner costs more than a scene
+    check_columns(wire, direction, scene, cuts, modes=(mode,))
+
+
+def check_columns(
+    wire: Wire,
+    direction: Way,
+    scene: Scene,
+    cuts: Iterable[int] = (),
+    *,
+    modes: Iterable[tuple[bool, bool]] = MODES,
+) -> None:
+    """Law 2, of columns: a column scanner gives what the live one gives, value for value, cut at `cuts`.
+
+    Raw and physical values, their types, what is absent, rows, times, channels and directions, losses and counts. A
+    capture has words only: silences and transmissions of the scene are left out. `modes` are pairs of (raw, everything).
+    """
+    cuts = tuple(sorted(cuts))
+    for raw, everything in modes:
+        live = scanner_of(wire, direction, raw=raw)
+        said = difference(wire, direction, scene, cuts, live, raw=raw, everything=everything)
+        if said:
+            how = f"columns (raw={raw}, everything={everything}), cut at {cuts}: "
+            _fail(2, wire, direction, how + said, scene)
 
 
 def chunking(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int]) -> None:
@@ -528,7 +557,7 @@ class Law:
 
 LAWS = (
     Law(1, "round trip", round_trip),
-    Law(2, "oracle", oracle),
+    Law(2, "oracle", oracle, takes_cuts=True),
     Law(3, "chunking", chunking, takes_cuts=True),
     Law(4, "resynchronisation", resynchronisation),
     Law(5, "no false accept", no_false_accept),
@@ -549,6 +578,7 @@ __all__ = [
     "accounting",
     "bounded",
     "calm",
+    "check_columns",
     "chunking",
     "conflicts",
     "directions",

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.capture import CanCapture, Link, SerialCapture, open_capture
-from aces_bus.errors import CallerError, CaptureError
+from aces_bus.capture import CanCapture, Link, SerialCapture, formats, open_capture
+from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 
 LOG = b"(1436509052.249713) can0 044#2A366C2BBA\n"
 DUMP = b'Port opened by process "DXCONF.exe" (PID: 2568)\n\n FF FF   \xc3\xbf\xc3\xbf\n\nPort closed\n'
@@ -49,19 +49,26 @@ def test_content_tells_the_format(
 @pytest.mark.parametrize(
     ("content", "link", "says"),
     [
-        (BINARY, "can", "not a candump log: it looks binary (byte 0x01 at offset 2)"),
+        (BINARY, "can", "not a CAN capture: it looks binary (byte 0x01 at offset 2)"),
+        (BINARY, "can", "known are: Vector BLF log, "),
         (BINARY, "can", "a serial capture needs a serial protocol"),
         (BINARY, None, "say link='serial'"),
-        (b"\x00" * 200_000, "can", "not a candump log"),
+        (b"\x00" * 200_000, "can", "not a CAN capture"),
         (b"Dear diary,\n", "can", "it begins with 'Dear diary,'"),
         (b"0 X Y Z\n0.1 0 0 0\n" * 500, "can", "(candump -L can0 > walk.log)"),
         (LOG, "serial", "a candump log, not a serial capture; name a CAN protocol"),
-        (DUMP, "can", "a hex dump of a serial line; name a serial protocol"),
-        (b"\x1f\x8b\x08\x00rest", "can", "this is gzip; unpack it first"),
-        (b"LOGG\x90\x00\x00\x00", "can", "this is a Vector BLF log; convert it first"),
-        (b"date Tue Jul 9\nbase hex timestamps absolute\n", None, "this is a Vector ASC log"),
+        (DUMP, "can", "a hex dump of the vendor's serial monitor, of a serial line; name a serial protocol"),
+        (b"\x1f\x8b\x08\x00rest", "can", "the gzip data ends too early, after 8 bytes"),
+        (
+            b"date Tue Jul 9\nbase hex timestamps absolute\n",
+            "serial",
+            "a Vector ASC log, not a serial capture",
+        ),
+        (b"\xfd7zXZ\x00\x00", "can", "this is xz; unpack it first"),
+        (b"PK\x03\x04\x14\x00", None, "this is a zip archive; unpack it first"),
+        (b"time,id,value\n1,2,3\n", "can", "no column of this CSV is named as data"),
         (LOG.decode().encode("utf-16"), "can", "this is UTF-16 text"),
-        (b"junk\n" * 200 + LOG, "can", "not a candump log"),
+        (b"junk\n" * 200 + LOG, "can", "it begins with 'junk'"),
     ],
 )
 def test_a_wrong_file_is_refused_with_what_would_work(
@@ -75,6 +82,66 @@ def test_a_wrong_file_is_refused_with_what_would_work(
     assert str(caught.value).startswith(f"{path}: ")
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_format_may_be_named() -> None:
+    """Then the content is not looked at, and a link that the format is not of is refused."""
+    capture = open_capture(io.BytesIO(LOG), format="raw")
+    assert [chunk.data for chunk in capture] == [LOG]
+    with pytest.raises(CallerError, match="format 'raw' is of a serial link, and the protocol speaks can"):
+        open_capture(io.BytesIO(LOG), link="can", format="raw")
+    with pytest.raises(UnknownNameError, match="no capture format named 'ascii'"):
+        open_capture(io.BytesIO(LOG), format="ascii")
+
+
+def test_formats_are_listed_with_what_they_are() -> None:
+    """For help texts: each name once, with a description of one line."""
+    listed = formats()
+    assert list(listed)[-1] == "raw"  # any bytes are one: nothing may come behind
+    assert {"candump", "asc", "trc", "gvret", "crtd", "busmaster", "microchip", "csv", "id-csv"} <= set(
+        listed
+    )
+    assert all(words and "\n" not in words for words in listed.values())
+
+
+@pytest.mark.parametrize(
+    ("pieces", "form"),
+    [
+        ([b"da", b"te Sam Sep 30 15:06:13.191 2017\nbase hex\n", b"1.0 1 123 Rx d 1 11\n"], "Vector ASC log"),
+        ([b"// a remark\n", b"base hex\n1.0 1 123 Rx d 1 11\n"], "Vector ASC log"),
+        ([b";", b"$FILEVERSION=1.1\n", b" 1) 1 Rx 0123 1 11\n"], "PEAK trace"),
+        (
+            [b"timestamp,arbitration_id,", b"extended,remote,error,dlc,data\n1,0x123,0,0,0,1,EQ==\n"],
+            "python-can CSV",
+        ),
+        ([b"# remark\n", b"\n", b"(1.0) can0 123#11\n"], "candump"),
+        ([b"(1.", b"0) can0 123#11\n"], "candump"),
+        ([b"  can0 ", b" 123   [1]  11\n"], "candump"),
+    ],
+)
+def test_a_pipe_is_told_as_soon_as_it_shows_itself(pieces: list[bytes], form: str) -> None:
+    """The first line may come in pieces, behind remarks: it is waited for, and nothing behind it."""
+    reader, writer = os.pipe()
+    with open(reader, "rb", buffering=0) as file:
+
+        class InPieces(io.RawIOBase):
+            """What is written before each read."""
+
+            def fileno(self) -> int:
+                return file.fileno()
+
+            def read(self, size: int = -1) -> bytes:
+                if pieces:
+                    os.write(writer, pieces.pop(0))
+                    if not pieces:
+                        os.close(writer)
+                return file.read(size)
+
+        source: Any = InPieces()
+        capture = open_capture(source, link="can", name="pipe")
+        assert capture.live
+        assert capture.format == form
+        assert [frame.data for frame in capture] == [b"\x11"]
 
 
 def test_a_missing_file_names_one_that_is_near(tmp_path: Path) -> None:

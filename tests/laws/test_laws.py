@@ -72,7 +72,7 @@ def test_python_can_messages_are_frames(name: str) -> None:
     """A scanner hears the same in python-can's messages as in `Frame`s, and takes impossible ones calmly."""
     variant = PROTOCOLS[name].variant()
     for seed in range(1, 12):
-        (scene,) = laws.draw_arguments(LAWS[1], variant, None, spread(seed))
+        (scene,) = laws.draw_arguments(LAWS[0], variant, None, spread(seed))
         messages = [
             can.Message(
                 timestamp=frame.timestamp or 0.0,

@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import pytest
-from construct import Byte, Bytes, GreedyBytes, Int16ul, Int32ul, PrefixedArray, Struct, this
+from construct import (
+    Byte,
+    Bytes,
+    Construct,
+    ExprAdapter,
+    GreedyBytes,
+    GreedyRange,
+    Int16ul,
+    Int32ul,
+    LazyBound,
+    PrefixedArray,
+    StopIf,
+    Struct,
+    Switch,
+    this,
+)
 
 from aces_bus.errors import CallerError, SpecError
 from aces_bus.frame import Frame
 from aces_bus.protocol import (
+    BitLayout,
     CanScanner,
     Capture,
     Crc,
+    Enumeration,
     Insert,
     InvertedSum,
     Multiplexed,
@@ -18,6 +35,9 @@ from aces_bus.protocol import (
     Reference,
     StreamScanner,
     Unknown,
+    as_dict,
+    bits,
+    can_image,
     make_scanner,
 )
 
@@ -221,3 +241,90 @@ def test_frames_that_only_their_direction_tells_apart_need_one() -> None:
         made.scanner()
     (record,) = made.scanner(direction="from device").feed([Frame(1, b"\x07")])
     assert record.y == 7
+
+
+_PAIR = Struct("x" / Byte, "y" / Byte)
+
+
+@pytest.mark.parametrize(
+    "nested",
+    [
+        LazyBound(lambda: _PAIR),
+        GreedyRange(Struct("a" / Byte, "stop" / StopIf(this.a == 0), "b" / Byte)),
+        ExprAdapter(Byte, lambda number, context: {"a": number}, lambda value, context: value["a"]),
+        ExprAdapter(Byte, lambda number, context: {number: 1, "class": 2}, lambda value, context: 0),
+    ],
+    ids=["lazy", "stopped half way", "adapted", "no names"],
+)
+def test_nested_records_that_no_walk_foresees(nested: Construct) -> None:
+    """Their types were looked up by path and fields; what was not listed raised, and the frame was lost."""
+    made = Protocol("nested", link="can")
+    message = made.message("Nested", id=1, payload=Struct("n" / nested, "rest" / GreedyBytes))
+    for data in (b"\x01\x02", b"\x01\x00", b"\x00", b"\x05\x06\x00"):
+        (record,) = made.scanner(everything=True).feed([Frame(1, data)])
+        try:
+            message.struct.parse(can_image(1, data))
+        except Exception:
+            assert isinstance(record, Unknown)
+        else:
+            assert as_dict(record)["n"] is not None
+
+
+def test_nested_records_whose_names_read_alike() -> None:
+    """`a` in two shapes and a field `a_0` were one class, in payloads through construct and in flat ones."""
+    made = Protocol("alike", link="can")
+    shapes = Switch(this.k, {0: _PAIR}, default=Struct("z" / Byte))
+    made.message(
+        "Opaque", id=1, payload=Struct("k" / Byte, "a" / shapes, "a_0" / Struct("z" / Byte, "w" / Byte))
+    )
+    made.message(
+        "Flat",
+        id=2,
+        payload=Struct("a_b" / Struct("c" / Byte), "a" / Struct("b" / Struct("d" / Byte, "e" / Byte))),
+    )
+    opaque, flat = made.scanner().feed([Frame(1, bytes(5)), Frame(2, b"\1\2\3")])
+    assert as_dict(opaque) == {"k": 0, "a": {"x": 0, "y": 0}, "a_0": {"z": 0, "w": 0}}
+    assert as_dict(flat) == {"a_b": {"c": 1}, "a": {"b": {"d": 2, "e": 3}}}
+
+
+def test_names_with_underscores_have_tables_of_their_own() -> None:
+    """The names of `A.b_c` and of `A_b.c` were one table in the generated module: the second one's."""
+    made = Protocol("tables", link="can")
+    made.message("A", id=1, payload=BitLayout(1, "b_c" / Enumeration(bits(8), one=1)))
+    made.message("A_b", id=2, payload=BitLayout(1, "c" / Enumeration(bits(8), two=1)))
+    first, second = made.scanner().feed([Frame(1, b"\1"), Frame(2, b"\1")])
+    assert (first.b_c, second.c) == ("one", "two")
+    assert made.encode("A", b_c="one").data == made.encode("A_b", c="two").data == b"\1"
+
+
+def test_a_frame_never_gets_more_bytes_than_it_has() -> None:
+    """The quick encoder appended an open field without asking whether the frame had room."""
+    made = Protocol("room", link="can")
+    made.message("Open", id=1, payload=Struct("a" / Byte, "rest" / GreedyBytes))
+    assert len(made.encode("Open", a=1, rest=bytes(7)).data) == 8
+    with pytest.raises(CallerError, match="9 bytes of data"):
+        made.encode("Open", a=1, rest=bytes(8))
+
+
+def test_a_signed_selector_of_a_layout() -> None:
+    """Its raw value was compared without its sign in generated decoders."""
+    made = Protocol("signed", link="can")
+    made.message(
+        "Signed",
+        id=1,
+        payload=BitLayout(1, "s" / bits(3, signed=True), "a" / Multiplexed("s", -2, bits(5))),
+    )
+    (record,) = made.scanner().feed([Frame(1, b"\x56")])
+    assert (record.s, record.a) == (-2, 10)
+
+
+def test_a_scaled_number_of_64_bits_is_sent_exactly() -> None:
+    """An integer factor went through a float, which has 53 bits."""
+    from construct import Int64ul
+
+    from aces_bus.protocol import Quantity
+
+    made = Protocol("exact", link="can")
+    made.message("Exact", id=1, payload=Struct("n" / Quantity(Int64ul, scale=2, offset=1)))
+    raw = (1 << 64) - 3
+    assert bytes(made.encode("Exact", n=2 * raw + 1).data) == raw.to_bytes(8, "little")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from aces_bus.protocol import Protocol
 from tests.specs.automotive import automotive
 from tests.specs.cobs import cobs
+from tests.specs.database_like import database_like
 from tests.specs.dynamixel2 import dynamixel2
 from tests.specs.hubovia_like import hubovia_like
 from tests.specs.j1939_like import j1939_like
@@ -25,6 +26,7 @@ SPECS: dict[str, Protocol] = {
     for protocol in (
         automotive,
         cobs,
+        database_like,
         dynamixel2,
         hubovia_like,
         j1939_like,

@@ -132,3 +132,14 @@ def test_a_protocol_that_cannot_be_imported_does_not_hide_the_others(
     assert "no_such_module_here" in result.err
     assert result.err.count("\n") == 1
     assert "robotis" in result.out
+
+
+def test_a_database_is_listed_with_what_cannot_be_used(aces: Aces, tmp_path: Path) -> None:
+    """Messages on stdout; on stderr each problem with file and line."""
+    pytest.importorskip("cantools")
+    path = tmp_path / "car.dbc"
+    path.write_text('BU_: A\nBO_ 100 Speed: 8 A\n SG_ speed : 0|16@1+ (1,0) [0|0] "" A\nFOO_ 1;\n')
+    result = aces("protocols", str(path))
+    assert result.status == 0
+    assert "Speed" in result.out
+    assert f"{path}:4: cannot be read at 'FOO_' (FOO_ 1;)" in result.err.splitlines()

@@ -43,10 +43,45 @@ def test_what_cannot_be_read_says_how_it_is_written(text: str) -> None:
     assert "NAME:DIALECT" in refusal(text)
 
 
-def test_a_dbc_file_says_that_it_comes_later() -> None:
-    """Also when it exists."""
-    assert "DBC files cannot be used" in refusal("car.dbc")
-    assert "DBC files cannot be used" in refusal("some/Car.DBC")
+#: A database with a message that cannot be used.
+CAR = """VERSION ""
+BU_: A
+BO_ 100 Speed: 8 A
+ SG_ speed : 0|16@1+ (0.01,0) [0|0] "km/h" A
+BO_ 101 Broken: 8 A
+ SG_ gone : 0|16@1+ (0.01,0 [0|0] "" A
+"""
+
+
+def test_a_database_file_is_a_protocol(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """What cannot be used of it is said once, with its line, however often it is named."""
+    path = tmp_path / "Car.DBC"
+    path.write_text(CAR)
+    (one,) = parse_protocols([str(path), str(path)])
+    assert sorted(one.messages) == ["Broken", "Speed"]
+    said = capfd.readouterr().err.splitlines()
+    assert said == [f"aces: {path}: 1 of 6 statements was left out; first: {said[0].partition('first: ')[2]}"]
+    assert "line 6: " in said[0]
+
+
+def test_a_database_can_be_for_one_channel(tmp_path: Path) -> None:
+    """CHANNEL=FILE, also with an installed protocol; a file whose name has an equals sign is that file."""
+    path = tmp_path / "car.dbc"
+    path.write_text(CAR)
+    assert [v.channel for v in parse_protocols([f"can0={path}", f"can1={path}", "can2=hubo"])] == [
+        "can0",
+        "can1",
+        "can2",
+    ]
+
+
+def test_a_database_has_no_dialects(tmp_path: Path) -> None:
+    """Nor configurations; and it must be there."""
+    path = tmp_path / "car.dbc"
+    path.write_text(CAR)
+    assert "neither dialects nor configurations" in refusal(f"{path}:D08")
+    assert "neither dialects nor configurations" in refusal(f"{path}@robot.toml")
+    assert "no such file" in refusal("nowhere/car.kcd")
 
 
 def test_a_protocol_given_twice_counts_once() -> None:

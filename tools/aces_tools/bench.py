@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING
+
+#: Columns of a table that goes to a file.
+WIDTH = 120
 
 if TYPE_CHECKING:
     from .benchmarks.timing import Row
@@ -45,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    console = Console() if sys.stdout.isatty() else Console(width=WIDTH)
     subject = None
     table = Table(box=None, pad_edge=False)
     for column in ("", "figure", "unit", "ratio", "target", ""):

@@ -4,6 +4,7 @@
   aces decode session.bin -p robotis --direction from
   candump can0 | aces decode -p hubo -
   aces decode walk.log -p hubo --message Encoder --where board=3 -o encoder.csv
+  aces decode walk.log -p hubo -o walk.parquet
 
 A FILE is a candump log, the hex dump of the vendor's serial monitor, or raw
 serial bytes; `-` is standard input. What it is, its content says. With
@@ -15,33 +16,28 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-from aces_bus.capture import CanCapture, CanFilter, Capture, SerialCapture, open_capture, parse_filter
-from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.protocol import CanScanner, Scanner, StreamScanner, Unknown, Variant, make_scanner
+import numpy as np
+
+from aces_bus.capture import CanCapture, Capture, SerialCapture
+from aces_bus.errors import CallerError
+from aces_bus.export.open import FORMATS, format_of
+from aces_bus.frame import Frame
+from aces_bus.frame_table import to_ns
+from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 
-from .console import Output, Patience, abandon_stdout, say, terminal_width, wants_colour
+from .console import Output, Patience, terminal_width, wants_colour
+from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Totals, utf8
 from .output import Writer
-from .output.shape import plans_of
-from .protocols_arg import parse_protocols
 from .where import Where
 
 Format = Literal["text", "jsonl", "csv"]
-Link = Literal["can", "serial"]
-Direction = Literal["to device", "from device", "both"]
 
-DIRECTIONS: Mapping[str | None, Direction | None] = {
-    "to": "to device",
-    "from": "from device",
-    "both": "both",
-    None: None,
-}
 SUFFIXES: Mapping[str, Format] = {".jsonl": "jsonl", ".ndjson": "jsonl", ".csv": "csv"}
-#: Unreadable lines that are shown, of each file.
-SHOWN = 3
+#: Formats that are written value by value, in the order of the recording.
+LIVE: tuple[str, ...] = ("text", "jsonl", "csv")
 BATCH = 1024
 
 EPILOG = """\
@@ -69,12 +65,25 @@ formats:
   csv     with one --message: one row a record, one column a field; otherwise
           one row a value (field, value, unit)
 
+tables (-o FILE, told by its suffix; millions of frames a second):
+  .parquet .arrow .feather   a folder with one file a message, or with a single
+                  --message that file; units, enumerations and docs are in
+                  the schema's metadata
+  .csv/           (with the slash) a folder with one CSV a message
+  .npz            arrays by Message/field
+  .sqlite .db     one table a message; _messages and _columns describe them
+  .mcap           for Foxglove and PlotJuggler
+  Enumerations are numbers unless --names is given (in CSV they are names).
+  What is not decoded is counted, and with --unknown show written to _lost.
+  An output stands when it is whole: after Ctrl-C on a file, or an error while
+  writing, what was there before is still there.
+
 summary (last on stderr, one line a kind of link; the parts sum to the total):
   frames = decoded + unknown + malformed + filtered + errors           (CAN)
   bytes = decoded + unknown + malformed + skipped + filtered + pending (streams)
-  filtered: refused by --filter; or decoded, and refused by --message or
-  --where. Filters apply after recognition, so that a reply is told by its
-  request even where the request is not shown.
+  filtered: refused by --filter, --from or --to; or decoded, and refused by
+  --message, --signals or --where. Filters apply after recognition, so that a
+  reply is told by its request even where the request is not shown.
 
 exit status:
   0    also after Ctrl-C where the input was live
@@ -103,8 +112,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=["to", "from", "both"],
         help="which way the bytes of a raw file went: to or from the device; both pairs requests and replies",
     )
-    add("--format", choices=get_args(Format), help="default: by the suffix of --output, else text")
-    add("--output", "-o", metavar="FILE", help="write there instead of standard output")
+    add(
+        "--format",
+        choices=[*LIVE, *(name for name in FORMATS if name not in LIVE)],
+        metavar="FORMAT",
+        help="text, jsonl, csv, or one of the tables below (default: by the suffix of --output, else text)",
+    )
+    add("--output", "-o", metavar="FILE", help="write there instead of standard output; see tables below")
     add(
         "--filter",
         action="append",
@@ -127,15 +141,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only records such as field=value; see below",
     )
     add(
+        "--signals",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="tables: only these columns, such as Encoder.position.* or *.speed",
+    )
+    add(
+        "--from",
+        dest="start",
+        metavar="TIME",
+        help="from this time on: seconds from the first frame, or since 1970",
+    )
+    add("--to", dest="stop", metavar="TIME", help="up to this time, without it")
+    add(
         "--unknown",
         choices=["show", "hide", "only"],
-        help="print what is not decoded (default: show; hide with --message or --where)",
+        help="print what is not decoded (default: show; hide with --message or --where, and in tables)",
     )
     add("-q", "--quiet", action="store_true", help="print no records, only the summary")
     add(
         "--strict",
         action="store_true",
         help="exit 1 when anything was unknown, malformed, skipped, pending or unreadable",
+    )
+    add("--names", action="store_true", help="tables: enumerations as names instead of numbers")
+    add("--float32", action="store_true", help="tables: physical values in half the size, and less exact")
+    add(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="tables: so many processes; each message is then a folder of parts (Parquet, Arrow)",
     )
     add("--time", choices=["relative", "absolute"], default="relative", help="of text (default: relative)")
     add(
@@ -147,95 +184,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    return Decoding(arguments).run()
+    form = table_format(arguments)
+    if arguments.jobs < 1:
+        raise CallerError(f"--jobs {arguments.jobs}: at least one process has to do it")
+    if form is not None and arguments.jobs > 1:
+        from .decode_jobs import JobsDecoding
+
+        return JobsDecoding(arguments, form).run()
+    if form is not None:
+        from .decode_columns import ColumnDecoding
+
+        return ColumnDecoding(arguments, form).run()
+    for option in ("signals", "names", "float32", "jobs"):
+        if getattr(arguments, option) and (option != "jobs" or arguments.jobs > 1):
+            raise CallerError(
+                f"--{option} is for tables; write some: -o FILE.parquet (or .arrow .npz .sqlite .mcap .csv/)"
+            )
+    return LiveDecoding(arguments).run()
 
 
-@dataclass
-class Totals:
-    """The bins of one kind of link, over all files."""
-
-    bins: dict[str, int] = field(default_factory=dict)
-    lines_unreadable: int = 0
-    missed: int = 0
-    dropped: int = 0
-
-    def add(self, name: str, number: int) -> None:
-        self.bins[name] = self.bins.get(name, 0) + number
-
-    def __getitem__(self, name: str) -> int:
-        return self.bins.get(name, 0)
-
-    def line(self, link: Link) -> str:
-        """The summary line."""
-        if link == "can":
-            names = ("decoded", "unknown", "malformed", "filtered", "errors")
-            parts = [
-                f"frames={self['total']}",
-                *(f"{n}={self[n]}" for n in names),
-                f"lines_unreadable={self.lines_unreadable}",
-            ]
-            return " ".join(parts)
-        bins = ("decoded", "unknown", "malformed", "skipped", "filtered", "pending", "records")
-        text = " ".join([f"bytes={self['total']}", *(f"{n}={self[n]}" for n in bins)])
-        return f"{text} lines_unreadable={self.lines_unreadable}" if self.lines_unreadable else text
-
-    @property
-    def faults(self) -> list[str]:
-        """What --strict does not allow."""
-        found = [f"{self[n]} {n}" for n in ("unknown", "malformed", "skipped", "pending") if self[n]]
-        if self.lines_unreadable:
-            found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")
-        return found
+def table_format(arguments: argparse.Namespace) -> str | None:
+    """The format of tables that is asked for; None for text, record lines and CSV by rows."""
+    path: str | None = arguments.output
+    chosen: str | None = arguments.format
+    of_path = format_of(path) if path is not None else None
+    if chosen is None:
+        return of_path
+    if chosen in LIVE and not (chosen == "csv" and of_path == "csv"):
+        return None
+    if path is None or path == "-":
+        raise CallerError(f"--format {chosen} goes to a file or folder; name it with --output")
+    return chosen
 
 
-class Decoding:
-    """One run of `aces decode`. A wrong call raises before anything is read."""
+class LiveDecoding(Decoding):
+    """Records one by one, in the order of the recording, as they come."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        self.arguments = arguments
-        self.files: list[str] = arguments.files
-        self.direction: Direction | None = DIRECTIONS[arguments.direction]
-        self.variants: dict[Link, list[Variant]] = {"can": [], "serial": []}
-        variants = parse_protocols(arguments.protocol)
-        for variant in variants:
-            self.variants["can" if variant.link == "can" else "serial"].append(variant)
-        self.plans = plans_of(variants)
-        self.filter = self._filter(arguments.filter)
-        self.messages = self._messages(arguments.message)
+        super().__init__(arguments)
         self.where = Where(arguments.where, self.plans) if arguments.where else None
         self.is_selective = bool(self.messages) or self.where is not None
         show = arguments.unknown or ("hide" if self.is_selective else "show")
         self.shows_records = show != "only" and not arguments.quiet
         self.shows_losses = show != "hide" and not arguments.quiet
         self.scanners: dict[tuple[Link, Direction | None], Scanner] = {}
-        self.totals: dict[Link, Totals] = {}
-        self.status = 0
-        self.is_warned = False
-        #: Interfaces that --filter names; those that occurred are taken out.
-        self.absent = (
-            {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
-        )
-        #: All that occurred, while one is missing.
-        self.present: set[str] = set()
         #: The source that the writer has not been told of yet.
         self.pending: tuple[str, Link] | None = None
-        #: Unreadable lines of this file that have been named.
-        self.shown = 0
         self.output = Output(arguments.output, self.files)
         self.writer = self._writer(arguments)
-
-    def _filter(self, texts: list[str]) -> CanFilter | None:
-        if texts and not self.variants["can"]:
-            raise CallerError("--filter is for CAN frames, and no protocol given with -p is for CAN")
-        return parse_filter(*texts) if texts else None
-
-    def _messages(self, texts: list[str]) -> frozenset[str]:
-        known = {kind.__name__ for kind in self.plans}
-        wanted = [name.strip() for text in texts for name in text.split(",")]
-        for name in wanted:
-            if name not in known:
-                raise UnknownNameError("message", name, known)
-        return frozenset(wanted)
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         path: str = arguments.output or ""
@@ -265,132 +261,87 @@ class Decoding:
 
     # ------------------------------------------------------------------ running
 
-    def run(self) -> int:
-        was_live = False
-        with Patience() as patience:
-            try:
-                for name in self.files:
-                    if patience.is_over:
-                        break
-                    was_live = self._file(name, patience)
-                self.output.close()
-            except BrokenPipeError:
-                abandon_stdout()
-            except KeyboardInterrupt:
-                patience.is_over = True
-            except CallerError as error:  # the output, or a call that only shows itself wrong while decoding
-                self._complain(str(error))
-            self._summarise()
-        if patience.is_over and not was_live and not self.status:
-            return 130
-        return self.status
+    def _opened(self, capture: CanCapture | SerialCapture) -> None:
+        self.pending = (utf8(capture.name), capture.link)
 
-    def _complain(self, message: str) -> None:
-        self.status = 2
-        self._flush()
-        say(message)
+    def _done(self) -> None:
+        self._begin(None)
 
-    def _file(self, name: str, patience: Patience) -> bool:
-        """Decode one file; whether it was live. What is wrong with it is said, and the others are decoded."""
+    def _finish(self, *, is_whole: bool) -> None:
+        self.output.close()
+
+    def _flush(self) -> None:
         try:
-            capture = self._open(name, patience)
-        except CaptureError as error:
-            self._complain(str(error))
-            return False
-        except KeyboardInterrupt:
-            patience.is_over = True
-            return name == "-"
-        with capture:
-            self.shown = 0
-            totals = self.totals.setdefault(capture.link, Totals())
-            self.pending = (_utf8(capture.name), capture.link)
-            try:
-                if isinstance(capture, CanCapture):
-                    self._can(capture, totals, patience)
-                else:
-                    self._serial(capture, totals, patience)
-                self._begin(None)
-            except CaptureError as error:
-                self._complain(str(error))
-            finally:
-                self._problems(capture)
-                if capture.lines_unreadable > SHOWN:
-                    say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
-                totals.lines_unreadable += capture.lines_unreadable
-                if isinstance(capture, CanCapture):
-                    totals.dropped += capture.frames_dropped
-            return capture.live
-
-    def _open(self, name: str, patience: Patience) -> CanCapture | SerialCapture:
-        links: list[Link] = [link for link, variants in self.variants.items() if variants]
-        with patience.waiting():  # for the first bytes of a pipe
-            if len(links) == 1:
-                return open_capture(name, link=links[0])
-            try:
-                return open_capture(name)
-            except CaptureError:
-                if name == "-" or not os.path.isfile(name):
-                    raise
-                return open_capture(name, link="serial")  # none of the formats that say what they are
+            self.output.flush()
+        except (CallerError, BrokenPipeError):
+            pass  # met again by the next write
 
     def _scanner(self, link: Link, direction: Direction | None) -> Scanner:
         if (link, direction) not in self.scanners:
-            for variant in self.variants[link] if link == "serial" and direction is None else ():
-                clash = variant.needs_direction
-                if clash is not None:
-                    raise CallerError(
-                        f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
-                        " say which way they went: --direction to (to the device), from, or both"
-                    )
+            if link == "serial":
+                self._check_direction(direction)
             self.scanners[link, direction] = make_scanner(
                 self.variants[link], direction=direction, everything=True
             )
         return self.scanners[link, direction]
 
     def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
-        scanner = self._scanner("can", self.direction)
-        assert isinstance(scanner, CanScanner)
+        scanner: Any = self._scanner("can", self.direction)
         scanner.reset()
         try:
             for frames in patience.each(capture.batches(BATCH)):
-                items = scanner.feed(frames)
-                self._begin(items[0])
-                if scanner.contested and not self.is_warned:
-                    self._warn(scanner, items)
-                if self.absent:
-                    channels = {str(frame.channel) for frame in frames}
-                    self.present |= channels
-                    self.absent -= channels
-                if self.filter is not None:
-                    matches = self.filter.matches
-                    kept = [item for frame, item in zip(frames, items, strict=True) if matches(frame)]
-                    if len(kept) < len(items):
-                        for frame, item in zip(frames, items, strict=True):
-                            if not matches(frame):
-                                self._reject(item, 1, totals)
-                    items = kept
-                self._emit(items, totals, is_can=True)
+                self._frames(scanner, frames, totals)
                 self._after_batch(capture)
         finally:
-            self._count(scanner, totals)
+            totals.count(scanner.counts)
+
+    def _frames(self, scanner: Any, frames: list[Frame], totals: Totals) -> None:
+        """Frames that follow each other, one or more."""
+        items = scanner.feed(frames)
+        self._begin(items[0])
+        if scanner.contested and not self.is_warned:
+            self._warn_of(scanner.contested, items)
+        if self.absent:
+            self._seen({str(frame.channel) for frame in frames})
+        items = self._inside(items, totals, is_can=True)
+        if self.filter is not None:
+            matches = self.filter.matches
+            kept = []
+            for frame, item in zip(frames, items, strict=True):
+                if item is None:
+                    continue
+                if matches(frame):
+                    kept.append(item)
+                else:
+                    self._reject(item, 1, totals)
+            items = kept
+        self._emit(items, totals, is_can=True)
 
     def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
-        used: dict[Direction | None, StreamScanner] = {}
+        used: dict[Direction | None, Scanner] = {}
         try:
-            for chunk in patience.each(capture):
+            for chunk in patience.each(with_silence(capture, self.gap)):
+                if not chunk.data:
+                    for scanner in used.values():
+                        self._emit(self._inside(scanner.idle(chunk.time), totals, is_can=False), totals, is_can=False)
+                    self._after_batch(capture)
+                    continue
                 direction: Direction | None = self.direction or chunk.direction
                 if direction not in used:
-                    scanner = self._scanner("serial", direction)
-                    assert isinstance(scanner, StreamScanner)
+                    scanner: Any = self._scanner("serial", direction)
                     scanner.reset()
                     used[direction] = scanner
-                self._emit(used[direction].feed(chunk.data, chunk.time), totals, is_can=False)
+                if self.window is not None:
+                    self.window.see(to_ns(chunk.time))
+                feed: Any = used[direction].feed
+                items = self._inside(feed(chunk.data, chunk.time), totals, is_can=False)
+                self._emit(items, totals, is_can=False)
                 self._after_batch(capture)
             for scanner in used.values():
-                self._emit(scanner.close(), totals, is_can=False)
+                self._emit(self._inside(scanner.close(), totals, is_can=False), totals, is_can=False)
         finally:
             for scanner in used.values():
-                self._count(scanner, totals)
+                totals.count(scanner.counts)
 
     def _begin(self, first: Any) -> None:
         """Tell the writer that a source begins, once its first item is known, or that there is none."""
@@ -407,8 +358,23 @@ class Decoding:
 
     # ------------------------------------------------------------------ items
 
+    def _inside(self, items: list[Any], totals: Totals, *, is_can: bool) -> list[Any]:
+        """The items, with None for those that --from and --to refuse; these go into the bin `filtered`."""
+        if self.window is None or not items:
+            return items
+        instants = (to_ns(i.meta.time if type(i) is Unknown else i._time) for i in items)
+        kept = self.window.inside(np.fromiter(instants, np.int64, len(items))).tolist()
+        if all(kept):
+            return items
+        for item, is_inside in zip(items, kept, strict=True):
+            if not is_inside:
+                self._reject(item, 1 if is_can else item.meta.size, totals)
+        return [item if is_inside else None for item, is_inside in zip(items, kept, strict=True)]
+
     def _emit(self, items: list[Any], totals: Totals, *, is_can: bool) -> None:
         """Write what is to be shown; what --message and --where refuse goes into the bin `filtered`."""
+        if self.window is not None:
+            items = [item for item in items if item is not None]
         if items:
             self._begin(items[0])
         if self.is_selective:
@@ -424,7 +390,11 @@ class Decoding:
                 item for item in items if (self.shows_losses if type(item) is Unknown else self.shows_records)
             ]
         if items:
-            self.output.write(self.writer.items(items))
+            self._show(items)
+
+    def _show(self, items: list[Any]) -> None:
+        """Write items that are to be shown."""
+        self.output.write(self.writer.items(items))
 
     def _is_wanted(self, record: Any) -> bool:
         if self.messages and type(record).__name__ not in self.messages:
@@ -441,64 +411,14 @@ class Decoding:
             totals.add("decoded", -size)
             totals.add("records", -1)
 
-    @staticmethod
-    def _count(scanner: Scanner, totals: Totals) -> None:
-        counts = scanner.counts
-        for name in ("total", "decoded", "unknown", "malformed", "skipped", "errors", "pending", "records"):
-            totals.add(name, getattr(counts, name))
-        totals.missed += counts.missed
-
-    def _warn(self, scanner: CanScanner, items: Iterable[Any]) -> None:
-        """Two protocols claim a frame that has come: say so, once."""
+    def _warn_of(self, contested: Mapping[int, tuple[str, str]], items: Iterable[Any]) -> None:
+        """Warn when one of the items is of an identifier that two protocols claim."""
         for item in items:
             meta = item.meta
             key = key_of(meta.identifier, extended=meta.extended, remote=meta.remote, fd=meta.fd)
-            if key in scanner.contested and type(item) is not Unknown:
-                first, other = scanner.contested[key]
-                say(
-                    f"{first} and {other} both claim identifier {meta.identifier:#05x}"
-                    f" ({len(scanner.contested)} in all); the one that -p names first is tried first"
-                )
-                self.is_warned = True
+            if key in contested and type(item) is not Unknown:
+                self._warn(contested, key, meta.identifier)
                 return
 
-    # ------------------------------------------------------------------ what goes to stderr
 
-    def _problems(self, capture: Capture) -> None:
-        """Name the first unreadable lines, each once; those of live sources as they come."""
-        for problem in capture.problems[self.shown : SHOWN]:
-            self.shown += 1
-            self._flush()
-            say(f"{capture.name}:{problem.line}: {problem.reason}: {problem.excerpt!r}")
-
-    def _flush(self) -> None:
-        """What has been written stands before what is said about it."""
-        try:
-            self.output.flush()
-        except (CallerError, BrokenPipeError):
-            pass  # met again by the next write
-
-    def _summarise(self) -> None:
-        totals: dict[Link, Totals] = self.totals
-        if not totals:
-            totals = {link: Totals() for link, variants in self.variants.items() if variants}
-        for name in sorted(self.absent) if self.present else ():
-            say(f"--filter: no frame came from {name!r} (there are: {', '.join(sorted(self.present))})")
-        for total in totals.values():
-            if total.dropped:
-                say(f"the recorder says that it lost {total.dropped} frames")
-            if total.missed:
-                say(f"rolling counters say that {total.missed} messages are missing")
-            if total["total"] and not total["decoded"] and not total["filtered"]:
-                say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
-        faults = [fault for total in totals.values() for fault in total.faults]
-        if self.arguments.strict and faults:
-            say(f"--strict: {', '.join(faults)}")
-            self.status = self.status or 1
-        for link, total in totals.items():
-            say(total.line(link), who="")
-
-
-def _utf8(name: str) -> str:
-    """A file's name as JSON and terminals take it."""
-    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+__all__ = ["DIRECTIONS", "SHOWN", "Direction", "Link", "LiveDecoding", "Totals", "add_arguments", "run"]

@@ -22,6 +22,8 @@ from .console import abandon_stdout, say
 #: and describes itself in its docstring, which `aces VERB --help` shows.
 VERBS: dict[str, tuple[str, str]] = {
     "decode": ("decode", "decode recordings: candump logs, serial captures, standard input"),
+    "plot": ("plot", "draw signals over time: in the terminal, PNG, SVG, PDF"),
+    "convert": ("convert", "convert recordings between formats: candump, ASC, BLF, TRC, MF4, pcapng, serial"),
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
     "spec": ("spec", "tools for the authors of protocols: stubs for editors"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
@@ -37,6 +39,10 @@ class Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `aces` with these arguments (by default the program's) and return its exit status."""
+    if argv is None:
+        # python-can imports asammdf where it is installed, for a format that we read in a process of its own: a second
+        # of every start. In this program it is not to be found.
+        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how import is told
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
         if sys.stdout is not None:

@@ -4,6 +4,8 @@
   aces protocols robotis            its messages and registers
   aces protocols robotis Status     its bits as a picture, its fields as a table
   aces protocols hubo:D08 NameInfo  in one dialect; also my_spec.py NameInfo
+  aces protocols car.dbc            of a database; what cannot be used of it
+                                    is listed on stderr
 
 `unchecked` protocols have no check in their packets: what looks like a packet
 is taken for one. Frames on CAN are checked by the bus itself. → goes to the
@@ -39,7 +41,7 @@ from aces_bus.protocol.codegen.print_decode import Decoder
 from .console import Output, say, terminal_width, wants_colour
 from .output.columns import beside, columns
 from .output.text import Paint, make_paint, no_paint
-from .protocols_arg import named
+from .protocols_arg import named, problems_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,6 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         _print_messages(messages, Page(arguments.color))
     else:
         _print_protocol(protocol, messages, Page(arguments.color))
+        for problem in problems_of(protocol):
+            say(problem.of(protocol.source), who="")
     return 0
 
 

@@ -6,6 +6,10 @@
     hubo@robot.toml         a configuration of your own, from a file
     my_spec.py              the one protocol that a Python file declares; my_spec.py:NAME where there are several;
                             dialect and configuration follow as above (my_spec.py:NAME:D08@robot.toml)
+    car.dbc                 a database of messages: .dbc, .kcd, .sym, .arxml; CANopen: .eds, .dcf
+    can0=car.dbc            any of these, for the frames of one channel only
+
+What of a database cannot be taken over is said once, on stderr.
 
 A Python file is executed, with all your rights, like any program that you start: name only files that you trust.
 
@@ -29,19 +33,25 @@ import traceback
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
+from multiprocessing import parent_process
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, list_protocols, load_protocol
+from aces_bus.protocol.foreign import Imported, Problem, load_database
+
+from .console import say
 
 _FILE = re.compile(
-    r"(?P<path>.+\.(?P<kind>py|dbc))(?P<names>(?::[^:@/\\]+)*)(?:@(?P<configuration>.+))?", re.IGNORECASE
+    r"(?P<path>.+\.(?P<kind>py|dbc|kcd|sym|arxml|eds|dcf))(?P<names>(?::[^:@/\\]+)*)(?:@(?P<configuration>.+))?",
+    re.IGNORECASE,
 )
+_CHANNEL = re.compile(r"(?P<channel>[^=:@/\\]+)=(?P<rest>.+)", re.DOTALL)
 _NAME = re.compile(r"(?P<name>[^:@]+)(?::(?P<dialect>[^:@]+))?(?:@(?P<configuration>.+))?")
 
-SYNTAX = "write NAME, NAME:DIALECT, NAME@CONFIGURATION, NAME@robot.toml or my_spec.py"
+SYNTAX = "write NAME, NAME:DIALECT, NAME@CONFIGURATION, NAME@robot.toml, my_spec.py or car.dbc"
 
 
 class Named(NamedTuple):
@@ -50,13 +60,16 @@ class Named(NamedTuple):
     protocol: Protocol
     dialect: str | None
     configuration: str | None
+    channel: str | None = None
 
     def variant(self) -> Variant:
         """The protocol in this dialect and configuration; raises `CallerError` for one that it does not have."""
         configuration = self.configuration
         if configuration is None or not configuration.lower().endswith(".toml"):
-            return self.protocol.variant(self.dialect, configuration)
-        return self.protocol.variant(self.dialect, read_configuration(configuration, self.protocol))
+            found = self.protocol.variant(self.dialect, configuration)
+        else:
+            found = self.protocol.variant(self.dialect, read_configuration(configuration, self.protocol))
+        return found if self.channel is None else found.on(self.channel)
 
 
 def parse_protocols(texts: Iterable[str]) -> list[Variant]:
@@ -66,13 +79,14 @@ def parse_protocols(texts: Iterable[str]) -> list[Variant]:
 
 def named(text: str) -> Named:
     """What a `-p` names; raises `CallerError` with what would have worked."""
+    if (bound := _CHANNEL.fullmatch(text)) and not os.path.exists(text):
+        return named(bound["rest"])._replace(channel=bound["channel"])
     if found := _FILE.fullmatch(text):
-        if found["kind"].lower() == "dbc":
-            raise CallerError(
-                f"{found['path']}: DBC files cannot be used as a protocol yet;"
-                " declare the messages in a Python file and name that: -p my_spec.py"
-            )
         names = found["names"].split(":")[1:]
+        if found["kind"].lower() != "py":
+            if names or found["configuration"] is not None:
+                raise CallerError(f"-p {text}: {found['path']} has neither dialects nor configurations")
+            return Named(_of_database(found["path"]), None, None)
         protocol = _of_file(found["path"], names)
         if len(names) > 1:
             raise CallerError(f"-p {text}: nothing named {names[1]!r} is left to choose; {SYNTAX}")
@@ -96,6 +110,32 @@ def _installed(name: str) -> Protocol:
         raise CallerError(
             f"protocol {name} ({list_protocols()[name].value}) cannot be imported: {_said(error)}"
         ) from error
+
+
+# ---------------------------------------------------------------------- database files
+
+#: By path, time of change and size: what is named twice is read once, and complained about once.
+_databases: dict[tuple[str, int, int], Imported] = {}
+
+
+def _of_database(path: str) -> Protocol:
+    """The protocol of a database file; what could not be taken over is said on stderr, once, by the first process."""
+    try:
+        status = os.stat(path)
+        known = (os.path.realpath(path), status.st_mtime_ns, status.st_size)
+    except (OSError, ValueError):
+        known = (path, 0, -1)  # loading says what is wrong
+    if known not in _databases:
+        imported = load_database(path)
+        if imported.problems and parent_process() is None:
+            say(imported.summary)
+        _databases[known] = imported
+    return _databases[known].protocol
+
+
+def problems_of(protocol: Protocol) -> list[Problem]:
+    """What could not be taken over of the file that a protocol comes from; none when it comes from no such file."""
+    return [p for one in _databases.values() if one.protocol is protocol for p in one.problems]
 
 
 # ---------------------------------------------------------------------- Python files

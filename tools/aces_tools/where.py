@@ -30,6 +30,7 @@ import msgspec
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import FlagSet, Meta, Record
 from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.scan.gather import physical
 
 from .output.shape import getter
 
@@ -183,6 +184,8 @@ def _names(node: p.Node) -> list[str] | None:
             found += [name for _, name in step.values]
         elif isinstance(step, p.FlagBits):
             found += [name for name, _ in step.bits]
+        elif isinstance(step, p.Scale):
+            found += [name for _, name in step.names]
     return found
 
 
@@ -209,49 +212,56 @@ def _paths(plans: Any) -> set[str]:
 
 def _test(condition: Condition, plan: p.MessagePlan) -> Test | None:
     """The condition for one message; None when it lacks the field."""
-    one, is_not = _comparison(condition, {}), condition.sign == "!="
+    one, is_not = comparison(condition, {}), condition.sign == "!="
     if condition.is_meta:
         name = str(condition.path[1])
         return lambda record: one(getattr(record.meta, name)) is not is_not
     nodes = list(_nodes(condition.path, plan.fields))
     if not nodes:
         return None
-    one = _comparison(condition, {name: raw for node in nodes for raw, name in _numbered(node)})
+    one = comparison(condition, {name: raw for node in nodes for raw, name in _numbered(node)})
     path = condition.path
     if len(nodes) == 1 and not isinstance(nodes[0], (p.Opaque, p.MoreCells)):
         get = getter(path)
         return lambda record: one(get(record)) is not is_not
 
     def of_several(record: Any) -> bool:
-        values = list(_values(record, path))
+        values = list(values_of(record, path))
         return bool(values) and any(map(one, values)) is not is_not
 
     return of_several
 
 
-def _numbered(node: p.Node) -> list[tuple[int, str]]:
-    return [pair for step in getattr(node, "steps", ()) if isinstance(step, p.Names) for pair in step.values]
+def _numbered(node: p.Node) -> list[tuple[float, str]]:
+    """The numbers of a value's names, in its unit."""
+    found: list[tuple[float, str]] = []
+    for step in getattr(node, "steps", ()):
+        if isinstance(step, p.Names):
+            found += step.values
+        elif isinstance(step, p.Scale):
+            found += [(physical(raw, step), name) for raw, name in step.names]
+    return found
 
 
-def _values(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
+def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
     """What a path may mean in a record: several values when it does not say which item of a tuple."""
     if isinstance(value, (tuple, list)):
         if path and isinstance(path[0], int):
             if path[0] < len(value):
-                yield from _values(value[path[0]], path[1:])
+                yield from values_of(value[path[0]], path[1:])
         else:
             for item in value:
-                yield from _values(item, path)
+                yield from values_of(item, path)
     elif not path:
         yield value
     elif isinstance(value, Mapping):
         if path[0] in value:
-            yield from _values(value[path[0]], path[1:])
+            yield from values_of(value[path[0]], path[1:])
     elif isinstance(value, msgspec.Struct) and str(path[0]) in value.__struct_fields__:
-        yield from _values(getattr(value, str(path[0])), path[1:])
+        yield from values_of(getattr(value, str(path[0])), path[1:])
 
 
-def _comparison(condition: Condition, numbers: Mapping[str, int]) -> Test:
+def comparison(condition: Condition, numbers: Mapping[str, float]) -> Test:
     """Compares one value (`!=` as `=`); `numbers` are the raw numbers of an enumeration's names."""
     wanted, number, data = condition.value, condition.number, condition.data
     if condition.sign in _ORDER:
@@ -284,4 +294,4 @@ def _comparison(condition: Condition, numbers: Mapping[str, int]) -> Test:
     return equal
 
 
-__all__ = ["Condition", "Where", "parse_condition"]
+__all__ = ["Condition", "Where", "comparison", "parse_condition", "values_of"]

@@ -117,9 +117,10 @@ def quick_encoders(
     lines = [f'"""Encoders of {variant.label}: generated from its spec."""', ""]
     names: dict[str, Any] = {"Struct": struct.Struct, "Unusual": Unusual}
     others: dict[str, str] = {}
+    helpers: dict[str, str] = {}
     for message in variant.messages.values():
         try:
-            lines += ["", *print_encoder(message, flatten(message)), ""]
+            lines += ["", *print_encoder(message, flatten(message), helpers), ""]
         except NoEncoder as reason:
             others[message.name] = str(reason)
             continue

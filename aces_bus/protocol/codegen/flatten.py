@@ -12,7 +12,7 @@ import construct as c
 
 from ..keys import key_of
 from ..spec import delimited as d
-from ..spec.bits import BitLayout, Bits
+from ..spec.bits import BitLayout, Bits, Slot
 from ..spec.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, SignMagnitude, Text
 from ..spec.head import Head
 from ..spec.message import Message
@@ -90,6 +90,20 @@ def flatten(message: Message) -> p.MessagePlan:
     )
 
 
+def _claims(
+    always: int, masks: dict[str, dict[int, int]], whens: dict[str, tuple[str, tuple[int, ...]] | None]
+) -> tuple[Any, ...]:
+    """What of a layout its fields claim: the last three values of a `Rest`."""
+    if not masks:
+        return ((None, always),), None, ()
+    selectors = list(masks)
+    if len(selectors) == 1 and whens[selectors[0]] is None:
+        claimed = [(value, always | mask) for value, mask in sorted(masks[selectors[0]].items())]
+        return (*claimed, (None, always)), selectors[0], ()
+    more = tuple((name, tuple(sorted(by_value.items()))) for name, by_value in masks.items())
+    return ((None, always),), None, more
+
+
 def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, tuple[str, ...]]]:
     """The nested records of an opaque payload."""
     found: list[tuple[str, tuple[str, ...]]] = []
@@ -101,7 +115,8 @@ def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, 
             found += _parts(item, f"{path}_{item.name}" if item.name else path, top=False)
     elif isinstance(con, BitLayout):
         if not top:
-            found.append((path, (*con.names, "reserved") if con.has_reserved else tuple(con.names)))
+            more = [con.trailing] if con.trailing else []
+            found.append((path, (*con.names, *(["reserved"] if con.has_reserved else []), *more)))
     elif isinstance(con, Multiplexed):
         found += _parts(con.body, path, top=False)
     elif isinstance(con, c.IfThenElse):
@@ -174,6 +189,7 @@ def _scale(quantity: Quantity) -> p.Scale:
         quantity.range,
         quantity.raw_range,
         quantity.rounding,
+        tuple((value, name) for name, value in quantity.names.items()),
     )
 
 
@@ -273,6 +289,7 @@ class _Builder:
         self.offset = message.payload_start
         self.is_open = False
         self.tail = tail
+        self._shapes: dict[tuple[str, tuple[str, ...]], str] = {}
 
     @property
     def size(self) -> int:
@@ -373,9 +390,9 @@ class _Builder:
         while isinstance(body, (c.Renamed, c.Default)):
             body = body.subcon
         if isinstance(body, c.Struct):
-            return p.Group(path, tuple(self._struct(body, path, top=False)))
+            return self._group(path, self._struct(body, path, top=False))
         if isinstance(body, BitLayout):
-            return p.Group(path, tuple(self._layout(body, path)))
+            return self._group(path, self._layout(body, path))
         if isinstance(body, c.Array) and isinstance(body.count, int):
             if body.count > 64:
                 raise NotFlat(f"an array of {body.count}")
@@ -384,58 +401,66 @@ class _Builder:
         self._advance(scalar.size)
         return scalar
 
+    def _group(self, path: str, fields: list[p.PlanField]) -> p.Group:
+        """A nested record. Its type is named after its path; where two paths read alike, the second gets a number."""
+        shape = (path, tuple(field.name for field in fields))
+        name, count = self._shapes.get(shape, path), 1
+        while shape not in self._shapes and name in self._shapes.values():
+            count += 1
+            name = f"{path}_{count}"
+        self._shapes[shape] = name
+        return p.Group(name, tuple(fields))
+
     def _layout(self, layout: BitLayout, path: str) -> list[p.PlanField]:
-        base = 8 * self.offset
         found: dict[str, list[p.Scalar]] = {}
         whens: dict[str, tuple[str, tuple[int, ...]] | None] = {}
         docs: dict[str, str] = {}
-        many = {s.name for s in layout.slots if sum(o.name == s.name for o in layout.slots) > 1}
         always = 0
-        by_value: dict[int, int] = {}
-        selector: str | None = None
+        masks: dict[str, dict[int, int]] = {}
         for slot in layout.slots:
-            inner, steps, unit, doc = _peel(slot.field)
-            assert isinstance(inner, Bits)
-            bits = tuple(base + q for q in slot.positions)
-            scalar = p.Scalar(
-                "int" if inner.signed else "uint",
-                self.offset,
-                layout.size,
-                "little",
-                bits,
-                tuple(steps),
-                unit,
-            )
+            scalar, docs[slot.name] = self._slot(slot, layout)
             found.setdefault(slot.name, []).append(scalar)
-            docs[slot.name] = doc
-            mask = sum(1 << q for q in slot.positions)
-            if slot.mux is None:
-                always |= mask
-                whens[slot.name] = None
+            mux = slot.mux
+            whens[slot.name] = (mux.selector, tuple(sorted(mux.when))) if mux is not None else None
+            if mux is None:
+                always |= slot.mask
                 continue
-            if selector is not None and selector != slot.mux.selector:
-                raise NotFlat("multiplexed by two selectors")
-            selector = slot.mux.selector
-            self.selectors[selector] = found[selector][0]
-            whens[slot.name] = (selector, tuple(sorted(slot.mux.when)))
-            for value in slot.mux.when:
-                by_value[value] = by_value.get(value, 0) | mask
+            selector = found[mux.selector][0]
+            if selector.kind == "float":
+                raise NotFlat(f"selector {mux.selector!r} is not a plain integer")
+            self.selectors.setdefault(mux.selector, selector)
+            by_value = masks.setdefault(mux.selector, {})
+            for value in mux.when:
+                by_value[value] = by_value.get(value, 0) | slot.mask
         fields = []
         for name in layout.names:
             nodes = found[name]
-            node: p.Node = p.Many(tuple(nodes)) if name in many else nodes[0]
+            node: p.Node = p.Many(tuple(nodes)) if name in layout.many else nodes[0]
             fields.append(p.PlanField(name, node, docs[name], whens[name]))
         if layout.has_reserved:
-            claimed: list[tuple[int | None, int]] = [(v, always | m) for v, m in sorted(by_value.items())]
-            fields.append(
-                p.PlanField(
-                    "reserved",
-                    p.Rest(self.offset, layout.size, (*claimed, (None, always)), selector),
-                    "bits without a field",
-                )
-            )
+            rest = p.Rest(self.offset, layout.size, *_claims(always, masks, whens))
+            fields.append(p.PlanField("reserved", rest, "bits without a field"))
         self._advance(layout.size)
+        if layout.trailing:
+            behind = p.Scalar("bytes", self.offset, None)
+            fields.append(p.PlanField(layout.trailing, behind, "bytes behind the declared ones"))
+            self._advance(None)
         return fields
+
+    def _slot(self, slot: Slot, layout: BitLayout) -> tuple[p.Scalar, str]:
+        """A field of a layout as the plan has it, and what it means."""
+        inner, steps, unit, doc = _peel(slot.field)
+        doc = slot.doc or doc
+        assert isinstance(inner, Bits)
+        bits = tuple(8 * self.offset + q for q in slot.positions)
+        if not inner.is_float:
+            kind: Any = "int" if inner.signed else "uint"
+            return p.Scalar(kind, self.offset, layout.size, "little", bits, tuple(steps), unit), doc
+        start, size = min(bits) // 8, len(bits) // 8
+        for order in ("little", "big"):
+            if bits == _int_bits(start, size, order):
+                return p.Scalar("float", start, size, _order(order), (), tuple(steps), unit), doc
+        return p.Scalar("float", self.offset, layout.size, "little", bits, tuple(steps), unit), doc
 
     def _delimited(self, con: d.Delimited) -> None:
         most = None if con.more else len(con.fields)

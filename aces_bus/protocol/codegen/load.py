@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import keyword
 import linecache
 import re
 import struct
@@ -12,6 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
+import msgspec
 from construct import ConstructError
 
 from ...errors import AcesError
@@ -22,6 +24,7 @@ from ..spec.message import Message
 from ..spec.packet import can_image
 from ..spec.protocol import Variant
 from .flatten import flatten
+from .plan import MessagePlan
 from .print_decode import Decoder
 from .print_records import part_names, print_records
 
@@ -70,6 +73,21 @@ def _flags(bits: Mapping[str, int]) -> _FlagValues:
     return _FlagValues(flag_type(tuple(bits.items())))
 
 
+class _Parts(dict[tuple[str, tuple[str, ...]], type]):
+    """Types of nested records by path and fields. What no walk of a construct foresees (fields that stop half way, values
+    of somebody's own adapter) gets its type when it is first seen."""
+
+    def __missing__(self, shape: tuple[str, tuple[str, ...]]) -> type:
+        path, names = shape
+        if all(name.isidentifier() and not keyword.iskeyword(name) for name in names):
+            made: type = msgspec.defstruct(path, names, bases=(Part,), frozen=True, gc=False)
+        else:
+            made = dict  # keys that cannot be attributes
+        if len(self) < 4096:
+            self[shape] = made
+        return made
+
+
 class Codec:
     """Record types and decode functions of a variant, in physical units or raw.
 
@@ -79,11 +97,10 @@ class Codec:
     def __init__(self, variant: Variant, *, raw: bool, guard: bool) -> None:
         self.variant = variant
         self.raw = raw
-        self.plans = {name: flatten(message) for name, message in variant.messages.items()}
         self.types: dict[str, type[Record]] = records_of(variant)
-        #: Decoders without guard leave a wrong length to `struct.error`; see `Decoder`.
-        self.source = print_decoders(variant, raw=raw, guard=guard)
-        names: dict[str, Any] = {
+        kind = f"{'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
+        self._guard, self._name = guard, f"aces {variant.label} {kind}"
+        self._names: dict[str, Any] = {
             "Struct": struct.Struct,
             "from_bytes": int.from_bytes,
             "re": re,
@@ -91,17 +108,32 @@ class Codec:
             "flags": _flags,
             **_all_types(variant),
         }
-        for plan in self.plans.values():
-            if not plan.is_flat:
-                names[f"opaque_{plan.name}"] = _opaque(variant.messages[plan.name], variant, raw=raw)
-            if plan.is_checked:
-                names[f"holds_{plan.name}"] = _holds(variant.messages[plan.name])
-        space = load(
-            self.source,
-            f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders",
-            names,
-        )
-        self.decoders: dict[str, Decode] = {name: space[f"decode_{name}"] for name in self.plans}
+        #: By message. Each is printed and compiled when it is first asked for.
+        self.decoders: Mapping[str, Decode] = _Decoders(self._made)
+
+    def _made(self, name: str) -> Decode:
+        message = self.variant.messages[name]
+        plan = flatten(message)
+        names = dict(self._names)
+        if not plan.is_flat:
+            names[f"opaque_{name}"] = _opaque(message, self.variant, raw=self.raw)
+        if plan.is_checked:
+            names[f"holds_{name}"] = _holds(message)
+        source = print_decoder(plan, raw=self.raw, guard=self._guard)
+        decode: Decode = load(source, f"{self._name}: {name}", names)[f"decode_{name}"]
+        return decode
+
+
+class _Decoders(dict[str, Decode]):
+    """Decode functions by message, made when asked for."""
+
+    def __init__(self, make: Callable[[str], Decode]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, name: str) -> Decode:
+        made = self[name] = self._make(name)
+        return made
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:
@@ -119,12 +151,19 @@ def _holds(message: Message) -> Callable[[bytes, int], bool]:
     return holds
 
 
+def print_decoder(plan: MessagePlan, *, raw: bool, guard: bool) -> str:
+    """The decode function of one message; without guard it leaves a wrong length to `struct.error` (see `Decoder`)."""
+    setup, lines = Decoder(plan, raw=raw, guard=guard).print()
+    return "\n".join([*setup, "", *lines, ""])
+
+
 def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -> str:
     """The decode functions of a variant."""
     kind = "raw values" if raw else "physical values"
     parts = [f'"""Decoders of {variant.label}, {kind}: generated from its spec."""', ""]
+    helpers: dict[str, str] = {}
     for message in variant.messages.values():
-        setup, lines = Decoder(flatten(message), raw=raw, guard=guard).print()
+        setup, lines = Decoder(flatten(message), raw=raw, guard=guard, helpers=helpers).print()
         parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
     return "\n".join(parts) + "\n"
 
@@ -165,7 +204,7 @@ def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     """A decode function that goes through construct."""
     types = _all_types(variant)
     plan = flatten(message)
-    parts = {shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)}
+    parts = _Parts({shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)})
     record = types[message.name]
     framing = message.framing
 

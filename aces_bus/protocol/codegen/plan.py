@@ -14,7 +14,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Scale:
-    """physical = raw × scale + offset; raw values in `unknown` are None.
+    """physical = raw × scale + offset; raw values in `unknown` are None, those in `names` their name.
 
     `bounds` (physical) and `raw_bounds` are what may be sent; `rounding` is how a physical value becomes an integer.
     """
@@ -25,6 +25,8 @@ class Scale:
     bounds: tuple[float, float] | None = None
     raw_bounds: tuple[int, int] | None = None
     rounding: str = "nearest"
+    #: (raw, name) of raw values that are no quantity.
+    names: tuple[tuple[int, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class Scalar:
     """One value in the bytes.
 
     `kind` is "uint", "int" (two's complement), "float", "bytes" or "text". `size` is in bytes, None for "to the end".
-    `bits` is empty for everything but integers. `steps` go from the wire to the record.
+    `bits` is empty for everything but integers, and floats that are not whole bytes in one order: then the number has
+    `len(bits)` bits, and `offset` and `size` are those of its layout. `steps` go from the wire to the record.
     """
 
     kind: Literal["uint", "int", "float", "bytes", "text"]
@@ -125,12 +128,17 @@ class FromRequest:
 @dataclass(frozen=True)
 class Rest:
     """The bits of `size` bytes from `offset` that no field claims; `claimed` as masks of the little-endian word by the
-    selector's raw value (None: any other)."""
+    selector's raw value (None: any other).
+
+    Where selectors are several, or multiplexed themselves, `claimed` is what is always claimed, and `more` has for each
+    selector the masks that its raw values add; other values, and a selector that is not there, add nothing.
+    """
 
     offset: int
     size: int
     claimed: tuple[tuple[int | None, int], ...]
     selector: str | None = None
+    more: tuple[tuple[str, tuple[tuple[int, int], ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -164,7 +172,7 @@ Node = Scalar | Many | Group | FromIdentifier | FromRequest | Rest | Cell | More
 
 @dataclass(frozen=True)
 class PlanField:
-    """A field of a record. `when` is the selector and the raw values that make it present."""
+    """A field of a record. `when` is the selector and the raw values that make it present, where the selector is."""
 
     name: str
     node: Node
@@ -220,6 +228,7 @@ class MessagePlan:
     tail: int = 0
     #: selector → total length, where multiplexed fields make the length.
     lengths_by: tuple[str, tuple[tuple[int, int], ...], int] | None = None
+    #: Fields that decide about others, an outer one before an inner one.
     selectors: tuple[tuple[str, Scalar], ...] = ()
     split: Split | None = None
     #: Whether the message has a check of its own, inside the payload.

@@ -7,33 +7,21 @@ from dataclasses import dataclass
 
 from ..spec.pattern import bounds
 from . import plan as p
+from .runs import FORMATS, clusters, compact, format_of, in_one_byte, is_balanced, members, run_order, runs_of
 from .source import Source, first_line
-
-FORMATS = {
-    ("uint", 1): "B",
-    ("uint", 2): "H",
-    ("uint", 4): "I",
-    ("uint", 8): "Q",
-    ("int", 1): "b",
-    ("int", 2): "h",
-    ("int", 4): "i",
-    ("int", 8): "q",
-    ("float", 2): "e",
-    ("float", 4): "f",
-    ("float", 8): "d",
-}
 
 TRANSPORT = "time, channel, key, raw, rx"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Bytes [start, end) fetched as one unsigned integer (or as the value itself) under a local name."""
+    """Bytes [start, end) fetched under a local name: as one unsigned integer, or (not `is_unsigned`) as the value itself."""
 
     name: str
     start: int
     end: int
     order: str
+    is_unsigned: bool = True
 
 
 class Decoder:
@@ -42,18 +30,24 @@ class Decoder:
     The function is `decode_Name(data, key, time, channel, raw, rx)`: `data` are the frame's data bytes or the packet
     without stuffing, the rest is the transport's; messages that show fields of their request take it last. It gives the
     record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`,
-    which raises `struct.error`.
+    which raises `struct.error`. `helpers` is shared by the messages of a module.
     """
 
-    def __init__(self, plan: p.MessagePlan, *, raw: bool, guard: bool = True) -> None:
+    def __init__(
+        self, plan: p.MessagePlan, *, raw: bool, guard: bool = True, helpers: dict[str, str] | None = None
+    ) -> None:
         self.plan = plan
         self.raw = raw
         self.guard = guard
         self.setup: list[str] = []
+        #: Module-level names and what they are, those of the messages before this one included.
+        self.helpers = helpers if helpers is not None else {}
         self.body = Source()
         self.atoms: dict[p.Scalar, str] = {}
         self.cells: list[Cell] = []
         self.present: dict[str, str] = {}
+        #: Selectors that may be absent.
+        self.maybe: set[str] = set()
         self.unpacks: list[str] = []
         self.is_exact = False
 
@@ -65,7 +59,7 @@ class Decoder:
             f"def decode_{plan.name}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):"
         )
         out.depth = 1
-        out.line(f'"""{first_line(plan.doc) or plan.name} ({plan.place})"""')
+        out.line(f'"""{first_line(plan.doc) or plan.name} ({first_line(plan.place)})"""')
         if not plan.is_flat:
             out.line(f"# through construct: {plan.opaque}")
             out.line(f"return opaque_{plan.name}(data, key, time, channel, raw, rx, request)")
@@ -82,16 +76,13 @@ class Decoder:
             self._split(plan.split)
         for line in self.unpacks:
             out.line(line)
+        whens = {field.name: field.when for field in plan.fields}
         for name, scalar in plan.selectors:
-            number = self._integer(scalar)
-            if not number.isidentifier():
-                out.line(f"select_{name} = {number}")
-                number = self.atoms[scalar] = f"select_{name}"
-            self.present[name] = number
+            self._select(name, scalar, whens.get(name))
         if plan.lengths_by is not None:
             name, table, other = plan.lengths_by
-            self.setup.append(f"_lengths_{plan.name} = {dict(table)!r}")
-            out.line(f"if len(data) != _lengths_{plan.name}.get({self.present[name]}, {other}):")
+            lengths = self._table(f"_lengths_{plan.name}", repr(dict(table)))
+            out.line(f"if len(data) != {lengths}.get({self.present[name]}, {other}):")
             out.line("    return None")
         arguments = [self._value(field) for field in plan.fields]
         if sum(map(len, arguments)) + len(plan.name) < 60:
@@ -135,7 +126,7 @@ class Decoder:
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:
-                among = repr(values) if isinstance(values, range) else _members(values)
+                among = repr(values) if isinstance(values, range) else members(values)
                 tests.append(f"not {low} <= {number} <= {high}" if run else f"{number} not in {among}")
         for test in tests:
             self.body.line(f"if {test}:")
@@ -164,13 +155,19 @@ class Decoder:
     def _fetch(self) -> None:
         """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
         present = [s for s, always in self._scalars() if always]
-        whole = [s for s in dict.fromkeys(present) if s.size is not None and format_of(s)]
-        taken = [(s.offset, s.offset + (s.size or 0)) for s in whole]
+        whole: list[p.Scalar] = []
+        taken: list[tuple[int, int]] = []
+        for s in dict.fromkeys(present):
+            end = s.offset + (s.size or 0)
+            # Of numbers that share bytes, one is fetched so; the others read for themselves.
+            if s.size is not None and format_of(s) and not any(a < end and s.offset < b for a, b in taken):
+                whole.append(s)
+                taken.append((s.offset, end))
         chunks: list[tuple[int, int, str, p.Scalar | None]] = [
             (s.offset, s.offset + (s.size or 0), s.order if s.size != 1 else "", s) for s in whole
         ]
-        loose = [s for s in dict.fromkeys(present) if s.kind in ("uint", "int") and s not in whole]
-        for start, end, order in _clusters(loose):
+        loose = [s for s in dict.fromkeys(present) if s.bits and s not in whole]
+        for start, end, order in clusters(loose):
             size = end - start
             if (size > 4 and size < 8) or size > 8 or any(a < end and start < b for a, b in taken):
                 continue
@@ -182,8 +179,8 @@ class Decoder:
         for order in sorted(orders, reverse=True) or ([""] if chunks else []):
             mine = [c for c in chunks if c[2] == order or (c[2] == "" and order == max(orders, default=""))]
             self._unpack_call(sorted(mine, key=lambda c: c[0]), order)
-        for start, end, order in _clusters(
-            [s for s in loose if self._cell_of(s) is None and not _one_byte(s)]
+        for start, end, order in clusters(
+            [s for s in loose if self._cell_of(s) is None and not in_one_byte(s)]
         ):
             if sum(start <= s.bits[0] // 8 < end for s in loose) > 1:
                 name = f"word{len(self.cells)}"
@@ -220,22 +217,24 @@ class Decoder:
             else:
                 text += FORMATS["uint", size]
                 names.append(name)
-            self.cells.append(Cell(name, start, end, order or "little"))
+            is_unsigned = scalar is None or scalar.kind == "uint"
+            self.cells.append(Cell(name, start, end, order or "little", is_unsigned))
         start = chunks[0][0]
         whole = start == 0 and self.plan.lengths == (at,)
         self.is_exact = self.is_exact or whole
-        helper = f"_unpack_{self.plan.name}" + ("_be" if order == "big" else "")
-        self.setup.append(f'{helper} = Struct("{compact(text)}").{"unpack" if whole else "unpack_from"}')
+        made = f'Struct("{compact(text)}").{"unpack" if whole else "unpack_from"}'
+        helper = self._table(f"_unpack_{self.plan.name}" + ("_be" if order == "big" else ""), made)
         call = f"{helper}(data)" if start == 0 else f"{helper}(data, {start})"
         self.unpacks.append(f"{', '.join(names)}{',' if len(names) == 1 else ''} = {call}")
         self.unpacks += after
 
     def _cell_of(self, scalar: p.Scalar) -> Cell | None:
         first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
-        order = _run_order(scalar)
+        order = run_order(scalar)
         for cell in self.cells:
             if (
-                cell.start <= first
+                cell.is_unsigned
+                and cell.start <= first
                 and last < cell.end
                 and (cell.order == order or cell.end - cell.start == 1)
             ):
@@ -271,7 +270,7 @@ class Decoder:
             return self.atoms[scalar]
         assert scalar.size is not None
         cell = self._cell_of(scalar) if fetched else None
-        order = _run_order(scalar)
+        order = run_order(scalar)
         if cell is None:
             first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
             text = (
@@ -298,13 +297,40 @@ class Decoder:
 
     # -------------------------------------------------- values
 
+    def _select(self, name: str, scalar: p.Scalar, when: tuple[str, tuple[int, ...]] | None) -> None:
+        """A selector's raw number under a local name; None while it is not there itself."""
+        number = self.atoms.get(scalar) if when is None else None
+        if number is None:
+            number = self._integer(scalar)
+            if scalar.kind == "int":
+                top = 1 << len(scalar.bits) - 1
+                number = f"(({number}) ^ {top:#x}) - {top:#x}"
+        if when is not None:
+            number = f"{number} if {self._is_there(when)} else None"
+            self.maybe.add(name)
+        if not number.isidentifier():
+            self.body.line(f"select_{name} = {number}")
+            number = f"select_{name}"
+            if when is None:
+                self.atoms[scalar] = number
+        self.present[name] = number
+
+    def _is_there(self, when: tuple[str, tuple[int, ...]]) -> str:
+        """The test of a multiplexed field's selector, as an expression."""
+        selector, values = when
+        number = self.present[selector]
+        if len(values) == 1:
+            return f"{number} == {values[0]}"
+        if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
+            test = f"{values[0]} <= {number} <= {values[-1]}"
+            return f"{number} is not None and {test}" if selector in self.maybe else test
+        if len(values) > 8:
+            return f"{number} in {{{', '.join(map(str, values))}}}"
+        return f"{number} in {members(values)}"
+
     def _value(self, field: p.PlanField) -> str:
         text = self._node(field.node, field.name)
-        if field.when is not None:
-            selector, values = field.when
-            test = f"== {values[0]}" if len(values) == 1 else f"in {_members(values)}"
-            return f"({text} if {self.present[selector]} {test} else None)"
-        return text
+        return f"({text} if {self._is_there(field.when)} else None)" if field.when is not None else text
 
     def _node(self, node: p.Node, name: str) -> str:
         if isinstance(node, p.Scalar):
@@ -337,7 +363,9 @@ class Decoder:
             if scalar.kind == "bytes" or self.raw:
                 return text
             return f'{text}.decode("latin-1")' + ('.rstrip("\\0")' if scalar.size is not None else "")
-        if scalar.kind == "float":
+        if scalar.kind == "float" and scalar.bits:
+            number = self._scattered(scalar)
+        elif scalar.kind == "float":
             number = self.atoms.get(scalar) or self._lone(scalar, name)
         elif scalar in self.atoms:
             number = self.atoms[scalar]
@@ -351,9 +379,14 @@ class Decoder:
     def _lone(self, scalar: p.Scalar, name: str) -> str:
         """A float that is not always there."""
         mark = "<" if scalar.order == "little" else ">"
-        helper = f"_unpack_{self.plan.name}_{name}"
-        self.setup.append(f'{helper} = Struct("{mark}{FORMATS["float", scalar.size or 0]}").unpack_from')
-        return f"{helper}(data, {scalar.offset})[0]"
+        made = f'Struct("{mark}{FORMATS["float", scalar.size or 0]}").unpack_from'
+        return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
+
+    def _scattered(self, scalar: p.Scalar) -> str:
+        """A float whose bits do not stand in whole bytes."""
+        size = len(scalar.bits) // 8
+        helper = self._table(f"_float{8 * size}", f'Struct("<{FORMATS["float", size]}").unpack')
+        return f'{helper}(({self._integer(scalar)}).to_bytes({size}, "little"))[0]'
 
     def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
         for step in steps:
@@ -366,7 +399,7 @@ class Decoder:
             elif self.raw:
                 continue
             elif isinstance(step, p.Scale):
-                number = self._scaled(number, step)
+                number = self._scaled(number, step, name)
             elif isinstance(step, p.Names):
                 table = f"_names_{self.plan.name}_{name}"
                 small = 0 < width <= 8
@@ -388,24 +421,22 @@ class Decoder:
         return number
 
     def _table(self, name: str, value: str) -> str:
-        """The name of a table with this value: `name`, or with a number behind it where that is another table."""
+        """The module-level name of this value: `name`, or with a number behind it where that is something else."""
         found, count = name, 1
-        while f"{found} = {value}" not in self.setup:
-            if not any(line.startswith(f"{found} = ") for line in self.setup):
-                self.setup.append(f"{found} = {value}")
-                break
+        while self.helpers.setdefault(found, value) != value:
             count += 1
             found = f"{name}_{count}"
+        line = f"{found} = {value}"
+        if line not in self.setup:
+            self.setup.append(line)
         return found
 
-    def _scaled(self, number: str, step: p.Scale) -> str:
-        before = number
-        if step.unknown:
-            before = "q"
+    def _scaled(self, number: str, step: p.Scale, name: str) -> str:
+        before = "q" if step.unknown or step.names else number
         text = (
             before
             if before.isidentifier()
-            or (before.startswith("(") and before.endswith(")") and _balanced(before))
+            or (before.startswith("(") and before.endswith(")") and is_balanced(before))
             else f"({before})"
         )
         if step.offset:
@@ -415,9 +446,14 @@ class Decoder:
             text = f"{text} * {step.scale!r}"
         else:
             text = before
-        if step.unknown:
-            return f"(None if (q := {number}) in {_members(step.unknown)} else {text})"
-        return text
+        if not step.unknown and not step.names:
+            return text
+        tests = [f"None if q in {members(step.unknown)} else "] if step.unknown else []
+        if step.names:
+            table = self._table(f"_names_{self.plan.name}_{name}", repr(dict(step.names)))
+            tests.append(f"{table}[q] if q in {table} else ")
+        tests[0] = tests[0].replace(" if q in", f" if (q := {number}) in", 1)
+        return f"({''.join(tests)}{text})"
 
     def _captured(self, node: p.FromIdentifier, name: str) -> str:
         number = "key" if node.number is None else self._integer(node.number)
@@ -439,10 +475,14 @@ class Decoder:
         full = (1 << 8 * node.size) - 1
         masks = {value: full & ~claimed for value, claimed in node.claimed}
         if node.selector is None:
-            return f"{word} & {masks[None]:#x}"
-        table = f"_rest_{self.plan.name}"
+            text = f"{word} & {masks[None]:#x}"
+            for selector, added in node.more:
+                inside = ", ".join(f"{value}: {full & ~mask:#x}" for value, mask in added)
+                helper = self._table(f"_rest_{self.plan.name}_{selector}", f"{{{inside}}}.get")
+                text += f" & {helper}({self.present[selector]}, {full:#x})"
+            return text
         inside = ", ".join(f"{value}: {mask:#x}" for value, mask in masks.items() if value is not None)
-        self.setup.append(f"{table} = {{{inside}}}.get")
+        table = self._table(f"_rest_{self.plan.name}", f"{{{inside}}}.get")
         return f"{word} & {table}({self.present[node.selector]}, {masks[None]:#x})"
 
     # -------------------------------------------------- delimited payloads
@@ -465,8 +505,8 @@ class Decoder:
         for field in self.plan.fields:
             node = field.node
             if isinstance(node, p.Cell) and node.form:
-                helper = f"_form_{field.name}_{self.plan.name}"
-                self.setup.append(f"{helper} = re.compile({node.form.encode()!r}).fullmatch")
+                made = f"re.compile({node.form.encode()!r}).fullmatch"
+                helper = self._table(f"_form_{field.name}_{self.plan.name}", made)
                 guard = f"count > {node.index} and " if node.optional else ""
                 out.line(f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):")
                 out.line("    return None")
@@ -482,95 +522,10 @@ class Decoder:
         elif cell.conversion == "degrees":
             value = f"degrees({text}) if {text} else None"
         elif cell.conversion == "names":
-            table = f"_names_{self.plan.name}_{name}"
-            self.setup.append(f"{table} = {dict(cell.names)!r}.get")
+            table = self._table(f"_names_{self.plan.name}_{name}", f"{dict(cell.names)!r}.get")
             value = f'{table}((n := {text}.decode("latin-1")), n) if {text} else None'
         else:
             value = f'{text}.decode("latin-1") or None'
         if cell.optional:
             value = f"({value}) if count > {cell.index} else None"
         return f"({value})" if " if " in value or " or " in value else value
-
-
-def format_of(scalar: p.Scalar) -> str:
-    """The `struct` format of a whole number of usual size, else empty."""
-    if scalar.size is None or (scalar.kind, scalar.size) not in FORMATS:
-        return ""
-    if scalar.kind != "float" and not scalar.is_whole:
-        return ""
-    return FORMATS[scalar.kind, scalar.size]
-
-
-def _clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:
-    """Byte ranges that the scalars cover, merged where they overlap, with the byte order that suits all in it."""
-    spans = sorted(
-        (min(s.bits) // 8, max(s.bits) // 8 + 1, "" if _one_byte(s) else _run_order(s)) for s in scalars
-    )
-    found: list[tuple[int, int, str]] = []
-    for start, end, order in spans:
-        if found and start < found[-1][1]:
-            first, last, other = found[-1]
-            if order and other and order != other:
-                # Two orders over the same bytes: each reads for itself.
-                found.append((start, end, order))
-                continue
-            found[-1] = (first, max(last, end), other or order)
-        else:
-            found.append((start, end, order))
-    return found
-
-
-def _one_byte(scalar: p.Scalar) -> bool:
-    bits = scalar.bits
-    return bool(bits) and bits[0] // 8 == bits[-1] // 8 and bits == tuple(range(bits[0], bits[0] + len(bits)))
-
-
-def _run_order(scalar: p.Scalar) -> str:
-    """The byte order in which the field falls into fewer pieces."""
-    little = len(runs_of(list(scalar.bits)))
-    size = scalar.size or 0
-    big = len(runs_of([(scalar.offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]))
-    return "big" if big < little else "little"
-
-
-def runs_of(positions: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Contiguous runs: (position of the lowest bit, its place in the number, width)."""
-    runs: list[tuple[int, int, int]] = []
-    for to, at in enumerate(positions):
-        if runs and runs[-1][0] + runs[-1][2] == at:
-            first, place, width = runs[-1]
-            runs[-1] = (first, place, width + 1)
-        else:
-            runs.append((at, to, 1))
-    return runs
-
-
-def _members(values: Sequence[float]) -> str:
-    """A container display that the compiler makes constant."""
-    return f"({', '.join(map(repr, values))}{',' if len(values) == 1 else ''})"
-
-
-def _balanced(text: str) -> bool:
-    """Whether the first parenthesis closes at the end."""
-    depth = 0
-    for index, char in enumerate(text):
-        depth += (char == "(") - (char == ")")
-        if depth == 0 and index < len(text) - 1:
-            return False
-    return True
-
-
-def compact(text: str) -> str:
-    """`<hhh` as `<3h`."""
-    out, last, count = text[0], "", 0
-    for char in text[1:] + "\0":
-        if char == last and not char.isdigit():
-            count += 1
-            continue
-        if last:
-            out += (str(count) if count > 1 else "") + last
-        last, count = char, 1
-        if char.isdigit():
-            out += char
-            last, count = "", 0
-    return out

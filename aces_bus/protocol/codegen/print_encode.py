@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from ..spec.head import Head
 from ..spec.message import Message
 from . import plan as p
-from .print_decode import compact, format_of, runs_of
+from .runs import compact, format_of, runs_of
 from .source import Source
 
 
@@ -22,9 +22,12 @@ class NoEncoder(Exception):
     """This message is built by construct; the argument says why."""
 
 
-def print_encoder(message: Message, plan: p.MessagePlan) -> list[str]:
-    """Module-level lines and the function; raises `NoEncoder` when the message has no flat form to build from."""
-    return _Encoder(message, plan).print()
+def print_encoder(message: Message, plan: p.MessagePlan, helpers: dict[str, str] | None = None) -> list[str]:
+    """Module-level lines and the function; raises `NoEncoder` when the message has no flat form to build from.
+
+    `helpers` are the module-level names and what they are, shared by the messages of a module.
+    """
+    return _Encoder(message, plan, helpers if helpers is not None else {}).print()
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,8 @@ class _Packed:
 
 
 class _Encoder:
-    def __init__(self, message: Message, plan: p.MessagePlan) -> None:
-        self.message, self.plan = message, plan
+    def __init__(self, message: Message, plan: p.MessagePlan, helpers: dict[str, str]) -> None:
+        self.message, self.plan, self.helpers = message, plan, helpers
         self.setup: list[str] = []
         self.out = Source()
         self.temporaries = 0
@@ -57,6 +60,8 @@ class _Encoder:
             raise NoEncoder("its payload depends on its values")
         if message.counters:
             raise NoEncoder("it has a rolling counter")
+        if getattr(message.payload, "overlapping", False):
+            raise NoEncoder("its fields share bits")
         names = [f.name for f in plan.fields if not isinstance(f.node, p.FromRequest)]
         out.line(f"def encode_{plan.name}(fields):")
         out.depth = 1
@@ -93,6 +98,17 @@ class _Encoder:
         body = self._body(scalars, start)
         out.line(f"return {identifier if message.framing is None else 'None'}, {head}, {body}")
         return [*self.setup, *out.lines]
+
+    def _table(self, name: str, value: str) -> str:
+        """The module-level name of this value: `name`, or with a number behind it where that is something else."""
+        found, count = name, 1
+        while self.helpers.setdefault(found, value) != value:
+            count += 1
+            found = f"{name}_{count}"
+        line = f"{found} = {value}"
+        if line not in self.setup:
+            self.setup.append(line)
+        return found
 
     def _temporary(self) -> str:
         self.temporaries += 1
@@ -136,6 +152,7 @@ class _Encoder:
                 tail = f"bytes({value})" if scalar.kind == "bytes" else ""
                 self.out.line(f"if not isinstance({value}, (bytes, bytearray)):")
                 self.out.line("    raise Unusual")
+                self._tail_fits(value, scalar.offset)
                 continue
             if scalar.kind == "text":
                 raise NoEncoder("text")
@@ -144,6 +161,8 @@ class _Encoder:
                 self.out.line(f"if len({value}) != {scalar.size}:")
                 self.out.line("    raise Unusual")
                 continue
+            if scalar.kind == "float" and scalar.bits:
+                raise NoEncoder("a float that does not stand in whole bytes")
             number = self._raw(scalar, name, value)
             if format_of(scalar):
                 order = "" if scalar.size == 1 else "<" if scalar.order == "little" else ">"
@@ -166,6 +185,21 @@ class _Encoder:
                 )
                 pieces.append(f"{piece} << {at}" if at else piece)
         return self._packed(cells, words, constants, start, size) + (f" + {tail}" if tail else "")
+
+    def _tail_fits(self, value: str, offset: int) -> None:
+        """A frame has room for so many bytes; of a stream's packet the framing knows."""
+        lengths = self.message.lengths
+        if lengths is None:
+            return
+        ends = sorted(length - offset for length in lengths)
+        if ends != list(range(ends[0], ends[-1] + 1)):
+            test = f"len({value}) not in {tuple(ends)}"
+        elif ends[0] <= 0:
+            test = f"len({value}) > {ends[-1]}"
+        else:
+            test = f"not {ends[0]} <= len({value}) <= {ends[-1]}"
+        self.out.line(f"if {test}:")
+        self.out.line("    raise Unusual")
 
     def _fits(self, scalar: p.Scalar, number: str) -> None:
         width = len(scalar.bits)
@@ -196,9 +230,8 @@ class _Encoder:
             else:
                 runs.append([cell])
         for number, run in enumerate(runs):
-            helper = f"_pack_{self.plan.name}_{number}"
             text = (run[0].order or "<") + "".join(c.format for c in run)
-            self.setup.append(f'{helper} = Struct("{compact(text)}").pack')
+            helper = self._table(f"_pack_{self.plan.name}_{number}", f'Struct("{compact(text)}").pack')
             entries.append((run[0].offset, run[-1].end, f"{helper}({', '.join(c.value for c in run)})"))
         for (first, last), pieces in words.items():
             joined = " | ".join(f"({piece})" if "<<" in piece else piece for piece in pieces)
@@ -223,12 +256,11 @@ class _Encoder:
         magnitude = next((s for s in steps if isinstance(s, p.Magnitude)), None)
         for step in reversed(steps):
             if isinstance(step, p.Scale):
-                text = self._unscaled(step, text, scalar.kind == "float")
+                if step.names:
+                    raise NoEncoder("a quantity with names")
+                text = self._unscaled(step, text, scalar)
             elif isinstance(step, p.Names):
-                table = f"_numbers_{self.plan.name}_{name}"
-                line = f"{table} = { ({v: k for k, v in step.values})!r}"
-                if line not in self.setup:
-                    self.setup.append(line)
+                table = self._table(f"_numbers_{self.plan.name}_{name}", repr({v: k for k, v in step.values}))
                 text = f"{table}.get({text}, {text})"
             elif isinstance(step, p.FlagBits):
                 variable = self._temporary()
@@ -248,8 +280,11 @@ class _Encoder:
             self.out.line("    raise Unusual")
         return number
 
-    def _unscaled(self, step: p.Scale, text: str, is_float: bool) -> str:
+    def _unscaled(self, step: p.Scale, text: str, scalar: p.Scalar) -> str:
         out = self.out
+        is_float = scalar.kind == "float"
+        if len(scalar.bits) > 53 and (step.scale != 1 or step.offset):
+            raise NoEncoder("a scaled number of more bits than a float has")
         given = self._temporary()
         out.line(f"{given} = {text}")
         out.line(f"if {given}.__class__ is not float and {given}.__class__ is not int:")

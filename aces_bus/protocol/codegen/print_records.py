@@ -59,6 +59,8 @@ def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
             if step.scale != 1 or step.offset:
                 whole = isinstance(step.scale, int) and isinstance(step.offset, int)
                 base = base if whole else "float"
+            if step.names:
+                base += " | str"
             if step.unknown:
                 base += " | None"
         elif isinstance(step, p.Names):
@@ -89,9 +91,14 @@ def groups_of(fields: Iterable[p.PlanField]) -> list[p.Group]:
 def part_names(plan: p.MessagePlan) -> list[str]:
     """Names of the nested records of an opaque message: their path, numbered where one path has several shapes."""
     paths = [path for path, _ in plan.parts]
-    return [
-        path if paths.count(path) == 1 else f"{path}_{paths[:n].count(path)}" for n, path in enumerate(paths)
-    ]
+    names: list[str] = []
+    for n, path in enumerate(paths):
+        name = path if paths.count(path) == 1 else f"{path}_{paths[:n].count(path)}"
+        # A field may be called what a numbered path is called.
+        while name in names or (name != path and name in paths):
+            name += "_"
+        names.append(name)
+    return names
 
 
 def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:

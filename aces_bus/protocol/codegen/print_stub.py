@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 import construct as c
 
 from ..draw import row_of
+from ..spec.fields import described
 from ..spec.message import Message
 from ..spec.protocol import Protocol
 from . import plan as p
@@ -138,6 +139,8 @@ class _Printer:
         for step in getattr(node, "steps", ()):
             if isinstance(step, p.Names):
                 return f"{_literal(name for _, name in step.values)} | int"
+            if isinstance(step, p.Scale) and step.names:
+                return type_of(node).replace("str", _literal(name for _, name in step.names))
             if isinstance(step, p.FlagBits):
                 names = [name for name, _ in step.bits if name.isidentifier() and not keyword.iskeyword(name)]
                 body = [f"    {name}: bool" for name in names]
@@ -212,7 +215,9 @@ def _field_doc(field: p.PlanField) -> str:
     row = row_of(field.name, field.node)
     parts = [" ".join(filter(None, [row.range, row.unit]))] if row.unit else []
     if field.when is not None:
-        parts.append(f"None unless {field.when[0]} is {' or '.join(map(str, field.when[1]))}")
+        selector, values = field.when
+        wanted = " or ".join(map(str, values)) if len(values) <= 4 else described(values)
+        parts.append(f"None unless {selector} is {wanted}")
     facts = "; ".join(parts)
     doc = field.doc.strip()
     if not doc:

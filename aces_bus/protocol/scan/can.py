@@ -15,6 +15,7 @@ from typing import Any, Literal
 from construct import ConstructError
 
 from ...errors import AcesError
+from ...frame_table import NO_TIME, RX, UNUSUAL, FrameTable
 from ..keys import EXTENDED, FD, REMOTE, key_of
 from ..spec.message import Direction, Message
 from ..spec.packet import LengthError, WrongCheckError, can_image
@@ -23,8 +24,38 @@ from .counts import Counts
 from .decider import REMEMBERED, Decider, Decode
 from .record import Meta, Unknown
 
+#: By the two highest flags of a frame table, RX and TX: whether a frame was received.
+_WAY = RX.bit_length() - 1
+_WAYS = (None, True, False, True)
+
 #: Identifier patterns up to this many numbers are spelt out in the table; larger ones are matched and then remembered.
 SPELT_OUT = 4096
+#: The same where all of them together have more numbers than are remembered (a database of J1939 messages).
+SPELT_OUT_OF_MANY = 16
+
+
+class _Index:
+    """Messages by those bits of their keys that never vary: what a key may be is found without trying them all."""
+
+    def __init__(self, messages: Sequence[Message]) -> None:
+        self._by_mask: dict[int, dict[int, list[tuple[int, Message]]]] = {}
+        for number, message in enumerate(messages):
+            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
+            mask = message.identifier.fixed | EXTENDED | REMOTE | FD
+            key = (message.identifier.constant | flags) & mask
+            self._by_mask.setdefault(mask, {}).setdefault(key, []).append((number, message))
+
+    def of(self, key: int) -> list[Message]:
+        """The messages whose identifier and flags fit, in order."""
+        identifier = key & 0x1FFF_FFFF
+        found = [
+            (number, message)
+            for mask, table in self._by_mask.items()
+            for number, message in table.get(key & mask, ())
+            if message.identifier.match(identifier) is not None
+            and key_of(identifier, extended=message.extended, remote=message.remote, fd=message.fd) == key
+        ]
+        return [message for _, message in sorted(found, key=lambda one: one[0])]
 
 
 class _Wire(Decider):
@@ -33,24 +64,25 @@ class _Wire(Decider):
     def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
         super().__init__(variant, direction, raw=raw)
         self.table: dict[int, Decode] = {}
-        self._patterns: list[Message] = []
+        patterns: list[Message] = []
         by_key: dict[int, list[Message]] = {}
+        total = sum(len(m.identifier) for m in self.messages if len(m.identifier) <= SPELT_OUT)
+        most = SPELT_OUT if total <= REMEMBERED else SPELT_OUT_OF_MANY
         for message in self.messages:
             flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
-            if len(message.identifier) <= SPELT_OUT:
+            if len(message.identifier) <= most:
                 for identifier in message.identifier:
                     by_key.setdefault(identifier | flags, []).append(message)
             else:
-                self._patterns.append(message)
+                patterns.append(message)
+        self._has_patterns = bool(patterns)
+        self._patterns, self._all = _Index(patterns), _Index(self.messages)
         for key, messages in by_key.items():
-            self.table[key] = self.decide([*messages, *self._matching(key)], alone=True)
-
-    def _matching(self, key: int) -> list[Message]:
-        return self.matching(key, self._patterns)
+            self.table[key] = self.decide([*messages, *self._patterns.of(key)], alone=True)
 
     def candidates(self, key: int) -> list[Message]:
         """The messages whose identifier and flags fit, in order."""
-        return self.matching(key, self.messages)
+        return self._all.of(key)
 
     @staticmethod
     def matching(key: int, messages: Iterable[Message]) -> list[Message]:
@@ -65,7 +97,7 @@ class _Wire(Decider):
 
     def lookup(self, key: int) -> Decode | None:
         """The decode function of a key that is not in the table; remembers it."""
-        found = self._matching(key) if self._patterns else []
+        found = self._patterns.of(key) if self._has_patterns else []
         if not found:
             return None
         decode = self.decide(found, alone=True)
@@ -202,6 +234,45 @@ class CanScanner:
             return out
 
         return feed
+
+    def feed_table(self, frames: FrameTable, /) -> list[Any]:
+        """The same for frames as columns: what `feed(frames.frames())` gives, without an object a frame in between."""
+        table, error, unusual = self._table, struct.error, self._unusual
+        names = frames.channels.names
+        width = frames.data.shape[1]
+        raw = frames.data.tobytes()
+        out: list[Any] = []
+        rows = zip(
+            frames.time.tolist(),
+            frames.channel.tolist(),
+            frames.id.tolist(),
+            frames.flags.tolist(),
+            range(0, len(frames) * width, width),
+            frames.length.tolist(),
+            strict=True,
+        )
+        for number, (time, channel, key, flags, start, length) in enumerate(rows):
+            record = None
+            if not flags & UNUSUAL:
+                data = raw[start : start + length]
+                try:
+                    record = table[key](
+                        data,
+                        key,
+                        time / 1_000_000_000 if time != NO_TIME else None,
+                        names[channel],
+                        data,
+                        _WAYS[flags >> _WAY],
+                    )
+                except (KeyError, error):
+                    record = None
+            if record is None:
+                record = unusual(frames.take(slice(number, number + 1)).frames()[0])
+                if record is None:
+                    continue
+            out.append(record)
+        self._given[0] += len(out)
+        return out
 
     def _unusual(self, frame: Any) -> Any:
         """A frame that is not a plain data frame of a known identifier, or was refused: its record or its loss."""

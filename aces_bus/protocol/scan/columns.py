@@ -186,8 +186,9 @@ def make_column_scanner(
     """
     from .can_columns import CanColumns
     from .channels import ChannelColumns
+    from .stream_columns import StreamColumns
 
-    kind: Any = RecordColumns
+    kind: Any = StreamColumns
     if variants and variants[0].link == "can":
         kind = ChannelColumns if any(variant.channel is not None for variant in variants) else CanColumns
     made: ColumnScanner = kind(variants, direction=direction, everything=everything, raw=raw)

@@ -114,7 +114,9 @@ def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type]
     """What construct parsed, as records have it: containers become nested records, lists tuples."""
     if isinstance(value, dict):
         inside = {
-            k: from_container(v, types, f"{path}_{k}") for k, v in value.items() if not str(k).startswith("_")
+            str(k): from_container(v, types, f"{path}_{k}")
+            for k, v in value.items()
+            if not str(k).startswith("_")
         }
         return types[path, tuple(inside)](**inside)
     if isinstance(value, list):

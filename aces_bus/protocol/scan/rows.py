@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..codegen import plan as p
-from ..codegen.print_decode import format_of, runs_of
+from ..codegen.runs import format_of, runs_of
 from ..spec.message import Message
 from .check_columns import can_compute, check_holds
 from .gather import dtype_of, kinds_of, leaves_of

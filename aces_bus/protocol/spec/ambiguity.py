@@ -45,6 +45,8 @@ class Conflict:
 def check_against(made: Message, declared: Sequence[Message]) -> None:
     """Raise `SpecError` when a new message cannot be told from one declared before."""
     for other in declared:
+        if made.framing is None and made.identifier.is_apart(other.identifier):
+            continue
         found = unresolved(made, other)
         if found is not None:
             raise SpecError(
@@ -208,6 +210,8 @@ def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
 
 def _can_conflict(one: Message, other: Message) -> Conflict | None:
     if (one.extended, one.remote, one.fd) != (other.extended, other.remote, other.fd):
+        return None
+    if one.identifier.is_apart(other.identifier):
         return None
     lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()), reverse=True)
     identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None

@@ -4,22 +4,30 @@
 2. A field is the list of the canonical numbers of its bits, lowest bit first. Order ("lsb", "msb") and splitting exist
    only in how a spec writes that list.
 3. Every bit of a layout belongs to a field; those that the spec leaves out are kept in a field named `reserved`.
+4. Whether a multiplexed field is there depends on the raw number of its selector, which may be multiplexed itself.
+5. Fields share bits only where the layout says `overlapping`, or where they are never there together. Shared bits are
+   written once: values that want them different are refused, so that what is built reads back as it was given.
 """
 
 from __future__ import annotations
 
 import io
+import struct
+from collections.abc import Mapping
 from typing import Any
 
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
 
 from ...errors import FieldError, SpecError
-from .fields import Multiplexed, innermost
+from .fields import Multiplexed, described, innermost
 from .place import caller
+
+#: `struct` formats of numbers of so many bits (IEEE 754 binary16, binary32, binary64).
+FLOATS = {16: ">e", 32: ">f", 64: ">d"}
 
 
 class Bits(Construct):
-    """An integer of `width` bits in a `BitLayout`; see `bits` and `Split`, which make it."""
+    """A number of `width` bits in a `BitLayout`; see `bits`, `float_bits` and `Split`, which make it."""
 
     def __init__(
         self,
@@ -28,6 +36,7 @@ class Bits(Construct):
         *,
         signed: bool = False,
         order: str | None = None,
+        is_float: bool = False,
     ) -> None:
         super().__init__()
         self.place = caller()
@@ -35,18 +44,33 @@ class Bits(Construct):
             raise SpecError(f"{self.place}: a field of {width} bits")
         if order not in (None, "lsb", "msb"):
             raise SpecError(f"{self.place}: bit order is 'lsb' or 'msb', not {order!r}")
+        if is_float and width not in FLOATS:
+            raise SpecError(f"{self.place}: a float has 16, 32 or 64 bits, not {width}")
         self.width = width
         self.pieces = pieces
         self.signed = signed
         self.order = order
+        self.is_float = is_float
         self.bytes = (width + 7) // 8
 
     # A layout hands each field its bits as a little big-endian number, so that adapters work as on any stream.
-    def _parse(self, stream: Any, context: Any, path: str) -> int:
-        number = int.from_bytes(stream_read(stream, self.bytes, path), "big")
+    def _parse(self, stream: Any, context: Any, path: str) -> int | float:
+        data = stream_read(stream, self.bytes, path)
+        if self.is_float:
+            return float(struct.unpack(FLOATS[self.width], data)[0])
+        return self.raw_of(int.from_bytes(data, "big"))
+
+    def raw_of(self, number: int) -> int:
+        """The raw value whose bits, read as an unsigned number, are `number`."""
         return number - (1 << self.width) if self.signed and number >> self.width - 1 else number
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        if self.is_float:
+            try:
+                stream.write(struct.pack(FLOATS[self.width], obj))
+            except (struct.error, OverflowError) as error:
+                raise FieldError(f"{path}: {obj!r} is no number of {self.width} bits: {error}") from None
+            return obj
         if not isinstance(obj, int):
             raise IntegerError(f"{obj!r} is not an integer", path=path)
         low = -(1 << self.width - 1) if self.signed else 0
@@ -70,6 +94,11 @@ def bits(width: int, at: int | None = None, *, signed: bool = False, order: str 
     return Bits(width, None if at is None else ((at, width),), signed=signed, order=order)
 
 
+def float_bits(width: int, at: int | None = None, *, order: str | None = None) -> Bits:
+    """An IEEE 754 number of 16, 32 or 64 bits, placed as an integer of `bits` is."""
+    return Bits(width, None if at is None else ((at, width),), order=order, is_float=True)
+
+
 def Split(*pieces: tuple[int, int], signed: bool = False, order: str | None = None) -> Bits:
     """One number in several places: `(at, width)` of each piece, least significant piece first."""
     return Bits(sum(width for _, width in pieces), tuple(pieces), signed=signed, order=order)
@@ -88,16 +117,47 @@ class Tuple(Construct):
 
 
 class Slot:
-    """A field's place in a layout: its name, its construct and the canonical numbers of its bits."""
+    """A field's place in a layout: its name, its construct, the canonical numbers of its bits, and when it is there."""
 
     def __init__(
-        self, name: str, field: Construct, positions: tuple[int, ...], mux: Multiplexed | None
+        self,
+        name: str,
+        field: Construct,
+        inner: Bits,
+        positions: tuple[int, ...],
+        mux: Multiplexed | None,
+        doc: str = "",
     ) -> None:
         self.name, self.field, self.positions, self.mux = name, field, positions, mux
+        self.inner, self.doc = inner, doc
+        self.mask = 0
+        for position in positions:
+            self.mask |= 1 << position
+
+    def is_present(self, raws: Mapping[str, int | None]) -> bool:
+        """Whether the field is there, by the raw numbers of the selectors before it."""
+        return self.mux is None or raws.get(self.mux.selector) in self.mux.when
+
+    def read(self, word: int) -> int:
+        """The field's bits in the little-endian word of the layout, as an unsigned number."""
+        number = 0
+        for index, position in enumerate(self.positions):
+            number |= (word >> position & 1) << index
+        return number
+
+    def write(self, number: int) -> int:
+        """The word in which the field has this unsigned number, and all other bits are 0."""
+        word = 0
+        for index, position in enumerate(self.positions):
+            word |= (number >> index & 1) << position
+        return word
 
 
 class BitLayout(Construct):
     """`size` bytes of bit fields: `BitLayout(8, "speed" / Quantity(bits(12), unit="rpm"), …, order="lsb")`.
+
+    `overlapping` lets fields share bits. `trailing` names a field of the bytes that follow the layout, as many as there
+    are; without it there are none.
 
     >>> from aces_bus.protocol import BitLayout, bits
     >>> layout = BitLayout(2, "a" / bits(4), "b" / bits(12))
@@ -107,30 +167,50 @@ class BitLayout(Construct):
     '2143'
     """
 
-    def __init__(self, size: int, *fields: Construct, order: str = "lsb") -> None:
+    def __init__(
+        self,
+        size: int,
+        *fields: Construct,
+        order: str = "lsb",
+        overlapping: bool = False,
+        trailing: str = "",
+    ) -> None:
         super().__init__()
         self.place = caller()
         if order not in ("lsb", "msb"):
             raise SpecError(f"{self.place}: bit order is 'lsb' or 'msb', not {order!r}")
         self.size = size
         self.order = order
+        self.overlapping = overlapping
+        self.trailing = trailing
         self.slots: list[Slot] = []
         self.names: list[str] = []
+        self._known: set[str] = {"reserved", trailing}
         self._cursor = 0
         for field in fields:
             self._add(field)
-        self._check_overlap()
-        always = {p for s in self.slots if s.mux is None for p in s.positions}
-        self.has_reserved = len(always) < 8 * size
+        counts: dict[str, int] = {}
+        for slot in self.slots:
+            counts[slot.name] = counts.get(slot.name, 0) + 1
+        #: Names of several values, with their number.
+        self.many = {name: count for name, count in counts.items() if count > 1}
+        self.selectors = frozenset(s.mux.selector for s in self.slots if s.mux is not None)
+        if not overlapping:
+            self._check_overlap()
+        always = 0
+        for slot in self.slots:
+            always |= slot.mask if slot.mux is None else 0
+        self.has_reserved = always != (1 << 8 * size) - 1
 
     def _add(self, field: Construct) -> None:
         name = field.name
         if not name:
             raise SpecError(f"{self.place}: every field of a bit layout needs a name")
-        if name in self.names or name == "reserved":
+        if name in self._known:
             raise SpecError(
                 f"{self.place.of_field(name)}: field {name!r} is there twice or taken (bits left out are 'reserved')"
             )
+        self._known.add(name)
         self.names.append(name)
         body = field.subcon if isinstance(field, Renamed) else field
         mux = body if isinstance(body, Multiplexed) else None
@@ -138,7 +218,7 @@ class BitLayout(Construct):
             inner = innermost(part)
             if not isinstance(inner, Bits):
                 raise SpecError(f"{self.place.of_field(name)}: field {name!r} is not made of bits(…)")
-            self.slots.append(Slot(name, part, self._positions(inner, name), mux))
+            self.slots.append(Slot(name, part, inner, self._positions(inner, name), mux, field.docs or ""))
 
     def _positions(self, field: Bits, name: str) -> tuple[int, ...]:
         order = field.order or self.order
@@ -160,23 +240,32 @@ class BitLayout(Construct):
                 found += [p ^ 7 for p in range(at + width - 1, at - 1, -1)]
         return tuple(found)
 
+    def _conditions(self, slot: Slot, muxes: Mapping[str, Multiplexed | None]) -> dict[str, frozenset[int]]:
+        """What the selectors must have for a field to be there: its own, that one's own, and so on."""
+        found: dict[str, frozenset[int]] = {}
+        mux = slot.mux
+        while mux is not None and mux.selector not in found:
+            found[mux.selector] = mux.when
+            mux = muxes.get(mux.selector)
+        return found
+
     def _check_overlap(self) -> None:
+        muxes = {slot.name: slot.mux for slot in self.slots}
+        conditions = [self._conditions(slot, muxes) for slot in self.slots]
         for index, one in enumerate(self.slots):
-            for other in self.slots[:index]:
-                if (
-                    one.mux
-                    and other.mux
-                    and one.mux.selector == other.mux.selector
-                    and not one.mux.when & other.mux.when
-                ):
+            for before, other in enumerate(self.slots[:index]):
+                shared = one.mask & other.mask
+                if not shared:
                     continue
-                shared = set(one.positions) & set(other.positions)
-                if shared:
-                    bit = min(shared)
-                    raise SpecError(
-                        f"{self.place.of_field(one.name)}: field {one.name!r} overlaps {other.name!r}"
-                        f" ({self.place.of_field(other.name)}) at byte {bit // 8} bit {bit % 8}"
-                    )
+                mine, theirs = conditions[index], conditions[before]
+                if any(name in mine and not mine[name] & values for name, values in theirs.items()):
+                    continue
+                bit = (shared & -shared).bit_length() - 1
+                raise SpecError(
+                    f"{self.place.of_field(one.name)}: field {one.name!r} overlaps {other.name!r}"
+                    f" ({self.place.of_field(other.name)}) at byte {bit // 8} bit {bit % 8}"
+                    "; if that is meant: overlapping=True"
+                )
 
     def _parse(self, stream: Any, context: Any, path: str) -> Container:
         word = int.from_bytes(stream_read(stream, self.size, path), "little")
@@ -185,23 +274,26 @@ class BitLayout(Construct):
             _=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False
         )
         rest = (1 << 8 * self.size) - 1
+        raws: dict[str, int | None] = {}
         for slot in self.slots:
-            if slot.mux is not None and not slot.mux.is_present(inner):
-                values[slot.name] = inner[slot.name] = None
+            if not slot.is_present(raws):
+                values[slot.name] = inner[slot.name] = raws[slot.name] = None
                 continue
-            number = 0
-            for index, position in enumerate(slot.positions):
-                number |= (word >> position & 1) << index
-                rest &= ~(1 << position)
+            number = slot.read(word)
+            rest &= ~slot.mask
+            if slot.name in self.selectors:
+                raws[slot.name] = slot.inner.raw_of(number)
             size = (len(slot.positions) + 7) // 8
             value = slot.field._parsereport(
                 io.BytesIO(number.to_bytes(size, "big")), inner, f"{path} -> {slot.name}"
             )
-            if self.names.count(slot.name) and sum(s.name == slot.name for s in self.slots) > 1:
+            if slot.name in self.many:
                 value = ListContainer([*values.get(slot.name, ()), value])
             values[slot.name] = inner[slot.name] = value
         if self.has_reserved:
             values["reserved"] = word & rest
+        if self.trailing:
+            values[self.trailing] = stream.read()
         return values
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
@@ -212,14 +304,16 @@ class BitLayout(Construct):
         )
         inner.update(obj)
         used: dict[str, int] = {}
+        raws: dict[str, int | None] = {}
         for slot in self.slots:
             where = f"{path} -> {slot.name}"
-            if slot.mux is not None and not slot.mux.is_present(inner):
+            if slot.mux is not None and not slot.is_present(raws):
                 if obj.get(slot.name) is not None:
-                    wanted = ", ".join(map(str, sorted(slot.mux.when)))
-                    raise FieldError(f"{where}: only there while {slot.mux.selector} is {wanted}")
+                    raise FieldError(
+                        f"{where}: only there while {slot.mux.selector} is {described(slot.mux.when)}"
+                    )
                 continue
-            many = sum(s.name == slot.name for s in self.slots)
+            many = self.many.get(slot.name, 1)
             value = obj[slot.name] if not slot.field.flagbuildnone else obj.get(slot.name)
             if many > 1:
                 index = used.get(slot.name, 0)
@@ -230,19 +324,35 @@ class BitLayout(Construct):
             out = io.BytesIO()
             slot.field._build(value, out, inner, where)
             number = int.from_bytes(out.getvalue(), "big")
-            for index, position in enumerate(slot.positions):
-                word |= (number >> index & 1) << position
-                claimed |= 1 << position
+            if slot.name in self.selectors:
+                raws[slot.name] = slot.inner.raw_of(number)
+            mine = slot.write(number)
+            if (word ^ mine) & slot.mask & claimed:
+                raise FieldError(
+                    f"{where}: {value!r} contradicts {self._sharing(slot)}, which has some of the same bits"
+                )
+            word |= mine
+            claimed |= slot.mask
         if self.has_reserved:
             reserved = obj.get("reserved") or 0
             if reserved & claimed or not 0 <= reserved < 1 << 8 * self.size:
                 raise FieldError(f"{path} -> reserved: {reserved:#x} touches bits of other fields")
             word |= reserved
         stream.write(word.to_bytes(self.size, "little"))
+        if self.trailing:
+            more = obj.get(self.trailing) or b""
+            if not isinstance(more, (bytes, bytearray)):
+                raise FieldError(f"{path} -> {self.trailing}: {more!r} is not bytes")
+            stream.write(bytes(more))
         return obj
+
+    def _sharing(self, slot: Slot) -> str:
+        """The names of the fields before this one that have bits of it."""
+        names = [s.name for s in self.slots[: self.slots.index(slot)] if s.mask & slot.mask]
+        return " or ".join(dict.fromkeys(names))
 
     def _sizeof(self, context: Any, path: str) -> int:
         return self.size
 
 
-__all__ = ["BitLayout", "Bits", "Slot", "Split", "Tuple", "bits"]
+__all__ = ["BitLayout", "Bits", "Slot", "Split", "Tuple", "bits", "float_bits"]

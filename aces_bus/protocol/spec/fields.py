@@ -50,8 +50,9 @@ class Quantity(Field):
     """A number with a unit: physical = raw × `scale` + `offset`.
 
     `range` bounds the physical value and `raw_range` the raw one, both inclusive, when building. `unknown` lists raw
-    values that mean "not known": they decode to None. `rounding` says how a physical value becomes an integer: "nearest"
-    (ties to even) or "truncate" (toward zero), as the device's sheet has it.
+    values that mean "not known": they decode to None. `names` names raw values that are no quantity: they decode to their
+    name. `rounding` says how a physical value becomes an integer: "nearest" (ties to even) or "truncate" (toward zero), as
+    the device's sheet has it.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Quantity(Field):
         range: tuple[float, float] | None = None,
         raw_range: tuple[int, int] | None = None,
         unknown: Collection[float] = (),
+        names: Mapping[str, int] | None = None,
         rounding: str = "nearest",
         doc: str = "",
         source: str = "",
@@ -84,6 +86,10 @@ class Quantity(Field):
         self.source = source
         # The subcon tells whether the wire carries a float; found once, when the spec is read.
         self.is_float = _is_float(subcon)
+        self.names = dict(names or {})
+        self.values = names_by_value(self.names, self.place)
+        if self.names and self.is_float:
+            raise SpecError(f"{self.place}: names are for integers, not for floats")
 
     @classmethod
     def span(cls, subcon: Construct, low: float, high: float, *, bits: int, **more: Any) -> Quantity:
@@ -93,6 +99,8 @@ class Quantity(Field):
     def to_physical(self, raw: Any) -> Any:
         if self.unknown and raw in self.unknown:
             return None
+        if self.values and raw in self.values:
+            return self.values[raw]
         if self.offset:
             return raw * self.scale + self.offset
         return raw * self.scale if self.scale != 1 else raw
@@ -102,6 +110,8 @@ class Quantity(Field):
             if self.unknown:
                 return self.unknown[0]
             raise FieldError(f"{path}: no value given")
+        if isinstance(value, str) and self.names:
+            return named(value, self.names, path)
         if not isinstance(value, (int, float)):
             raise FieldError(f"{path}: {value!r} is not a number")
         if self.range is not None and not self.range[0] <= value <= self.range[1]:
@@ -113,10 +123,9 @@ class Quantity(Field):
                 )
         if not self.is_float and isinstance(value, float) and not math.isfinite(value):
             raise FieldError(f"{path}: {value!r} cannot be sent as an integer")
-        if self.scale == 1 and not self.offset:
-            number: Any = value
-        else:
-            number = (value - self.offset) / self.scale
+        number: Any = value
+        if self.scale != 1 or self.offset:
+            number = exact_ratio(value - self.offset, self.scale)
         if not self.is_float and isinstance(number, float):
             number = round(number) if self.rounding == "nearest" else int(number)
         if self.raw_range is not None and not self.raw_range[0] <= number <= self.raw_range[1]:
@@ -134,8 +143,35 @@ class Quantity(Field):
 
 
 def _is_float(subcon: Construct) -> bool:
-    fmt = getattr(innermost(subcon), "fmtstr", "")
-    return fmt[-1:] in ("e", "f", "d")
+    inner = innermost(subcon)
+    fmt = getattr(inner, "fmtstr", "")
+    return fmt[-1:] in ("e", "f", "d") or bool(getattr(inner, "is_float", False))
+
+
+def exact_ratio(number: float, scale: float) -> float:
+    """number ÷ scale: an integer where both are and it goes without rest, so that 64 bits survive, else a float."""
+    if isinstance(number, int) and isinstance(scale, int) and not number % scale:
+        return number // scale
+    return number / scale
+
+
+def names_by_value(names: Mapping[str, int], place: Place) -> dict[int, str]:
+    """The names by their numbers; raises `SpecError` where a number has two."""
+    values: dict[int, str] = {}
+    for name, value in names.items():
+        if value in values:
+            raise SpecError(
+                f"{place}: enumeration value {value} has two names, {values[value]!r} and {name!r}"
+            )
+        values[value] = name
+    return values
+
+
+def named(name: str, names: Mapping[str, int], path: str) -> int:
+    """The number of a name; raises `FieldError` with the names that there are."""
+    if name not in names:
+        raise FieldError(f"{path}: no value named {name!r} (there are: {', '.join(names)})")
+    return names[name]
 
 
 def innermost(subcon: Construct) -> Construct:
@@ -198,23 +234,13 @@ class Enumeration(Field):
     def __init__(self, subcon: Construct, names: Mapping[str, int] | None = None, /, **more: int) -> None:
         super().__init__(subcon)
         self.names: dict[str, int] = {**(names or {}), **more}
-        self.values: dict[int, str] = {}
-        for name, value in self.names.items():
-            if value in self.values:
-                raise SpecError(
-                    f"{self.place}: enumeration value {value} has two names, {self.values[value]!r} and {name!r}"
-                )
-            self.values[value] = name
+        self.values = names_by_value(self.names, self.place)
 
     def to_physical(self, raw: Any) -> Any:
         return self.values.get(raw, raw)
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        if isinstance(value, str):
-            if value not in self.names:
-                raise FieldError(f"{path}: no value named {value!r} (there are: {', '.join(self.names)})")
-            return self.names[value]
-        return value
+        return named(value, self.names, path) if isinstance(value, str) else value
 
 
 class FlagSet(int):
@@ -337,8 +363,25 @@ def Reserved(size: int) -> Construct:
     return Default(Bytes(size), bytes(size))
 
 
+def described(values: Collection[int]) -> str:
+    """Numbers as their runs, shortest form: `0…15, 32`."""
+    runs: list[list[int]] = []
+    for value in sorted(values):
+        if runs and value == runs[-1][1] + 1:
+            runs[-1][1] = value
+        else:
+            runs.append([value, value])
+    texts = []
+    for low, high in runs[:12]:
+        texts += [f"{low}…{high}"] if high - low > 1 else [str(low)] if low == high else [f"{low}, {high}"]
+    return ", ".join(texts) + (f", … ({len(values)} values)" if len(runs) > 12 else "")
+
+
 class Multiplexed(Construct):
-    """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes."""
+    """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes.
+
+    The selector may be multiplexed itself: while it is not there, neither is this field.
+    """
 
     def __init__(self, selector: str, when: int | Collection[int], subcon: Construct) -> None:
         super().__init__()
@@ -362,8 +405,7 @@ class Multiplexed(Construct):
         if self.is_present(context):
             return self.body._build(obj, stream, context, path)
         if obj is not None:
-            wanted = ", ".join(map(str, sorted(self.when)))
-            raise FieldError(f"{path}: only there while {self.selector} is {wanted}")
+            raise FieldError(f"{path}: only there while {self.selector} is {described(self.when)}")
         return None
 
     def _sizeof(self, context: Any, path: str) -> Any:

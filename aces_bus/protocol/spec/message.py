@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import copy
+import keyword
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -116,7 +117,7 @@ class Message:
         self.check, self.check_extra = check, check_extra
         self.doc, self.source = doc, source
         self.payload = normalised(payload, place)
-        if not name.isidentifier() or name.startswith("_"):
+        if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
             raise SpecError(f"{place}: message name {name!r} is not a plain Python name")
         start = 0
         heads: list[Head] = []
@@ -255,7 +256,8 @@ class Message:
         if isinstance(payload, Delimited):
             return [f.name for f in payload.fields] + (["more"] if payload.more else [])
         assert isinstance(payload, BitLayout)
-        return list(payload.names) + (["reserved"] if payload.has_reserved else [])
+        more = [payload.trailing] if payload.trailing else []
+        return [*payload.names, *(["reserved"] if payload.has_reserved else []), *more]
 
     # ------------------------------------------------------------------ the whole packet
 

@@ -112,18 +112,27 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
         return c.Struct(*items)
     if isinstance(con, BitLayout):
         names: dict[str, Enumeration] = {}
+        known: set[str] = set()
+        if con.trailing:
+            check_name(con.trailing, place)
         for slot in con.slots:
             check_name(slot.name, place)
             found = enumeration_of(slot.field)
             if found is not None:
                 names[slot.name] = found
             if slot.mux is not None:
-                if slot.mux.selector not in con.names[: con.names.index(slot.name)]:
+                if slot.mux.selector not in known:
                     raise SpecError(
                         f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r},"
                         " which is not before it"
                     )
+                if slot.mux.selector in con.many:
+                    raise SpecError(
+                        f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r},"
+                        " which is several numbers"
+                    )
                 slot.mux.enumeration = names.get(slot.mux.selector)
+            known.add(slot.name)
         return con
     if isinstance(con, Multiplexed):
         made = Multiplexed(con.selector, con.when, _walk(con.body, place, path))
@@ -159,6 +168,8 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
         return _either([con.thensubcon, con.elsesubcon])
     if isinstance(con, c.Switch):
         return _either([*con.cases.values(), con.default])
+    if isinstance(con, BitLayout):
+        return con.size, None if con.trailing else con.size
     if isinstance(con, Delimited):
         return con.least_size, None
     if isinstance(con, (c.Default, Field)):

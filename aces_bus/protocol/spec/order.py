@@ -10,6 +10,8 @@ from .message import Message
 def ordered(messages: Iterable[Message]) -> list[Message]:
     """The messages in the order of trial."""
     left = list(messages)
+    if not any(message.over for message in left):
+        return left
     names = {m.name for m in left}
     done: list[Message] = []
     placed: set[str] = set()

@@ -152,6 +152,20 @@ class Pattern(Arithmetic):
             rest -= value << capture.shift
         return found if rest == self.constant else None
 
+    @cached_property
+    def fixed(self) -> int:
+        """The bits that are those of `constant` in every number that matches, as a mask (negative: all higher ones)."""
+        varying = 0
+        for capture in self.captures:
+            varying |= ((1 << capture.width) - 1) << capture.shift
+        if varying & self.constant:  # adding may carry
+            return (1 << min(capture.shift for capture in self.captures)) - 1
+        return ~varying
+
+    def is_apart(self, other: Pattern) -> bool:
+        """Whether a glance shows that no number matches both; False says nothing."""
+        return bool((self.constant ^ other.constant) & self.fixed & other.fixed)
+
     def number(self, captures: Mapping[str, int]) -> int:
         """The number with these raw captures."""
         return self.constant + sum(captures[c.name] << c.shift for c in self.captures)

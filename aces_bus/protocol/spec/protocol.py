@@ -23,6 +23,7 @@ from .place import caller
 
 if TYPE_CHECKING:
     from ..codegen.encoder import Encoder
+    from ..scan.decoded import Decoded
     from ..scan.scanner import Scanner
     from .registers import RegisterMap
 
@@ -262,6 +263,30 @@ class Protocol:
 
         return make_scanner(
             [self.variant(dialect, configuration)], direction=direction, everything=everything
+        )
+
+    def decode(
+        self,
+        capture: Any,
+        *,
+        message: str | Collection[str] | None = None,
+        dialect: str | None = None,
+        configuration: str | Configuration | None = None,
+        direction: Direction | Literal["both"] | None = None,
+        everything: bool = False,
+    ) -> Decoded:
+        """A whole capture as columns: a mapping from messages to tables; see `aces_bus.protocol.scan.decoded.decode`.
+
+        `capture` is opened already (`aces_bus.decode` takes a path), or an iterable of frames, frame tables or bytes.
+        """
+        from ..scan.decoded import decode
+
+        return decode(
+            self.variant(dialect, configuration),
+            capture,
+            message=message,
+            direction=direction,
+            everything=everything,
         )
 
     def encode(

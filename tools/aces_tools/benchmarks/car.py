@@ -90,13 +90,15 @@ def car_traffic(count: int, first: int = 0, seed: int = 1) -> FrameTable:
     rng = np.random.default_rng((seed, first))
     numbers = np.arange(first, first + count)
     which = numbers % 997 * 31 % MESSAGES
+    data = rng.integers(0, 256, (count, 8), np.uint8)
+    data[which % 12 == 5, 0] %= 4  # the mode of a multiplexed message: one that it has
     return FrameTable(
         START + numbers * 250_000,
         np.zeros(count, np.uint16),
         (0x100 + 11 * which).astype(np.uint32),
         np.zeros(count, np.uint8),
         np.full(count, 8, np.uint8),
-        rng.integers(0, 256, (count, 8), np.uint8),
+        data,
         Channels(["can0"]),
     )
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from aces_bus.capture import open_capture
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import Variant, make_scanner
+from aces_bus.protocol import CanScanner, Variant
 from aces_bus.protocol.scan.columns import make_column_scanner
 
 from .c_peer import run_c
@@ -30,6 +30,8 @@ from .timing import Row, fastest, optional
 PEER = 30_000
 #: Rows a column scanner is given at once.
 BATCH = 1 << 18
+#: Rows that are made into records at once.
+PART = 4096
 
 
 class Subject:
@@ -244,9 +246,13 @@ def _decode(subject: Subject, rounds: int, c_rate: float | None) -> list[Row]:
 
 def _objects(subject: Subject, rounds: int) -> list[Row]:
     def ours() -> int:
-        scanner = make_scanner([subject.variant])
+        scanner = CanScanner([subject.variant])
         with open_capture(str(subject.log), link="can") as capture:
-            return sum(len(scanner.feed(frames)) for frames in capture.batches(1024))
+            return sum(
+                len(scanner.feed_table(table.take(slice(at, at + PART))))
+                for table in capture.tables()
+                for at in range(0, len(table), PART)
+            )
 
     contenders: dict[str, tuple[Callable[[], object], int]] = {"aces": (ours, subject.count)}
     if subject.database is not None:
@@ -333,14 +339,13 @@ def _jobs(subject: Subject) -> list[Row]:
     ]
 
 
-_PEAK = "import resource, sys; print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+#: The high-water mark of a process itself; getrusage also counts what it was forked from.
+_PEAK = "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
 
 
 def _memory(subject: Subject) -> list[Row]:
-    """Peak memory of whole commands, in MB above an interpreter that only imports."""
-    try:
-        import resource  # noqa: F401  (absent on Windows)
-    except ImportError:
+    """Peak memory of whole commands, and of an interpreter that only imports."""
+    if not Path("/proc/self/status").exists():
         return []
     base = _peak("import aces_bus.protocol, aces_bus.capture, numpy")
     out = str(subject.folder / "memory.parquet")

@@ -168,7 +168,7 @@ class Text:
         """Where and when: the columns in front."""
         columns: list[str] = []
         if meta.time is not None:
-            columns.append(self._right("time", f"{meta.time - (self._start or 0):.6f}", 12))
+            columns.append(self._right("time", self._stamp(meta.time), 12))
         elif self._widths["time"]:
             columns.append(self._right("time", "", 12))
         if self._is_can:
@@ -182,6 +182,9 @@ class Text:
         else:
             columns.append(self._right("offset", str(meta.offset), 8))
         return "  ".join(columns)
+
+    def _stamp(self, time: float) -> str:
+        return f"{time - (self._start or 0):.6f}"
 
     def _column(self, column: str, text: str, most: int = 1000) -> int:
         width = self._widths[column]

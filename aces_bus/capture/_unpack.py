@@ -1,0 +1,168 @@
+"""Packed sources: gzip and zstandard, told by their first bytes and unpacked as they are read.
+
+1. Memory is bounded whatever the packed bytes claim: at once is unpacked what is asked for (gzip), or what one small
+   piece of input can hold (zstandard: 16 MiB of `_PIECE`), and no window is larger than `_WINDOW` (128 MiB).
+2. What could be read is given first; then damage is one `CaptureError` that says after how many packed bytes it stands.
+3. A file of several members or frames is read as one, as `gzip -dc` and `zstd -dc` do. What is packed twice is refused.
+
+*Facts*: RFC 1952 (gzip), RFC 8878 (zstandard): a block gives at most 128 KiB and may take as few as 4 bytes; members
+may be followed by zeros (RFC 1952 has none, tape archives have). The window is the one `zstd -d` allows without
+`--long`.
+*Choice*: gzip has a checksum at the end of a member only, so lines before the damage may be wrong already; they are
+given like those of a plain file with flipped bits.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+from ..errors import CaptureError
+
+GZIP, ZSTANDARD = "gzip", "zstandard"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_ZSTD_SKIPPABLE = b"\x2a\x4d\x18"  # behind 0x50 to 0x5F
+#: As many bytes tell.
+MAGIC = 4
+
+_INPUT = 1 << 16
+_PIECE = 512
+_WINDOW = 1 << 27
+
+
+def packing(head: bytes) -> str:
+    """What the first bytes say: "gzip", "zstandard" or ""."""
+    if head[:3] == b"\x1f\x8b\x08" and head[3:4] < b"\x20":  # deflate, and none of the reserved flags
+        return GZIP
+    if head[:4] == _ZSTD_MAGIC or (head[1:4] == _ZSTD_SKIPPABLE and head[:1] >= b"P" and head[:1] <= b"_"):
+        return ZSTANDARD
+    return ""
+
+
+def may_be_packed(head: bytes) -> bool:
+    """Whether fewer than `MAGIC` bytes could yet become packed ones."""
+    return (
+        len(head) < MAGIC
+        and head != b""
+        and (
+            b"\x1f\x8b\x08".startswith(head[:3])
+            or _ZSTD_MAGIC.startswith(head)
+            or (b"P" <= head[:1] <= b"_" and _ZSTD_SKIPPABLE.startswith(head[1:]))
+        )
+    )
+
+
+class Unpacker:
+    """Bytes out of packed bytes: `read` as of a file, b"" at the end.
+
+    `head` is what was read to tell the packing, `more` reads on.
+    """
+
+    def __init__(self, kind: str, name: str, head: bytes, more: Callable[[int], bytes]) -> None:
+        self.kind, self._name, self._more = kind, name, more
+        self._begin = _gzip_member if kind == GZIP else _zstandard_frame(name)
+        self._member: Any = None
+        self._waiting = head
+        self._taken = 0  # packed bytes that went into a member or were passed over
+        self._damage = ""
+        self._ready: memoryview = memoryview(b"")
+
+    def read(self, size: int) -> bytes:
+        """At least one byte and at most `size`; none at the end."""
+        if not self._ready:
+            self._ready = memoryview(self._more_unpacked(size))
+        given, self._ready = bytes(self._ready[:size]), self._ready[size:]
+        return given
+
+    def _more_unpacked(self, size: int) -> bytes:
+        while True:
+            if self._damage:
+                raise CaptureError(f"{self._name}: {self._damage}")
+            if not self._waiting:
+                self._waiting = self._more(_INPUT)
+            if not self._waiting:
+                if self._member is None:
+                    return b""
+                self._damage = f"the {self.kind} data ends too early, after {self._taken:,} bytes; what it holds was read"
+                continue
+            if self._member is None and not self._next_member():
+                continue
+            if out := self._unpack(size):
+                return out
+
+    def _next_member(self) -> bool:
+        """Begin the member or frame that is waiting; False when there is none, or not yet."""
+        while may_be_packed(self._waiting) and (more := self._more(_INPUT)):
+            self._waiting += more
+        if packing(self._waiting) == self.kind:
+            self._member = self._begin()
+            return True
+        if (
+            self.kind == GZIP
+            and self._taken
+            and (zeros := len(self._waiting) - len(self._waiting.lstrip(b"\0")))
+        ):
+            self._took(zeros)
+        else:
+            self._damage = f"damaged {self.kind} data after {self._taken:,} bytes: something else follows"
+        return False
+
+    def _unpack(self, size: int) -> bytes:
+        try:
+            if self.kind == GZIP:
+                return self._inflate(size)
+            piece = self._waiting[:_PIECE]
+            out: bytes = self._member.decompress(piece)
+            self._took(len(piece) - len(self._member.unused_data))
+        except Exception as error:  # zlib.error, ZstdError: the latter's module may not be there to name it
+            self._damage = f"damaged {self.kind} data after {self._taken:,} bytes: {error}"
+            return b""
+        if self._member.eof:
+            self._member = None
+        return out
+
+    def _inflate(self, size: int) -> bytes:
+        before = self._member.copy()
+        try:
+            out: bytes = self._member.decompress(self._waiting, size)
+        except zlib.error:
+            out, place, error = up_to_damage(before, self._waiting)
+            self._damage = f"damaged gzip data after {self._taken + place:,} bytes: {error}"
+            return out
+        left = self._member.unused_data if self._member.eof else self._member.unconsumed_tail
+        self._took(len(self._waiting) - len(left))
+        if self._member.eof:
+            self._member = None
+        return out
+
+    def _took(self, count: int) -> None:
+        self._taken += count
+        self._waiting = self._waiting[count:]
+
+
+def up_to_damage(unpacker: Any, packed: bytes | memoryview) -> tuple[bytes, int, str]:
+    """What bytes that are known to be damaged give before the very byte: the output, its place, what zlib says."""
+    parts: list[bytes] = []
+    for place in range(len(packed)):
+        try:
+            parts.append(unpacker.decompress(packed[place : place + 1]))
+        except zlib.error as error:
+            return b"".join(parts), place, str(error)
+    return b"".join(parts), len(packed), "it ends too early"
+
+
+def _gzip_member() -> Any:
+    return zlib.decompressobj(wbits=31)
+
+
+def _zstandard_frame(name: str) -> Callable[[], Any]:
+    try:
+        import zstandard
+    except ImportError:
+        raise CaptureError(
+            f"{name}: this is packed with zstandard, which needs a package: pip install 'aces-bus[columns]', "
+            "or unpack it first: zstd -dc FILE | aces decode … -"
+        ) from None
+    unpacker = zstandard.ZstdDecompressor(max_window_size=_WINDOW)
+    return unpacker.decompressobj

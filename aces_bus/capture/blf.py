@@ -1,0 +1,421 @@
+"""Vector's binary log (BLF): a header, then containers of compressed objects, of which the CAN ones give frames.
+
+    "LOGG", header size u32, …, at 40 the start of the measurement (SYSTEMTIME, UTC)
+    "LOBJ", header size u16, version u16, object size u32, type u32 = 10      a container:
+           16  method u16 (0 stored, 2 zlib), …, unpacked size u32 at 24, then the packed bytes at 32
+
+1. Unpacked containers are one stream of objects; an object may begin in one and end in the next.
+2. Sizes are claims. Nothing is unpacked or kept that is larger than the limits below, and an object is believed when
+   the next one begins where it ends.
+3. After damage reading goes on at the next "LOBJ"; what lies between is one unreadable thing, with its offset.
+
+Objects are counted like lines: `lines` is their number, with one for each damaged stretch. Times are those of the
+objects after the start of the measurement, exact to the nanosecond.
+
+*Facts*: python-can `can/io/blf.py`; Wireshark `wiretap/blf.h` (objects may stand before the containers). Objects are
+padded: the next begins within 8 bytes.
+*Choice*: the start is taken as UTC, as python-can takes it; Vector's programs write the local time of their machine.
+"""
+
+from __future__ import annotations
+
+import datetime
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import CaptureError
+from ..frame_table import FrameTable, Ints
+from ._heap import keep_freed_memory
+from ._in_order import merged
+from ._unpack import up_to_damage
+from .base import CanCapture
+from .blf_objects import LOG_CONTAINER, decode, is_can
+
+SIGNATURE = b"LOGG"
+_OBJECT = b"LOBJ"
+_OBJECT_WORD = int.from_bytes(_OBJECT, "little")
+_BASE = struct.Struct("<4sHHLL")
+_HEADER = 144
+#: Bytes of a packed container and of what it holds, of an object, and of a CAN object.
+_CONTAINER, _LARGEST, _LARGEST_CAN = 1 << 26, 1 << 24, 1 << 12
+#: A container of so many bytes holds at most 1,032 times as many (zlib), which is less than `_CONTAINER`.
+_SMALL = 60_000
+#: Bytes that are read, unpacked and looked at together.
+LARGE = 1 << 20
+#: Rows of a table, unless the source is live or ends.
+TABLE_ROWS = 1 << 16
+#: Behind the last object, so that whole objects may be gathered.
+_SLACK = bytes(256)
+#: Objects that are worth the calls of finding them all at once.
+_FEW = 64
+#: The next object begins within so many bytes behind one.
+_PADDING = 8
+
+
+def looks_like_blf(head: bytes) -> bool:
+    """Whether a file begins as a BLF log does."""
+    return head.startswith(SIGNATURE)
+
+
+class BlfCapture(CanCapture):
+    """Frames of a Vector BLF log, error frames too. A channel is named by its number from 0, as in python-can.
+
+    Reading raises `CaptureError` when not even the header is there.
+    """
+
+    format = "Vector BLF"
+
+    def _tables(self) -> Iterator[FrameTable]:
+        keep_freed_memory()
+        stream = _Stream(self)
+        pending: list[FrameTable] = []
+        rows = 0
+        try:
+            for piece in self._contents(stream):
+                for table in stream.feed(piece, flush=self.live):
+                    pending.append(table)
+                    rows += len(table)
+                if rows >= TABLE_ROWS or (rows and self.live):
+                    yield FrameTable.concat(pending)
+                    pending, rows = [], 0
+        except CaptureError:
+            pending += stream.end()
+            if pending:  # what was read is given first
+                yield FrameTable.concat(pending)
+            raise
+        pending += stream.end()
+        if pending:
+            yield FrameTable.concat(pending)
+
+    def _contents(self, stream: _Stream) -> Iterator[bytes | None]:
+        """The unpacked bytes of all containers; None where some are missing."""
+        file = _File(self._source.blocks(lambda: LARGE))
+        stream.start_ns = self._header(file)
+        while file.want(_BASE.size + _PADDING) or file.data:
+            at = file.data.find(_OBJECT, 0, _PADDING + 3)
+            if at < 0 or len(file.data) - at < _BASE.size:
+                if not file.data.strip(b"\0") and not file.want(len(file.data) + 1):
+                    return
+                yield None
+                self._resync(file, 1, "")
+                continue
+            file.drop(at)
+            _, _, _, size, kind = _BASE.unpack_from(file.data)
+            if not (32 if kind == LOG_CONTAINER else 16) <= size <= _CONTAINER:
+                yield None
+                self._resync(file, 4, f"an object of {size:,} bytes; ")
+                continue
+            whole = file.want(size)
+            if kind == LOG_CONTAINER:
+                yield from self._container(file.first(size), file.offset)
+            else:
+                yield file.first(size)
+            if not whole:
+                self._damaged(f"the file ends within the object at offset {file.offset:,}", b"")
+                yield None
+            file.drop(size)
+
+    def _header(self, file: _File) -> int:
+        """Passes over the header; gives the start of the measurement in ns, 0 where it has none."""
+        if not file.want(_HEADER // 2) or not file.data.startswith(SIGNATURE):
+            raise CaptureError(f"{self.name}: no Vector BLF log, or one that ends within its header")
+        size = int.from_bytes(file.data[4:8], "little")
+        start = _system_time(file.data[40:56])
+        file.want(_HEADER)
+        file.drop(size if _HEADER // 2 <= size <= 4096 else _HEADER)
+        return start
+
+    def _container(self, container: bytes, offset: int) -> Iterator[bytes | None]:
+        method = int.from_bytes(container[16:18], "little")
+        if method == 0:
+            yield container[32:]
+            return
+        if method != 2:
+            self._damaged(f"container at offset {offset:,}: packing method {method} is not known", container)
+            yield None
+            return
+        claimed = int.from_bytes(container[24:28], "little")
+        if (
+            len(container) <= _SMALL and claimed <= LARGE
+        ):  # quicker, and bounded by what so few bytes can hold
+            try:
+                whole = zlib.decompress(memoryview(container)[32:], bufsize=max(claimed, 1))
+            except zlib.error:
+                pass  # step by step, up to the damage
+            else:
+                yield from (whole[start : start + LARGE] for start in range(0, len(whole), LARGE))
+                return
+        unpacker, total = zlib.decompressobj(), 0
+        packed: bytes | memoryview = memoryview(container)[32:]
+        damage = ""
+        while not unpacker.eof and not damage:
+            before = unpacker.copy()
+            try:
+                piece = unpacker.decompress(packed, LARGE)
+            except zlib.error:
+                piece, _, damage = up_to_damage(before, packed)
+            else:
+                packed = unpacker.unconsumed_tail
+                if len(piece) < LARGE and not packed and not unpacker.eof:
+                    damage = "it ends too early"
+            total += len(piece)
+            if total > _CONTAINER:
+                damage = f"more than {_CONTAINER:,} bytes"
+            elif piece:
+                yield piece
+        if damage:
+            self._damaged(
+                f"container at offset {offset:,} is damaged after {total:,} bytes: {damage}", container
+            )
+            yield None
+
+    def _resync(self, file: _File, step: int, why: str) -> None:
+        """Drop everything up to the next object."""
+        offset, first = file.offset, bytes(file.data[:32])
+        file.drop(step)
+        while (at := file.data.find(_OBJECT)) < 0:
+            file.drop(max(len(file.data) - 3, 0))
+            if not file.want(len(file.data) + 1):
+                file.drop(len(file.data))
+                break
+        else:
+            file.drop(at)
+        self._damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
+
+    def _damaged(self, reason: str, excerpt: bytes) -> None:
+        self.lines += 1
+        self._unreadable(self.lines, reason, excerpt[:24].hex(" ").encode())
+
+    def _decoded(self, data: Ints, begins: Ints, sizes: Ints, start_ns: int) -> FrameTable:
+        """The frames of these objects; counts everything."""
+        found = decode(data, begins, sizes, start_ns, self.channels)
+        for place, reason in sorted(found.unreadable):
+            begin = int(begins[place])
+            self._unreadable(
+                self.lines + place + 1, reason, data[begin : begin + 24].tobytes().hex(" ").encode()
+            )
+        for kind, count in found.others.items():
+            self._other_kind(kind, count)
+        self.lines += len(begins)
+        if not found.frames:
+            return FrameTable.empty(self.channels)
+        table = merged(
+            len(begins), [places for places, _ in found.frames], [part for _, part in found.frames]
+        )
+        self.frames += len(table)
+        return table
+
+
+class _File:
+    """Bytes of the file from an offset on, as many as are wanted."""
+
+    def __init__(self, blocks: Iterator[bytes]) -> None:
+        self.data, self.offset = bytearray(), 0
+        self._blocks = blocks
+
+    def want(self, size: int) -> bool:
+        """Read until so many bytes are there; False when the file has fewer."""
+        while len(self.data) < size:
+            block = next(self._blocks, b"")
+            if not block:
+                return False
+            self.data += block
+        return True
+
+    def first(self, size: int) -> bytes:
+        """So many bytes, or what there is."""
+        with memoryview(self.data) as view:
+            return bytes(view[:size])
+
+    def drop(self, size: int) -> None:
+        size = min(size, len(self.data))
+        del self.data[:size]
+        self.offset += size
+
+
+class _Walk(NamedTuple):
+    """Objects found one behind the other, where reading goes on, and where damage begins (None: more is needed)."""
+
+    begins: Ints
+    sizes: Ints
+    place: int
+    damage: int | None
+
+
+class _Stream:
+    """The unpacked bytes: keeps what waits for more, walks from object to object, goes on after damage."""
+
+    def __init__(self, capture: BlfCapture) -> None:
+        self.start_ns = 0
+        self._capture = capture
+        self._waiting: list[bytes] = []
+        self._size = 0
+        self._offset = 0  # of the first byte that waits
+        self._lost: int | None = None  # offset of the first byte that is no object
+
+    def feed(self, piece: bytes | None, flush: bool) -> Iterator[FrameTable]:
+        """The frames that are complete with this piece, once there is enough to look at."""
+        if piece is not None:
+            self._waiting.append(piece)
+            self._size += len(piece)
+        if piece is None or flush or self._size >= LARGE:
+            yield from self._read()
+        if piece is None and self._size:  # nothing continues what is left
+            self._lose(self._offset)
+            self._offset += self._size
+            self._waiting, self._size = [], 0
+
+    def end(self) -> list[FrameTable]:
+        """The rest."""
+        tables = list(self._read(final=True))
+        left = b"".join(self._waiting)
+        if self._lost is not None:
+            self._found(self._offset + len(left))
+        elif left.strip(b"\0"):
+            self._capture._damaged(
+                f"the log ends within the object at unpacked offset {self._offset:,}", left
+            )
+        self._waiting, self._size = [], 0
+        return tables
+
+    def _read(self, final: bool = False) -> Iterator[FrameTable]:
+        size, place = self._size, 0
+        data = b"".join((*self._waiting, _SLACK))
+        view = np.frombuffer(data, np.uint8)
+        while True:
+            if self._lost is not None:
+                place, found = _next_object(data, place, size, final)
+                if not found:
+                    break
+                self._found(self._offset + place)
+            walk = _walk(data, view, size, place)
+            place = walk.place
+            if len(walk.begins):
+                table = self._capture._decoded(view, walk.begins, walk.sizes, self.start_ns)
+                if len(table):
+                    yield table
+            if walk.damage is not None:
+                self._lose(self._offset + walk.damage)
+            elif final and data.find(_OBJECT, place + 4, size) >= 0:
+                self._lose(self._offset + place)  # it does not end, but there is another one within it
+                place += 4
+            else:
+                break
+        self._offset += place
+        self._waiting, self._size = [data[place:size]], size - place
+
+    def _lose(self, offset: int) -> None:
+        if self._lost is None:
+            self._lost = offset
+
+    def _found(self, offset: int) -> None:
+        assert self._lost is not None
+        lost, self._lost = self._lost, None
+        if offset > lost:
+            self._capture._damaged(f"{offset - lost:,} bytes at unpacked offset {lost:,} are no object", b"")
+
+
+def _next_object(data: bytes, place: int, size: int, final: bool) -> tuple[int, bool]:
+    """Where an object begins whose size can be, or else where to go on when there is more; and whether one was found."""
+    while (at := data.find(_OBJECT, place, size)) >= 0:
+        if at + _BASE.size > size:
+            return (size if final else at), False
+        _, _, _, length, kind = _BASE.unpack_from(data, at)
+        if _BASE.size <= length <= _limit(kind) and not (final and at + length > size):
+            return at, True
+        place = at + 4
+    return (size if final else max(place, size - 3)), False
+
+
+def _limit(kind: int) -> int:
+    return _LARGEST_CAN if is_can(kind) else _LARGEST
+
+
+def _walk(data: bytes, view: Ints, size: int, place: int) -> _Walk:
+    """The objects from `place` on. All at once where each ends where the next begins, otherwise step by step."""
+    begins: list[Ints] = []
+    sizes: list[Ints] = []
+    steps = 0  # to go before all at once is tried again
+    one: list[int] = []  # begins found step by step
+    each: list[int] = []
+    damage: int | None = None
+    while True:
+        at = data.find(_OBJECT, place, min(place + _PADDING + 3, size))
+        if at < 0:
+            if size - place < _PADDING + 3:
+                break
+            damage = place
+            if one and (inner := data.find(_OBJECT, one[-1] + 4, place)) >= 0:
+                damage, place = one.pop(), inner  # its size was wrong: it swallowed another object
+                each.pop()
+            break
+        if at + _BASE.size > size:
+            break
+        _, _, _, length, kind = _BASE.unpack_from(data, at)
+        if not _BASE.size <= length <= _limit(kind):
+            damage, place = at, at + 4
+            break
+        if at + length > size:
+            break
+        if steps > 0:
+            steps -= 1
+            one.append(at)
+            each.append(length)
+            place = at + length
+            continue
+        begin, long = _run(view, size, at)
+        if one:
+            begins.append(np.array(one))
+            sizes.append(np.array(each))
+        # The last of a run may yet turn out wrong, like those found step by step.
+        begins.append(begin[:-1])
+        sizes.append(long[:-1])
+        one, each = [int(begin[-1])], [int(long[-1])]
+        place = one[0] + each[0]
+        if len(begin) < _FEW:
+            steps = 1024
+    begins.append(np.array(one, np.int64))
+    sizes.append(np.array(each, np.int64))
+    return _Walk(np.concatenate(begins), np.concatenate(sizes), place, damage)
+
+
+def _run(view: Ints, size: int, place: int) -> tuple[Ints, Ints]:
+    """Objects of which each begins where the one before ends: at least the one at `place`, which is known to be whole."""
+    step = int(np.ndarray((1,), "<u4", view, place + 8, (4,))[0])
+    if step <= _LARGEST_CAN:
+        count = min((size - place) // step, LARGE // step)
+        even = np.ndarray((count,), "<u4", view, place, (step,)) == _OBJECT_WORD
+        even &= np.ndarray((count,), "<u4", view, place + 8, (step,)) == step
+        count = count if even.all() else int(even.argmin())
+        if count >= _FEW:
+            return np.arange(place, place + count * step, step), np.full(count, step)
+    words = np.ndarray((min(size - place, LARGE) // 4,), "<u4", view, place, (4,))
+    found = np.flatnonzero(words == _OBJECT_WORD)
+    found = found[: np.searchsorted(found, len(words) - 3)]
+    begins = place + 4 * found
+    sizes = words[found + 2].astype(np.int64)
+    ends = begins + sizes
+    gaps = begins[1:] - ends[:-1]
+    good = (gaps >= 0) & (gaps < _PADDING)
+    good &= sizes[1:] >= _BASE.size
+    good &= ends[1:] <= size
+    kinds = words[found[1:] + 3]
+    good &= (sizes[1:] <= _LARGEST_CAN) | ((sizes[1:] <= _LARGEST) & ~is_can(kinds))
+    count = len(good) if good.all() else int(good.argmin())
+    return begins[: count + 1], sizes[: count + 1]
+
+
+def _system_time(raw: bytes | bytearray) -> int:
+    """Nanoseconds since 1970 of a SYSTEMTIME (year, month, day of the week, day, hour, minute, second, ms), or 0."""
+    year, month, _, day, hour, minute, second, milliseconds = struct.unpack("<8H", raw)
+    try:
+        when = datetime.datetime(year, month, day, hour, minute, second, tzinfo=datetime.UTC)
+    except ValueError:
+        return 0
+    seconds = (when - datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)) // datetime.timedelta(seconds=1)
+    nanoseconds = seconds * 1_000_000_000 + min(milliseconds, 999) * 1_000_000
+    return nanoseconds if abs(nanoseconds) < 1 << 62 else 0

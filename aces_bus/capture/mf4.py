@@ -1,0 +1,178 @@
+"""ASAM MDF 4 with CAN bus logging (`.mf4`), read by asammdf in a process of its own.
+
+1. asammdf is never imported here: where it is loaded before python-can, python-can loses its `.mf4`.
+2. Damaged and hostile files cost the other process: its memory is limited (`_mf4_child.MEMORY` on top of the libraries; not
+   on Windows, which has no such limit), and it is stopped when it says nothing for too long.
+3. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its
+   group.
+
+Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read. A
+channel is named by its number, "1", as with python-can; in files of our own it has the name it had.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..errors import CaptureError
+from ..frame_table import FrameTable
+from . import _mf4_child as child
+from ._source import Source
+from ._spool import on_disk
+from .base import PROBLEMS_KEPT, CanCapture, Problem, printable
+
+#: Seconds without a word after which the other process is stopped: so many, and one more for so many bytes of the file, as
+#: unsorted files are sorted before anything is said.
+PATIENCE = 60.0
+SLOWEST = 10_000_000
+#: A message is some 5 MB; a longer one would be a fault.
+_MESSAGE = 1 << 28
+
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
+    " from aces_bus.capture._mf4_child import main; main(sys.argv[2:])"
+)
+
+
+def looks_like_mf4(head: bytes) -> bool:
+    """Whether these are the first bytes of an MDF file, of whatever version, finished or not."""
+    return head[:8] in (b"MDF     ", b"UnFinMF ")
+
+
+class Mf4Capture(CanCapture):
+    """CAN frames of an MDF 4 bus log.
+
+    Reading raises `CaptureError` when asammdf is not installed, when the file cannot be read or holds no bus logging, and
+    when reading it takes more memory or time than is allowed. What does not come from a plain file is kept in a temporary
+    one.
+    """
+
+    format: ClassVar[str] = "MF4"
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self._patience = PATIENCE
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def close(self) -> None:
+        """Close the file, and stop the process that reads it."""
+        super().close()
+        if self._process is not None:
+            _stop(self._process)
+
+    def _launch(self, folder: str, path: str) -> subprocess.Popen[bytes]:
+        try:
+            return _start(folder, [path])
+        except OSError as error:
+            raise CaptureError(
+                f"{self.name}: an MF4 file is read by another process, and {sys.executable or 'Python'} cannot be"
+                f" started: {error}"
+            ) from error
+
+    def _tables(self) -> Iterator[FrameTable]:
+        with on_disk(self._source) as (path, folder):
+            process = self._process = self._launch(folder, path)
+            self._patience = PATIENCE + os.path.getsize(path) / SLOWEST
+            try:
+                yield from self._read(process)
+            finally:
+                _stop(process)
+        self.close()
+
+    def _read(self, process: subprocess.Popen[bytes]) -> Iterator[FrameTable]:
+        """The tables of one file; returns at its end."""
+        while True:
+            kind, body = self._message(process)
+            if kind == child.END:
+                return
+            if kind == child.ERROR_SAID:
+                raise self._refusal(body.decode("utf-8", "replace"))
+            if kind == child.COUNTS:
+                self._count(json.loads(body))
+            else:
+                yield self._table(body)
+
+    def _message(self, process: subprocess.Popen[bytes]) -> tuple[bytes, bytes]:
+        assert process.stdout is not None
+        is_over = threading.Event()
+
+        def stop() -> None:
+            is_over.set()
+            process.kill()
+
+        timer = threading.Timer(self._patience, stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            head = process.stdout.read(child.HEAD.size)
+            kind, size = child.HEAD.unpack(head) if len(head) == child.HEAD.size else (b"", 0)
+            body = process.stdout.read(size) if kind and size <= _MESSAGE else b""
+        finally:
+            timer.cancel()
+        if is_over.is_set():
+            raise CaptureError(
+                f"{self.name}: reading this MF4 file came to nothing for {self._patience:.0f} s and was stopped; it"
+                " is damaged"
+            )
+        if not kind or len(body) != size:
+            code = process.wait()
+            raise CaptureError(
+                f"{self.name}: the process that reads this MF4 file ended early (status {code}); the file is damaged, or"
+                " the system stopped it for want of memory"
+            )
+        return kind, body
+
+    def _refusal(self, said: str) -> CaptureError:
+        if said.startswith("missing "):
+            return CaptureError(
+                f"{self.name}: MF4 files need {said.removeprefix('missing ')}: pip install 'aces-bus[mf4]'"
+            )
+        return CaptureError(f"{self.name}: this MF4 file cannot be read: {printable(said.encode())}")
+
+    def _count(self, counts: dict[str, Any]) -> None:
+        self.lines, self.frames = counts["lines"], counts["frames"]
+        self.lines_unreadable, self.others = counts["unreadable"], counts["others"]
+        self.problems = [Problem(line, reason, "") for line, reason in counts["problems"]][:PROBLEMS_KEPT]
+        for name in counts["names"]:
+            self.channels.number(name)
+
+    def _table(self, body: bytes) -> FrameTable:
+        n, width = child.SHAPE.unpack_from(body)
+        at = child.SHAPE.size
+        columns: list[Any] = []
+        for dtype in ("<i8", "<u2", "<u4", "u1", "u1"):
+            columns.append(np.frombuffer(body, dtype, n, at))
+            at += columns[-1].nbytes
+        time, channel, identifier, flags, length = columns
+        data = np.frombuffer(body, np.uint8, n * width, at).reshape(n, width)
+        return FrameTable(time, channel, identifier, flags, length, data, self.channels)
+
+
+def _start(folder: str, paths: list[str]) -> subprocess.Popen[bytes]:
+    """The other process, on its way through these files."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TMPDIR": folder}
+    arguments = [sys.executable, "-c", _START, json.dumps(sys.path), str(child.MEMORY), folder, *paths]
+    return subprocess.Popen(
+        arguments,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+        start_new_session=True,  # Ctrl-C is for the one who reads, who then stops this process
+    )
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()

@@ -1,0 +1,247 @@
+"""What tcpdump and Wireshark write: pcap, and what it shares with pcapng (`pcapng.py`).
+
+1. Every packet is a frame, one of `others` in words, or unreadable with its reason; `lines` counts packets.
+2. A length above `MAX_BLOCK` is damage. Nothing says where the next packet begins then: the rest counts as one
+   unreadable object, with the offset at which it begins.
+3. A buffer is walked from length to length; the packets found are turned into columns together.
+
+*Facts*: draft-ietf-opsawg-pcap. The magic number says byte order and µs or ns. The upper half of the link type's word
+says how many check bytes follow, which CAN captures have none of.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import abstractmethod
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..errors import CaptureError
+from ..frame_table import FrameTable, Ints
+from ._socketcan import GOOD, IS_XL, LINK_TYPES, PADDING, REASONS, Packets, decode, rows_of
+from ._source import Source
+from .base import CanCapture
+
+#: Longer packets and blocks are taken for damage; a CAN frame has 72 bytes.
+MAX_BLOCK = 1 << 24
+#: Read at once from a file, so that tables have some ten thousand rows.
+_BATCH = 1 << 20
+#: So many kinds of other things are named apart.
+_KINDS = 64
+
+_MAGIC: dict[bytes, tuple[str, int]] = {
+    b"\xa1\xb2\xc3\xd4": (">", 1000),
+    b"\xd4\xc3\xb2\xa1": ("<", 1000),
+    b"\xa1\xb2\x3c\x4d": (">", 1),
+    b"\x4d\x3c\xb2\xa1": ("<", 1),
+}
+_LINK_NAMES = {1: " (Ethernet)", 189: " (USB)", 190: " (CAN 2.0B)", 220: " (USB)", 249: " (USB)"}
+
+
+def looks_like_pcap(head: bytes) -> bool:
+    """Whether these are the first bytes of a pcap file."""
+    return head[:4] in _MAGIC
+
+
+def link_words(link: int) -> str:
+    """A link type in words."""
+    return f"packets of link type {link}{_LINK_NAMES.get(link, '')}"
+
+
+class PacketCapture(CanCapture):
+    """Objects with a length in front, and CAN frames in some of them."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        #: Bytes before the buffer at hand.
+        self._before = 0
+        self._is_damaged = False
+
+    @abstractmethod
+    def _walk(self, buffer: bytes) -> tuple[list[FrameTable], int, int]:
+        """The tables of whole objects, how many bytes these take, and how many bytes from there the next one needs."""
+
+    @abstractmethod
+    def _end(self, rest: int) -> None:
+        """The file has ended, `rest` bytes into an object."""
+
+    def _tables(self) -> Iterator[FrameTable]:
+        parts: list[bytes] = []
+        size, needed = 0, 1
+        batch = 0 if self._source.live else _BATCH
+        for block in self._source.blocks():
+            parts.append(block)
+            size += len(block)
+            if size >= needed and size >= batch:
+                buffer = b"".join(parts)
+                tables, used, needed = self._walk(buffer)
+                yield from tables
+                if self._is_damaged:
+                    self.close()
+                    return
+                parts, size = [buffer[used:]], size - used
+                self._before += used
+        buffer = b"".join(parts)
+        tables, used, _ = self._walk(buffer)
+        yield from tables
+        if used < len(buffer) and not self._is_damaged:
+            self._end(len(buffer) - used)
+
+    def _give_up(self, offset: int, reason: str, excerpt: bytes) -> None:
+        """Count the rest of the file as one unreadable object."""
+        self._is_damaged = True
+        self.lines += 1
+        where = f"{reason} at offset {self._before + offset}; nothing behind it can be read"
+        self._unreadable(self.lines, where, excerpt)
+
+    def _frames(
+        self, view: Ints, starts: Ints, sizes: Ints, links: Ints, is_little: bool
+    ) -> tuple[Packets, Ints]:
+        """Packets of any link types: their columns and which of them are frames; the others are counted."""
+        is_can = np.isin(links, LINK_TYPES)
+        if not is_can.all():
+            kinds, numbers = np.unique(links[~is_can], return_counts=True)
+            for kind, number in zip(kinds.tolist(), numbers.tolist(), strict=True):
+                self._other(link_words(kind), number)
+        sizes = np.where(is_can, sizes, 0)
+        packets = decode(view, starts, sizes, np.where(is_can, links, LINK_TYPES[0]), is_little)
+        is_good = packets.status == GOOD
+        if not is_good.all():
+            for row in np.flatnonzero(~is_good & is_can).tolist():
+                code = int(packets.status[row])
+                if code in REASONS:
+                    start, size = int(starts[row]), int(sizes[row])
+                    excerpt = view[start : start + min(size, 16)].tobytes().hex()
+                    self._unreadable(self.lines + row + 1, REASONS[code], excerpt.encode())
+                elif code == IS_XL:
+                    self._other("CAN XL frames")
+                else:
+                    self._other(f"packets of protocol 0x{int(packets.protocol[row]):04X}")
+        self.lines += len(starts)
+        self.frames += int(is_good.sum())
+        return packets, is_good
+
+    def _other(self, kind: str, number: int = 1) -> None:
+        if kind not in self.others and len(self.others) >= _KINDS:
+            kind = "other packets and blocks"
+        self._other_kind(kind, number)
+
+
+class PcapCapture(PacketCapture):
+    """Frames of a pcap file of link type 227 (SocketCAN), 113 or 276 (Linux cooked capture).
+
+    A pcap file names no interface: `channel` is None, or "if3" where the cooked header says 3. Reading raises
+    `CaptureError` when the file is not as long as its header, or holds packets of another link type.
+    """
+
+    format = "pcap"
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self._order = ""
+        self._unit = 1
+        self._link = 0
+
+    def _header(self, buffer: bytes) -> None:
+        self._order, self._unit = _MAGIC[buffer[:4]]
+        self._link = struct.unpack_from(self._order + "I", buffer, 20)[0] & 0xFFFF
+        if self._link not in LINK_TYPES:
+            raise CaptureError(
+                f"{self.name}: a pcap file with {link_words(self._link)}, and no CAN frames; capture on a CAN interface"
+                " (tcpdump -i can0 -w walk.pcap)"
+            )
+
+    def _walk(self, buffer: bytes) -> tuple[list[FrameTable], int, int]:
+        position = 0
+        if not self._order:
+            if len(buffer) < 24:
+                return [], 0, 24
+            if buffer[:4] not in _MAGIC:
+                raise CaptureError(f"{self.name}: not a pcap file: it begins with {buffer[:4].hex()}")
+            self._header(buffer)
+            position = 24
+        length_at = struct.Struct(self._order + "I").unpack_from
+        starts: list[Ints] = []
+        singles: list[int] = []
+        end, needed, same, last, damaged = len(buffer), 16, 0, -1, 0
+        while position + 16 <= end:
+            size = length_at(buffer, position + 8)[0] + 16
+            if size > MAX_BLOCK:
+                damaged = size
+                break
+            if position + size > end:
+                needed = size
+                break
+            same = same + 1 if size == last else 0
+            last = size
+            if same == 8 and size % 4 == 0:  # records of one size mostly come in long runs
+                same = 0
+                count = (end - position) // size
+                words = np.frombuffer(buffer, self._order + "u4", count * size // 4, position)
+                many = run_length(words.reshape(count, size // 4)[:, 2])
+                starts += [np.array(singles, np.int64), position + np.arange(many, dtype=np.int64) * size]
+                singles = []
+                position += many * size
+                continue
+            singles.append(position)
+            position += size
+        starts.append(np.array(singles, np.int64))
+        tables = self._table(buffer, np.concatenate(starts))
+        if damaged:
+            self._give_up(
+                position, f"a packet of {damaged} bytes", buffer[position : position + 16].hex().encode()
+            )
+        return tables, position, needed
+
+    def _table(self, buffer: bytes, starts: Ints) -> list[FrameTable]:
+        n = len(starts)
+        if not n:
+            return []
+        view = padded(buffer)
+        head = np.ascontiguousarray(rows_of(view, starts, 12)).view(self._order + "u4")
+        time = head[:, 0].astype(np.int64) * 1_000_000_000 + head[:, 1].astype(np.int64) * self._unit
+        packets, is_good = self._frames(
+            view, starts + 16, head[:, 2].astype(np.int64), np.full(n, self._link), self._order == "<"
+        )
+        interfaces = packets.interface[is_good]
+        numbers = np.zeros(len(interfaces), np.uint16)
+        for interface in np.unique(interfaces).tolist():
+            name = None if interface < 0 else f"if{interface}"
+            numbers[interfaces == interface] = self.channels.number(name)
+        return as_tables(packets, is_good, time, numbers, self)
+
+    def _end(self, rest: int) -> None:
+        if not self._order:
+            raise CaptureError(f"{self.name}: not a whole pcap file: it ends within its header")
+        self._give_up(0, f"the file ends {rest} bytes into a packet", b"")
+
+
+def padded(buffer: bytes) -> Ints:
+    """The bytes of a buffer, and so many behind it that nothing is read from elsewhere."""
+    return np.frombuffer(buffer + bytes(PADDING), np.uint8)
+
+
+def as_tables(
+    packets: Packets, is_good: Ints, time: Ints, channel: Ints, capture: CanCapture
+) -> list[FrameTable]:
+    """The good packets as a table, if there are any; `channel` is of these alone."""
+    if not is_good.any():
+        return []
+    if not is_good.all():
+        time, packets = time[is_good], Packets._make(column[is_good] for column in packets)
+    return [
+        FrameTable(time, channel, packets.id, packets.flags, packets.length, packets.data, capture.channels)
+    ]
+
+
+def run_length(sizes: Ints) -> int:
+    """How many of the first numbers are equal."""
+    reach, n = 16, len(sizes)
+    while True:
+        wrong = sizes[:reach] != sizes[0]
+        if wrong.any():
+            return int(wrong.argmax())
+        if reach >= n:
+            return n
+        reach *= 16

@@ -1,0 +1,25 @@
+"""Decoded tables on disk: Parquet, Arrow, CSV, NumPy, SQLite, MCAP; and as pandas and polars have them.
+
+1. Memory stays bounded whatever the capture's size: tables go in piece by piece, and out as they fill up.
+2. Under an export's name there is the whole of it, or what was there before.
+3. Heavy libraries are imported where they are used.
+
+    from aces_bus.export import open_export
+
+    with open_capture("walk.log", link="can") as capture, open_export("walk.parquet", variants=[variant]) as export:
+        scanner = make_column_scanner([variant])
+        for frames in capture.tables():
+            export.write(scanner.feed(frames))
+        export.write(scanner.close())
+"""
+
+from __future__ import annotations
+
+from ..protocol.scan.dataframes import to_arrow as to_arrow
+from ..protocol.scan.dataframes import to_pandas as to_pandas
+from ..protocol.scan.dataframes import to_polars as to_polars
+from .base import Export as Export
+from .open import format_of as format_of
+from .open import open_export as open_export
+
+__all__ = ["Export", "format_of", "open_export", "to_arrow", "to_pandas", "to_polars"]

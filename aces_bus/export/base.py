@@ -1,0 +1,275 @@
+"""What every export does: takes tables piece by piece, keeps little, stands at the end or not at all.
+
+1. `write` keeps copies of values and no table. All pieces that wait together are at most about `BUDGET` bytes.
+2. A message's schema is the same in every piece; see `aces_bus.protocol.scan.layout`.
+3. `close` puts the export in its place; leaving the `with` block by an exception, or `abandon`, leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import ClassVar, Self
+
+from ..errors import CallerError
+from ..protocol.scan.dataframes import is_absolute
+from ..protocol.scan.layout import Block, Labels, Layout, Objects, concat, cut, empty_table, size_of
+from ..protocol.scan.message_table import MessageTable
+from ..protocol.spec.protocol import Variant
+from .files import Staging, telling
+from .naming import Naming
+
+#: Rows of one message that are written at once: row groups of Parquet are read one at a time.
+ROWS = 131_072
+#: Bytes of values that wait to be written, over all messages.
+BUDGET = 64 << 20
+
+
+@dataclass(frozen=True)
+class Options:
+    """How values are written. `names`: enumerations as texts instead of numbers. `float32`: physical values in half the
+    size. `only`: one message, which is then written as a file and not as a folder. `sources`: a column `source` tells
+    the captures apart."""
+
+    names: bool = False
+    float32: bool = False
+    only: str | None = None
+    sources: bool = False
+
+
+@dataclass
+class Dataset:
+    """One message on its way into an export."""
+
+    name: str
+    layout: Layout
+    pieces: list[Block] = field(default_factory=list)
+    waiting: int = 0
+    size: int = 0
+    rows: int = 0
+
+
+class Export(ABC):
+    """Tables on their way into a file or folder; made by `open_export`.
+
+        with open_export("walk.parquet", variants=[hubo.variant()]) as export:
+            for frames in capture.tables():
+                export.write(scanner.feed(frames))
+            export.write(scanner.close())
+
+    `rows` counts what was written, by dataset. `notes` says in sentences what could not be written as it is.
+    """
+
+    #: What the format is called, and whether it is a folder of datasets unless a single message is wanted.
+    format: ClassVar[str]
+    is_folder: ClassVar[bool] = False
+    #: How names of datasets are compared: SQLite and many file systems do not tell upper from lower case.
+    suffix: ClassVar[str] = ""
+
+    def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
+        self.path = path
+        self.options = options
+        self.variants = tuple(variants)
+        self.labels, self.sources = Labels(), Labels()
+        #: Whether times count from 1970; None while none is known.
+        self.absolute: bool | None = None
+        self._objects = Objects(variants)
+        self._naming = Naming(variants, reserved=self._reserved())
+        self._datasets: dict[tuple[str, str], list[Dataset]] = {}
+        self._is_closed = False
+        self.makes_folder = self.is_folder and options.only is None
+        suffix = self.suffix
+        self._staging = Staging(
+            path,
+            is_folder=self.makes_folder,
+            is_ours=(lambda name: name.endswith(suffix)) if self.is_folder else None,
+        )
+
+    def _reserved(self) -> Collection[str]:
+        """Names that no dataset may have."""
+        return ()
+
+    @property
+    def place(self) -> str:
+        """Where to write: it takes the export's name by `close`."""
+        return self._staging.temporary
+
+    @property
+    def rows(self) -> dict[str, int]:
+        """Rows so far, by dataset."""
+        return {dataset.name: dataset.rows for dataset in self._all()}
+
+    @property
+    def notes(self) -> list[str]:
+        """What could not be written as it is, one sentence each."""
+        return [
+            f"{dataset.name}: {number} values of {name} need more than 64 bits and are left empty"
+            for dataset in self._all()
+            for name, number in dataset.layout.too_wide.items()
+        ]
+
+    def _all(self) -> list[Dataset]:
+        return [dataset for some in self._datasets.values() for dataset in some]
+
+    def write(
+        self,
+        tables: Sequence[MessageTable],
+        *,
+        source: str | None = None,
+        columns: dict[str, list[str]] | None = None,
+    ) -> None:
+        """Take the tables of a piece of a capture. `source` names the capture where `Options.sources` wants it;
+        `columns` limits messages to some of their fields (and must not change between calls).
+
+        Raises `CallerError` when the file cannot be written.
+        """
+        if self._is_closed:
+            raise CallerError(f"{self.path}: this export is closed")
+        tables = [table for table in tables if len(table)]
+        if self.absolute is None:
+            for table in tables:
+                self.absolute = is_absolute(table.time)
+                if self.absolute is not None:
+                    break
+        with telling(self.path):
+            self._write(tables, source, columns or {})
+
+    def _dataset(self, table: MessageTable, columns: dict[str, list[str]]) -> Dataset:
+        some = self._datasets.setdefault((table.protocol, table.message), [])
+        for dataset in some:
+            if dataset.layout.fits(table):
+                return dataset
+        layout = Layout.of(
+            table,
+            self._objects.of(table),
+            columns=columns.get(table.message),
+            float32=self.options.float32,
+            with_source=self.options.sources,
+        )
+        made = Dataset(self._naming.name(table.protocol, table.message), layout)
+        some.append(made)
+        self._begin(made)
+        return made
+
+    def close(self) -> None:
+        """Write what waits, and put the export in its place. A single message that did not occur is a file without rows.
+
+        Raises `CallerError` when that fails; nothing is left behind then.
+        """
+        if self._is_closed:
+            return
+        try:
+            if self.options.only is not None and not self._datasets:
+                for variant in self.variants:
+                    if self.options.only in variant.messages:
+                        self._dataset(empty_table(variant, self.options.only), {})
+                        break
+            with telling(self.path):
+                self._finish()
+            self._is_closed = True
+            self._staging.commit()
+        except BaseException:
+            self._is_closed = False
+            self.abandon()
+            raise
+
+    def abandon(self) -> None:
+        """Remove what was written; what stood at the path before still stands."""
+        if not self._is_closed:
+            self._is_closed = True
+            try:
+                self._drop()
+            finally:
+                self._staging.discard()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+    # What a format does.
+
+    @abstractmethod
+    def _write(
+        self, tables: Sequence[MessageTable], source: str | None, columns: dict[str, list[str]]
+    ) -> None:
+        """Take tables, none of them empty."""
+
+    def _begin(self, dataset: Dataset) -> None:  # noqa: B027 - a format may have nothing to do
+        """A message has occurred for the first time."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Write what waits, and all that stands at a file's end."""
+
+    @abstractmethod
+    def _drop(self) -> None:
+        """Close whatever is open. Must not raise."""
+
+
+class Buffered(Export):
+    """An export in which each message gathers rows, and writes some at once."""
+
+    rows_at_once = ROWS
+    budget = BUDGET
+
+    def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
+        super().__init__(path, options, variants)
+        self._size = 0
+
+    @property
+    def waiting(self) -> int:
+        """About the bytes that wait to be written."""
+        return self._size
+
+    def _write(
+        self, tables: Sequence[MessageTable], source: str | None, columns: dict[str, list[str]]
+    ) -> None:
+        for table in tables:
+            dataset = self._dataset(table, columns)
+            block = dataset.layout.block(table, self.labels, self.sources, source)
+            size = size_of(block)
+            dataset.pieces.append(block)
+            dataset.waiting += len(table)
+            dataset.rows += len(table)
+            dataset.size += size
+            self._size += size
+            if dataset.waiting >= self.rows_at_once:
+                self._flush(dataset)
+        if self._size > self.budget:
+            # The largest until half is free: many small flushes would give many small row groups.
+            for dataset in sorted(self._all(), key=lambda one: one.size, reverse=True):
+                if self._size <= self.budget // 2:
+                    break
+                self._flush(dataset)
+
+    def _flush(self, dataset: Dataset) -> None:
+        if not dataset.waiting:
+            return
+        block, rows = concat(dataset.pieces), dataset.waiting
+        self._size -= dataset.size
+        dataset.pieces, dataset.waiting, dataset.size = [], 0, 0
+        for start in range(0, rows, self.rows_at_once):
+            whole = rows <= self.rows_at_once
+            self._emit(dataset, block if whole else cut(block, start, start + self.rows_at_once))
+
+    def _finish(self) -> None:
+        for dataset in self._all():
+            self._flush(dataset)
+            self._end(dataset)
+
+    @abstractmethod
+    def _emit(self, dataset: Dataset, block: Block) -> None:
+        """Write rows of a message."""
+
+    @abstractmethod
+    def _end(self, dataset: Dataset) -> None:
+        """No more rows of a message come; none may have come at all."""

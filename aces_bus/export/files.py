@@ -1,0 +1,176 @@
+"""Where an export is written before it stands: temporary files beside their place, and few open handles for many files.
+
+1. Under the final name there is the whole export or what was there before, never a part.
+2. However many files are being written, at most `OPEN` of them are open.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import secrets
+import shutil
+from collections import OrderedDict
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import IO
+
+from ..errors import CallerError
+
+#: Handles that a pool keeps open. Systems allow 256 (macOS) to 1024 for a process.
+OPEN = 64
+
+
+@contextmanager
+def telling(path: str) -> Generator[None, None, None]:
+    """What the system refuses is a `CallerError` that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise CallerError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+class Staging:
+    """A temporary name beside a path, which takes its place by `commit` or goes by `discard`.
+
+    `is_ours` says of the names in a folder that stands at the path already whether all are from an earlier export: only
+    then is it replaced. Raises `CallerError` when the path cannot be used.
+    """
+
+    def __init__(self, path: str, *, is_folder: bool, is_ours: Callable[[str], bool] | None = None) -> None:
+        self.path = os.path.abspath(path)
+        self.is_folder = is_folder
+        self._is_done = False
+        parent, base = os.path.split(self.path)
+        if not os.path.isdir(parent):
+            raise CallerError(f"{path}: cannot be written: there is no folder {parent!r}")
+        if os.path.isdir(self.path):
+            self._check_folder(path, is_ours)
+        elif os.path.lexists(self.path) and not os.path.isfile(self.path):
+            raise CallerError(f"{path}: is no file; choose another name")
+        self.temporary = os.path.join(parent, f".{base[:100]}.{secrets.token_hex(4)}.part")
+        with telling(path):
+            if is_folder:
+                os.mkdir(self.temporary)
+            else:
+                open(self.temporary, "xb").close()
+
+    def _check_folder(self, path: str, is_ours: Callable[[str], bool] | None) -> None:
+        if is_ours is None:
+            raise CallerError(f"{path}: is a folder; choose another name")
+        with telling(path), os.scandir(self.path) as entries:
+            for entry in entries:
+                if not (_is_table(entry) and is_ours(entry.name)):
+                    raise CallerError(
+                        f"{path}: is a folder that holds other files ({entry.name}); choose another name"
+                    )
+
+    def commit(self) -> None:
+        """What was written takes its place."""
+        if self._is_done:
+            return
+        with telling(self.path):
+            if os.path.isdir(self.path) or (self.is_folder and os.path.lexists(self.path)):
+                aside = f"{self.temporary}.old"
+                os.rename(self.path, aside)
+                try:
+                    os.rename(self.temporary, self.path)
+                except OSError:
+                    os.rename(aside, self.path)
+                    raise
+                _remove(aside)
+            else:
+                os.replace(self.temporary, self.path)
+        self._is_done = True
+
+    def discard(self) -> None:
+        """What was written goes."""
+        if not self._is_done:
+            self._is_done = True
+            _remove(self.temporary)
+
+
+def _is_table(entry: os.DirEntry[str]) -> bool:
+    """A file, or a folder of the parts that several processes have written."""
+    if entry.is_file(follow_symlinks=False):
+        return True
+    return entry.is_dir(follow_symlinks=False) and all(
+        name.startswith("part-") for name in os.listdir(entry.path)
+    )
+
+
+def _remove(path: str) -> None:
+    if os.path.isdir(path) and not os.path.islink(path):
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        try:
+            os.unlink(path)
+        except OSError:
+            pass
+
+
+class FilePool:
+    """Files that are appended to, of which only the latest used are open."""
+
+    def __init__(self) -> None:
+        self._open: OrderedDict[str, IO[bytes]] = OrderedDict()
+
+    def handle(self, path: str) -> IO[bytes]:
+        """The file, open for appending."""
+        found = self._open.get(path)
+        if found is not None:
+            self._open.move_to_end(path)
+            return found
+        while len(self._open) >= OPEN:
+            self._open.popitem(last=False)[1].close()
+        with telling(path):
+            found = self._open[path] = open(path, "ab")  # noqa: SIM115 - `close` closes it
+        return found
+
+    def write(self, path: str, data: bytes | memoryview) -> None:
+        """Append to a file."""
+        with telling(path):
+            self.handle(path).write(data)
+
+    def release(self, path: str) -> None:
+        """Close one file."""
+        found = self._open.pop(path, None)
+        if found is not None:
+            with telling(path):
+                found.close()
+
+    def close(self) -> None:
+        """Close all files."""
+        for path in list(self._open):
+            self.release(path)
+
+    def abandon(self) -> None:
+        """Close all files, whatever becomes of their bytes."""
+        while self._open:
+            try:
+                self._open.popitem()[1].close()
+            except OSError:
+                pass
+
+
+class Sink(io.RawIOBase):
+    """A file of a pool as libraries want one: it is written to, and knows where it stands."""
+
+    def __init__(self, pool: FilePool, path: str) -> None:
+        super().__init__()
+        self._pool, self._path, self._place = pool, path, 0
+
+    def writable(self) -> bool:
+        """Always."""
+        return True
+
+    def write(self, data: object) -> int:
+        """Append."""
+        view = memoryview(data).cast("B")  # type: ignore[arg-type]
+        self._pool.write(self._path, view)
+        self._place += len(view)
+        return len(view)
+
+    def tell(self) -> int:
+        """Bytes written so far."""
+        return self._place

@@ -1,0 +1,82 @@
+"""One file a message: what Parquet, Arrow and CSV have in common.
+
+1. A single wanted message is a file; otherwise the export is a folder of them.
+2. Pieces become record batches here; a format only writes them.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+from ..errors import CallerError
+from ..protocol.scan.arrow import ArrowLayout, pyarrow
+from ..protocol.scan.layout import Block
+from ..protocol.spec.protocol import Variant
+from .base import Buffered, Dataset, Options
+from .files import FilePool, Sink
+
+
+class Folder(Buffered):
+    """A folder of datasets, each with a writer of pyarrow."""
+
+    is_folder = True
+
+    def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
+        pyarrow()
+        self._pool = FilePool()
+        self._writers: dict[str, tuple[ArrowLayout, Any, str]] = {}
+        super().__init__(path, options, variants)
+
+    def _begin(self, dataset: Dataset) -> None:
+        if not self.makes_folder and len(self._all()) > 1:
+            raise CallerError(
+                f"{self.path}: this file is for {self.options.only} alone, and {dataset.layout.message} came too;"
+                " leave `only` out to write a folder"
+            )
+
+    def _file(self, dataset: Dataset) -> str:
+        return os.path.join(self.place, f"{dataset.name}{self.suffix}") if self.makes_folder else self.place
+
+    def _writer(self, dataset: Dataset) -> tuple[ArrowLayout, Any, str]:
+        found = self._writers.get(dataset.name)
+        if found is None:
+            arrow = ArrowLayout.of(
+                dataset.layout,
+                self.labels,
+                self.sources,
+                absolute=bool(self.absolute),
+                names=self.options.names,
+            )
+            path = self._file(dataset)
+            writer = self._open(arrow, Sink(self._pool, path))
+            found = self._writers[dataset.name] = (arrow, writer, path)
+        return found
+
+    def _emit(self, dataset: Dataset, block: Block) -> None:
+        arrow, writer, _ = self._writer(dataset)
+        self._put(writer, arrow, block)
+
+    def _end(self, dataset: Dataset) -> None:
+        _, writer, path = self._writer(dataset)
+        writer.close()
+        del self._writers[dataset.name]
+        self._pool.release(path)
+
+    def _finish(self) -> None:
+        super()._finish()
+        self._pool.close()
+
+    def _drop(self) -> None:
+        self._pool.abandon()
+        self._writers.clear()
+
+    @abstractmethod
+    def _open(self, arrow: ArrowLayout, sink: Sink) -> Any:
+        """A writer into the sink, which has `close`."""
+
+    @abstractmethod
+    def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
+        """Write rows."""

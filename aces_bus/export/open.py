@@ -1,0 +1,89 @@
+"""Which export a path asks for, told by its suffix.
+
+1. A format's libraries are imported when it is used; a missing one is named with the extra that has it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+
+from ..errors import CallerError, UnknownNameError
+from ..protocol.spec.protocol import Variant
+from .base import Export, Options
+
+#: Format → its module here and its class.
+FORMATS: Mapping[str, tuple[str, str]] = {
+    "parquet": ("parquet", "ParquetExport"),
+    "arrow": ("ipc", "ArrowExport"),
+    "feather": ("ipc", "FeatherExport"),
+    "csv": ("csv", "CsvExport"),
+    "npz": ("npz", "NpzExport"),
+    "sqlite": ("sqlite", "SqliteExport"),
+    "mcap": ("mcap", "McapExport"),
+}
+#: Suffix → format; CSV only where the path ends in a slash: `walk.csv/`.
+SUFFIXES: Mapping[str, str] = {
+    ".parquet": "parquet",
+    ".pq": "parquet",
+    ".arrow": "arrow",
+    ".ipc": "arrow",
+    ".feather": "feather",
+    ".npz": "npz",
+    ".sqlite": "sqlite",
+    ".sqlite3": "sqlite",
+    ".db": "sqlite",
+    ".mcap": "mcap",
+}
+
+
+def format_of(path: str | os.PathLike[str]) -> str | None:
+    """The format that a path asks for, None when it asks for none of these.
+
+    >>> format_of("walk.parquet"), format_of("walk.csv/"), format_of("walk.csv")
+    ('parquet', 'csv', None)
+    """
+    text = os.fspath(path)
+    stem = text.rstrip("/" + os.sep)
+    suffix = os.path.splitext(stem)[1].lower()
+    if suffix == ".csv" and stem != text:
+        return "csv"
+    return SUFFIXES.get(suffix)
+
+
+def open_export(
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    *,
+    variants: Sequence[Variant] = (),
+    only: str | None = None,
+    names: bool = False,
+    float32: bool = False,
+    sources: bool = False,
+) -> Export:
+    """An export into a file or folder, which stands at `path` when it is closed.
+
+    `format` is one of "parquet", "arrow", "feather", "csv", "npz", "sqlite", "mcap"; by default the suffix says it.
+    `variants` are the protocols that tables come from: they say what is in columns of Python objects (without them such
+    values are JSON texts), and which names need the protocol in front. `only` is a single message: Parquet, Arrow and
+    CSV then write a file instead of a folder. `names` writes enumerations as names, `float32` physical values in half
+    the size, `sources` a column with the name of the capture.
+
+    Raises `CallerError` when the path cannot be written, the suffix says no format or a library is missing,
+    `UnknownNameError` for a format that does not exist.
+    """
+    text = os.fspath(path)
+    chosen = format or format_of(text)
+    if chosen is None:
+        raise CallerError(
+            f"{text}: its suffix says no format; use one of {', '.join(SUFFIXES)}, or .csv/ for a folder"
+        )
+    if chosen not in FORMATS:
+        raise UnknownNameError("format", chosen, FORMATS)
+    if text == "-":
+        raise CallerError(f"{chosen} goes to a file or folder and not to standard output; name one")
+    module, name = FORMATS[chosen]
+    kind: type[Export] = getattr(import_module(f".{module}", __package__), name)
+    options = Options(names=names, float32=float32, only=only, sources=sources)
+    return kind(text.rstrip("/" + os.sep) or text, options, variants)

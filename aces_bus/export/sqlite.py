@@ -1,0 +1,197 @@
+"""SQLite: one table a message, and the tables `_messages` and `_columns` that say what is in them.
+
+1. Every foreign name is quoted; no value is ever part of a statement.
+2. The file is written without a journal: it has another name until it is whole.
+
+    time_ns    INTEGER: ns since 1970, or as the recording counts (`_messages.time` says which); NULL unknown.
+               `datetime(time_ns / 1000000000, 'unixepoch')` is a date
+    integers   INTEGER; what 64 signed bits do not hold is TEXT, its decimal digits
+    NaN        NULL, as SQLite has none; `_columns` cannot tell it from an absent value
+    bytes      BLOB; enumerations are numbers, or with `names` their names
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from ..errors import CallerError
+from ..protocol.scan.arrow import Names, field_metadata, schema_metadata
+from ..protocol.scan.layout import Block, Slot
+from ..protocol.spec.protocol import Variant
+from .base import Buffered, Dataset, Options
+
+#: Columns of a table and of a statement, as SQLite is usually built.
+MOST = 2000
+TRANSACTION = 200_000
+
+_TABLES = """
+CREATE TABLE "_messages" ("table" TEXT PRIMARY KEY, "protocol" TEXT, "message" TEXT, "direction" TEXT, "doc" TEXT,
+  "time" TEXT, "aces_bus" TEXT, "rows" INTEGER) WITHOUT ROWID;
+CREATE TABLE "_columns" ("table" TEXT, "column" TEXT, "path" TEXT, "unit" TEXT, "doc" TEXT, "names" TEXT, "flags" TEXT,
+  "holds" TEXT, PRIMARY KEY ("table", "column")) WITHOUT ROWID;
+"""
+
+
+class SqliteExport(Buffered):
+    """`walk.sqlite`."""
+
+    format = "SQLite"
+    suffix = ".sqlite"
+    rows_at_once = 1 << 16
+
+    def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
+        super().__init__(path, options, variants)
+        self._pending = 0
+        self._inserts: dict[str, str] = {}
+        self._enumerations: dict[str, dict[str, Names]] = {}
+        try:
+            self._base = sqlite3.connect(self.place, isolation_level=None)
+            self._base.executescript(
+                "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA locking_mode=EXCLUSIVE;" + _TABLES
+            )
+            self._base.execute("BEGIN")
+        except sqlite3.Error as error:
+            self.abandon()
+            raise CallerError(f"{path}: cannot be written: {error}") from error
+
+    def _reserved(self) -> Collection[str]:
+        return ("_messages", "_columns")
+
+    def _begin(self, dataset: Dataset) -> None:
+        slots = dataset.layout.slots
+        if len(slots) > MOST:
+            raise CallerError(
+                f"{self.path}: {dataset.name} has {len(slots)} columns, and SQLite takes {MOST}; write Parquet instead"
+            )
+        names = _column_names(slots)
+        if self.options.names:
+            self._enumerations[dataset.name] = {
+                slot.name: Names(slot.kind.names)
+                for slot in slots
+                if slot.holds == "number" and slot.kind is not None and slot.kind.names is not None
+            }
+        known = self._enumerations.get(dataset.name, {})
+        columns = ", ".join(
+            f"{_quoted(name)} {'TEXT' if slot.name in known else _type(slot)}"
+            for name, slot in zip(names, slots, strict=True)
+        )
+        with _Telling(self.path):
+            self._base.execute(f"CREATE TABLE {_quoted(_table(dataset))} ({columns})")
+            self._base.executemany(
+                'INSERT INTO "_columns" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+                [self._about(dataset, name, slot) for name, slot in zip(names, slots, strict=True)],
+            )
+        self._inserts[dataset.name] = (
+            f"INSERT INTO {_quoted(_table(dataset))} VALUES ({', '.join('?' * len(slots))})"
+        )
+
+    @staticmethod
+    def _about(dataset: Dataset, name: str, slot: Slot) -> tuple[str | None, ...]:
+        known = field_metadata(slot)
+        path = slot.kind.name if slot.kind is not None else None
+        return (_table(dataset), name, path, *map(known.get, ("unit", "doc", "names", "flags", "holds")))
+
+    def _emit(self, dataset: Dataset, block: Block) -> None:
+        known = self._enumerations.get(dataset.name, {})
+        columns = [
+            self._plain(slot, values, absent, known.get(slot.name))
+            for slot, (values, absent) in zip(dataset.layout.slots, block, strict=True)
+        ]
+        with _Telling(self.path):
+            self._base.executemany(self._inserts[dataset.name], zip(*columns, strict=True))
+            self._pending += len(block[0].values)
+            if self._pending >= TRANSACTION:
+                self._base.execute("COMMIT")
+                self._base.execute("BEGIN")
+                self._pending = 0
+
+    def _plain(self, slot: Slot, values: Any, absent: Any, names: Names | None) -> list[Any]:
+        plain: list[Any]
+        if slot.holds == "label":
+            labels = self.sources.names if slot.role == "source" else self.labels.names
+            return [None if code < 0 else labels[code] for code in values.tolist()]
+        if names is not None:
+            codes = names.codes(values).tolist()
+            plain = [names.labels.names[code] for code in codes]
+        else:
+            plain = values.tolist()
+            if values.dtype.kind == "u" and values.dtype.itemsize == 8:
+                plain = [one if one < 1 << 63 else str(one) for one in plain]
+        if absent is not None:
+            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+        return plain
+
+    def _end(self, dataset: Dataset) -> None:
+        known = schema_metadata(dataset.layout, absolute=bool(self.absolute))
+        about = [known.get(name) for name in ("protocol", "message", "direction", "doc", "time", "aces_bus")]
+        with _Telling(self.path):
+            self._base.execute(
+                'INSERT INTO "_messages" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+                (_table(dataset), *about, dataset.rows),
+            )
+
+    def _finish(self) -> None:
+        super()._finish()
+        with _Telling(self.path):
+            self._base.execute("COMMIT")
+            self._base.close()
+
+    def _drop(self) -> None:
+        base = getattr(self, "_base", None)
+        if base is not None:
+            try:
+                base.close()
+            except sqlite3.Error:
+                pass
+
+
+class _Telling:
+    """What SQLite refuses is a `CallerError` that names the file."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, value: BaseException | None, trace: object) -> None:
+        if isinstance(value, sqlite3.Error):
+            raise CallerError(f"{self.path}: cannot be written: {value}") from value
+
+
+def _table(dataset: Dataset) -> str:
+    """SQLite keeps names that begin so for itself."""
+    name = dataset.name
+    return f"_{name}" if name.casefold().startswith("sqlite_") else name
+
+
+def _column_names(slots: Sequence[Slot]) -> list[str]:
+    """Names of columns, which SQLite compares without case."""
+    taken: set[str] = set()
+    names: list[str] = []
+    for slot in slots:
+        wanted = "time_ns" if slot.role == "time" else slot.name
+        name, number = wanted, 2
+        while name.casefold() in taken:
+            name = f"{wanted}.{number}"
+            number += 1
+        taken.add(name.casefold())
+        names.append(name)
+    return names
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""').replace("\0", "") + '"'
+
+
+def _type(slot: Slot) -> str:
+    if slot.holds == "bytes":
+        return "BLOB"
+    if slot.holds in ("label", "text", "wide", "json"):
+        return "TEXT"
+    if slot.holds in ("time", "bool", "integer"):
+        return "INTEGER"
+    # A column without affinity keeps the digits of large integers as text.
+    return "REAL" if slot.dtype.kind == "f" else "" if slot.dtype == "u8" else "INTEGER"

@@ -1,0 +1,300 @@
+"""What a served bus and its clients say to each other: packets of frames, the same both ways.
+
+1. Every number from the other side is checked before it is used; what is wrong raises `PacketError` and nothing else.
+2. A packet is at most 64 KiB, so what waits for its end is bounded.
+
+A packet is the length of its body (u16, little-endian), its kind (u8), a zero byte, and the body. `CLASSIC` and `LONG` hold
+records of frames one behind another, of 24 and 80 bytes: so many frames cost one call of the system, and one of `struct`.
+
+A client says `HELLO`; the server answers `WELCOME`, or `REFUSED` with the reason as text, and closes. Then frames go both
+ways. `REPORT` tells a client how many of its frames the bus has taken, so that it can stop when its mailboxes are full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from struct import Struct, error
+from typing import NamedTuple
+
+from can import Message
+
+from ...errors import AcesError, CallerError
+from ...frame import FD_LENGTHS, Frame
+
+VERSION = 1
+MAGIC = b"ACES"
+#: Of a body, in bytes.
+MOST = 0xFFFF
+
+HELLO, WELCOME, REFUSED, CLASSIC, LONG, REPORT, EVENT, RESTART, ABORT, QUERY, STATUS = range(1, 12)
+
+HEAD = Struct("<HBx")
+#: Time (ns since 1970), identifier, flags, length, data.
+CLASSIC_RECORD = Struct("<qIBB2x8s")
+LONG_RECORD = Struct("<qIBB2x64s")
+#: A packet with one record: what most packets are.
+CLASSIC_PACKET = Struct("<HBxqIBB2x8s")
+LONG_PACKET = Struct("<HBxqIBB2x64s")
+
+EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, OWN = 1, 2, 4, 8, 16, 32, 64
+
+#: Of a client: does not send; takes FD; wants its own frames back; is no node and only asks.
+LISTEN_ONLY, TAKES_FD, HEARS_OWN, LOOKS = 1, 2, 4, 8
+#: Of a server: the bus has bit rates and arbitration.
+PHYSICS = 1
+
+_HELLO = Struct("<4sBBxxIII")
+_WELCOME = Struct("<BBHII")
+_REPORT = Struct("<QQQ")
+_EVENT = Struct("<qB")
+NO_RESTART = 0xFFFF_FFFF
+
+#: Kinds of events, by their number in a packet.
+EVENTS = (
+    "no acknowledge",
+    "bit error",
+    "error-passive",
+    "error-active",
+    "bus-off",
+    "recovered",
+)
+_FD_LENGTHS = frozenset(FD_LENGTHS)
+
+
+class PacketError(AcesError):
+    """The other side said something that is none of these packets."""
+
+
+def packet(kind: int, body: bytes = b"") -> bytes:
+    """A packet."""
+    if len(body) > MOST:
+        raise CallerError(f"a packet of {len(body)} bytes; {MOST} is the most")
+    return HEAD.pack(len(body), kind) + body
+
+
+def split(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
+    """The whole packets at the front of `data` as (kind, body), and what is left."""
+    found: list[tuple[int, bytes]] = []
+    at, end = 0, len(data)
+    while end - at >= 4:
+        size, kind = HEAD.unpack_from(data, at)
+        if not 1 <= kind <= STATUS:
+            raise PacketError(f"a packet of kind {kind}, which does not exist")
+        if end - at - 4 < size:
+            break
+        found.append((kind, data[at + 4 : at + 4 + size]))
+        at += 4 + size
+    return found, data[at:] if at else data
+
+
+# ---------------------------------------------------------------------- frames
+
+
+def records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int, bytes]]:
+    """(time, identifier, flags, length, padded data) of each frame in a packet; each is checked."""
+    form, most = (CLASSIC_RECORD, 8) if kind == CLASSIC else (LONG_RECORD, 64)
+    if len(body) % form.size:
+        raise PacketError(f"{len(body)} bytes of frames of {form.size} bytes")
+    for found in form.iter_unpack(body):
+        _, identifier, flags, length, _ = found
+        if flags == EXTENDED or not flags:
+            if length <= 8 and identifier <= (0x1FFF_FFFF if flags else 0x7FF):
+                yield found
+                continue
+        _check(identifier, flags, length, most)
+        yield found
+
+
+def _check(identifier: int, flags: int, length: int, most: int) -> None:
+    if flags & ERROR:
+        raise PacketError("an error frame; nobody sends those")
+    if identifier > (0x1FFF_FFFF if flags & EXTENDED else 0x7FF):
+        raise PacketError(f"identifier {identifier:#x} does not exist")
+    if flags & FD:
+        if length > most or length not in _FD_LENGTHS or flags & REMOTE:
+            raise PacketError(f"a CAN FD frame of {length} bytes does not exist")
+    elif flags & (BITRATE_SWITCH | ERROR_STATE) or length > (15 if flags & REMOTE else 8):
+        raise PacketError(f"a classic frame of {length} bytes with flags {flags:#x} does not exist")
+
+
+def record(time_ns: int, identifier: int, flags: int, length: int, data: bytes) -> bytes:
+    """A frame as a record; short where it fits."""
+    form = LONG_RECORD if len(data) > 8 and length > 8 and not flags & REMOTE else CLASSIC_RECORD
+    return form.pack(time_ns, identifier, flags, length, data)
+
+
+def unpacked(one: bytes) -> tuple[int, int, int, int, bytes]:
+    """(time, identifier, flags, length, padded data) of a record of our own."""
+    found: tuple[int, int, int, int, bytes] = (
+        CLASSIC_RECORD if len(one) == CLASSIC_RECORD.size else LONG_RECORD
+    ).unpack(one)
+    return found
+
+
+def frame_record(frame: Frame, time_ns: int, more: int = 0) -> bytes:
+    """A frame as a record; `more` is added to its flags."""
+    flags = (
+        more
+        | (EXTENDED if frame.is_extended_id else 0)
+        | (REMOTE if frame.is_remote_frame else 0)
+        | (FD if frame.is_fd else 0)
+        | (BITRATE_SWITCH if frame.bitrate_switch else 0)
+        | (ERROR_STATE if frame.error_state_indicator else 0)
+    )
+    return record(time_ns, frame.arbitration_id, flags, frame.length, frame.data)
+
+
+def to_frame(identifier: int, flags: int, length: int, data: bytes) -> Frame:
+    """The frame of a checked record."""
+    if not flags:
+        return Frame(identifier, data[:length])
+    remote = bool(flags & REMOTE)
+    return Frame(
+        identifier,
+        b"" if remote else data[:length],
+        None,
+        None,
+        bool(flags & EXTENDED),
+        remote,
+        False,
+        bool(flags & FD),
+        bool(flags & BITRATE_SWITCH),
+        bool(flags & ERROR_STATE),
+        None,
+        length if remote else None,
+    )
+
+
+def packed(many: Iterable[bytes]) -> Iterator[bytes]:
+    """Records as packets; records of one size that follow each other share one, as far as they fit."""
+    run: list[bytes] = []
+    size = total = 0
+    for one in many:
+        if len(one) != size or total + size > MOST:
+            if run:
+                yield HEAD.pack(total, CLASSIC if size == CLASSIC_RECORD.size else LONG) + b"".join(run)
+            run, size, total = [], len(one), 0
+        run.append(one)
+        total += size
+    if run:
+        yield HEAD.pack(total, CLASSIC if size == CLASSIC_RECORD.size else LONG) + b"".join(run)
+
+
+def message_packet(message: Message) -> bytes:
+    """A message as a packet of its own. Raises `CallerError` when it cannot exist on a bus."""
+    data = message.data
+    identifier, length = message.arbitration_id, message.dlc
+    flags = EXTENDED if message.is_extended_id else 0
+    if not (message.is_fd or message.is_remote_frame or message.is_error_frame):
+        if len(data) == length <= 8 and 0 <= identifier <= (0x1FFF_FFFF if flags else 0x7FF):
+            return CLASSIC_PACKET.pack(24, CLASSIC, 0, identifier, flags, length, data)
+    if message.is_error_frame:
+        raise CallerError("an error frame is not sent but made by faults")
+    frame = Frame(  # says what is wrong
+        identifier,
+        bytes(data),
+        is_extended_id=message.is_extended_id,
+        is_remote_frame=message.is_remote_frame,
+        is_fd=message.is_fd,
+        bitrate_switch=message.bitrate_switch,
+        error_state_indicator=message.error_state_indicator,
+        dlc=length if message.is_remote_frame else None,
+    )
+    if not 0 <= frame.length <= (64 if frame.is_fd else 8):
+        raise CallerError(f"a frame of {frame.length} bytes cannot be sent")
+    one = frame_record(frame, 0)
+    return HEAD.pack(len(one), CLASSIC if len(one) == CLASSIC_RECORD.size else LONG) + one
+
+
+# ---------------------------------------------------------------------- the rest
+
+
+class Hello(NamedTuple):
+    """Who a client is. Rates in bit/s, 0: whatever the bus has. `restart_ms`: comes back from bus-off after so long."""
+
+    channel: str = ""
+    flags: int = 0
+    bitrate: int = 0
+    data_bitrate: int = 0
+    restart_ms: int = NO_RESTART
+
+    def packet(self) -> bytes:
+        """As a packet."""
+        body = _HELLO.pack(MAGIC, VERSION, self.flags, self.bitrate, self.data_bitrate, self.restart_ms)
+        return packet(HELLO, body + self.channel.encode())
+
+
+def read_hello(body: bytes) -> Hello:
+    """A client's introduction."""
+    try:
+        magic, version, flags, bitrate, data_bitrate, restart_ms = _HELLO.unpack_from(body)
+        channel = body[_HELLO.size :].decode()
+    except (error, UnicodeDecodeError) as problem:
+        raise PacketError(f"no introduction of a client: {problem}") from problem
+    if magic != MAGIC:
+        raise PacketError("no introduction of a client of a served bus")
+    if version != VERSION:
+        raise PacketError(f"a client of version {version}; this server speaks version {VERSION}")
+    if len(channel) > 64:
+        raise PacketError("a channel name of more than 64 characters")
+    return Hello(channel, flags, bitrate, data_bitrate, restart_ms)
+
+
+class Welcome(NamedTuple):
+    """What bus a client is on. `mailboxes`: frames it may have under way."""
+
+    channel: str
+    flags: int
+    mailboxes: int
+    bitrate: int
+    data_bitrate: int
+
+    def packet(self) -> bytes:
+        """As a packet."""
+        body = _WELCOME.pack(VERSION, self.flags, self.mailboxes, self.bitrate, self.data_bitrate)
+        return packet(WELCOME, body + self.channel.encode())
+
+
+def read_welcome(body: bytes) -> Welcome:
+    """A server's answer."""
+    try:
+        version, flags, mailboxes, bitrate, data_bitrate = _WELCOME.unpack_from(body)
+        channel = body[_WELCOME.size :].decode()
+    except (error, UnicodeDecodeError) as problem:
+        raise PacketError(f"no answer of a served bus: {problem}") from problem
+    if version != VERSION:
+        raise PacketError(f"a server of version {version}; this client speaks version {VERSION}")
+    return Welcome(channel, flags, mailboxes, bitrate, data_bitrate)
+
+
+def report(taken: int, rejected: int, dropped: int) -> bytes:
+    """How many of a client's frames are off its mailboxes, how many of them unsent, and how many it did not get in time."""
+    return packet(REPORT, _REPORT.pack(taken, rejected, dropped))
+
+
+def read_report(body: bytes) -> tuple[int, int, int]:
+    """(taken, rejected, dropped), since the client joined."""
+    if len(body) != _REPORT.size:
+        raise PacketError(f"a report of {len(body)} bytes")
+    taken, rejected, dropped = _REPORT.unpack(body)
+    return taken, rejected, dropped
+
+
+def event(kind: str, time_ns: int, frame: Frame | None) -> bytes:
+    """Something that happened to the client's node."""
+    body = _EVENT.pack(time_ns, EVENTS.index(kind))
+    return packet(EVENT, body if frame is None else body + frame_record(frame, time_ns))
+
+
+def read_event(body: bytes) -> tuple[str, int, Frame | None]:
+    """(kind, time in ns since 1970, the frame it was about)."""
+    if len(body) < _EVENT.size:
+        raise PacketError(f"an event of {len(body)} bytes")
+    time_ns, number = _EVENT.unpack_from(body)
+    if number >= len(EVENTS):
+        raise PacketError(f"an event of kind {number}, which does not exist")
+    rest = body[_EVENT.size :]
+    frame = None
+    for _, identifier, flags, length, data in records(CLASSIC if len(rest) <= 24 else LONG, rest):
+        frame = to_frame(identifier, flags & ~OWN, length, data)
+    return EVENTS[number], time_ns, frame

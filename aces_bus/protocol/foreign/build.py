@@ -1,0 +1,377 @@
+"""From a cantools database to a `Protocol`.
+
+1. A signal's value is what cantools' `decode` gives: same arithmetic, so that floats agree to the last bit, and integers
+   where factor and offset are whole numbers.
+2. What our language does not hold is left out and listed, one problem each; the rest of the message stays.
+3. Ranges (minimum, maximum) bind only what is sent. `0|0` means none.
+
+How a message is told: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
+`trailing`. J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and
+`destination` where the group is addressed (PDU format below 240).
+
+Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools
+raises; names that a value table has twice are told apart by their number; signals that share bits all decode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from sys import float_info
+from typing import Any
+
+import construct as c
+
+from ...errors import AcesError
+from ...frame import FD_LENGTHS
+from ..spec.bits import BitLayout, bits, float_bits
+from ..spec.fields import Enumeration, Multiplexed, Quantity
+from ..spec.message import Message
+from ..spec.pattern import Capture, Pattern
+from ..spec.place import Place
+from ..spec.protocol import Protocol
+from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .problems import Problem, clean
+
+#: The field of the bytes behind the declared ones.
+TRAILING = "trailing"
+#: A selector of so many bits is searched for the raw values that mean an identifier; a wider one is solved for them.
+SEARCHED = 12
+
+#: (message, signal or None) to the line it was declared on; 0 where unknown.
+Lines = Callable[[Any, Any], int]
+
+
+def build(database: Any, name: str, path: str, lines: Lines) -> tuple[Protocol, list[Problem]]:
+    """The protocol of a loaded database, and what could not be taken over."""
+    return _Builder(database, name, path, lines).build()
+
+
+class _LeftOut(Exception):
+    """This signal or message cannot be taken over; the argument says why."""
+
+
+class _Builder:
+    def __init__(self, database: Any, name: str, path: str, lines: Lines) -> None:
+        self.database, self.path, self.lines = database, path, lines
+        self.problems: list[Problem] = []
+        self.taken = set(TAKEN_BY_CODE)
+        buses = [bus for bus in database.buses if bus.baudrate]
+        version = f"version {clean(database.version)}" if database.version else ""
+        self.protocol = Protocol(
+            name,
+            link="can",
+            bitrate=int(buses[0].baudrate) if buses else None,
+            doc=version,
+            source=path,
+        )
+        self.protocol.place = Place(path, 1)
+        self.is_j1939 = self._is_j1939()
+
+    def _is_j1939(self) -> bool:
+        """Whether the database as a whole says so, and has no attribute by which each message does."""
+        attributes = getattr(self.database.dbc, "attributes", None) or {}
+        definitions = getattr(self.database.dbc, "attribute_definitions", None) or {}
+        kind = attributes.get("ProtocolType")
+        return kind is not None and str(kind.value).upper() == "J1939" and "VFrameFormat" not in definitions
+
+    def build(self) -> tuple[Protocol, list[Problem]]:
+        # Of several messages with the same identifier and length cantools takes the last.
+        last = {_key(message): message for message in self.database.messages}
+        for message in self.database.messages:
+            line = self.lines(message, None)
+            same = last[_key(message)]
+            if same is not message:
+                reason = (
+                    f"message {clean(message.name)} has the identifier of {clean(same.name)} further down"
+                )
+                self.problems.append(Problem(line, f"{reason}: left out"))
+                continue
+            try:
+                self._message(message, line)
+            except _LeftOut as reason:
+                self.problems.append(Problem(line, f"message {clean(message.name)}: {reason}: left out"))
+            except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+                # A database that contradicts itself in a way that cantools lets pass.
+                reason = _LeftOut(f"it cannot be used ({clean(str(error))})")
+                self.problems.append(Problem(line, f"message {clean(str(message.name))}: {reason}: left out"))
+        return self.protocol, self.problems
+
+    def _note(self, line: int, text: str) -> None:
+        self.problems.append(Problem(line, text, is_note=True))
+
+    # ------------------------------------------------------------------ messages
+
+    def _message(self, message: Any, line: int) -> None:
+        if message.is_container:
+            raise _LeftOut("a container of other messages")
+        size = message.length
+        is_j1939 = message.is_extended_frame and (
+            message.protocol == "j1939" or (self.is_j1939 and not message.is_fd)
+        )
+        if size > (8 if is_j1939 else 64):
+            more = ", sent in several frames" if is_j1939 else ""
+            raise _LeftOut(f"{size} bytes are more than a frame has{more}")
+        fd = bool(message.is_fd) or size > 8
+        known = len(self.problems)
+        identifier = _j1939(message.frame_id) if is_j1939 else Pattern(message.frame_id)
+        taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *(cap.name for cap in identifier.captures)}
+        layout = self._layout(message, 64 if fd else 8, taken)
+        name = unused(message.name, self.taken)
+        try:
+            made = self.protocol.message(
+                name,
+                id=identifier,
+                payload=layout,
+                extended=bool(message.is_extended_frame),
+                fd=fd,
+                length=[n for n in FD_LENGTHS if n >= size] if fd else None,
+                doc=_doc_of(message),
+            )
+        except AcesError as error:
+            del self.problems[known:]
+            raise _LeftOut(_without_place(error)) from None
+        made.place = Place(self.path, line or 1)
+        if name != message.name:
+            self._note(line, f"message {clean(message.name)} is called {name} here")
+
+    def _layout(self, message: Any, most: int, taken: set[str]) -> BitLayout:
+        names: dict[str, str] = {}
+        fields: list[c.Construct] = []
+        masks = 0
+        overlapping = False
+        by_name: dict[str, Any] = {}
+        for signal in message.signals:
+            by_name.setdefault(signal.name, signal)
+        raws: dict[str, list[int]] = {}
+        for signal in _selectors_first(message.signals, by_name):
+            line = self.lines(message, signal)
+            try:
+                at = _place(signal, message.length)
+                field = _value(signal, at)
+                if signal.multiplexer_signal is not None:
+                    field = self._multiplexed(signal, field, by_name, names, raws)
+            except (_LeftOut, AcesError) as reason:
+                shown = f"signal {clean(message.name)}.{clean(signal.name)}"
+                self.problems.append(Problem(line, f"{shown}: {_without_place(reason)}: left out"))
+                continue
+            name = unused(signal.name, taken)
+            if by_name[signal.name] is signal:
+                names[signal.name] = name
+            if name != signal.name:
+                shown = f"signal {clean(message.name)}.{clean(signal.name)}"
+                self._note(line, f"{shown} is called {name} here")
+            mask = _mask(signal, at)
+            overlapping = overlapping or bool(mask & masks)
+            masks |= mask
+            fields.append(c.Renamed(field, newname=name, newdocs=clean(signal.comment or "")))
+        trailing = TRAILING if message.length < most else ""
+        if overlapping:
+            # Most share bits only with what excludes them.
+            try:
+                return BitLayout(message.length, *fields, trailing=trailing)
+            except AcesError as error:
+                text = _without_place(error).partition("; if that")[0]
+                text = f"message {clean(message.name)}: {text}: all are decoded, and what is sent must agree"
+                self._note(self.lines(message, None), text)
+        return BitLayout(message.length, *fields, overlapping=overlapping, trailing=trailing)
+
+    def _multiplexed(
+        self,
+        signal: Any,
+        field: c.Construct,
+        by_name: Mapping[str, Any],
+        names: Mapping[str, str],
+        raws: dict[str, list[int]],
+    ) -> Multiplexed:
+        selector = by_name.get(signal.multiplexer_signal)
+        if selector is None or signal.multiplexer_signal not in names:
+            raise _LeftOut(f"its multiplexer {clean(signal.multiplexer_signal)} is not there")
+        if not selector.is_multiplexer:
+            raise _LeftOut(f"its multiplexer {clean(selector.name)} is not declared as one")
+        if not signal.multiplexer_ids:
+            raise _LeftOut(f"no value of its multiplexer {clean(selector.name)} is given")
+        when = _raw_values(selector, signal.multiplexer_ids)
+        if not when:
+            raise _LeftOut(f"its multiplexer {clean(selector.name)} never has the value it wants")
+        return Multiplexed(names[selector.name], when, field)
+
+
+def _key(message: Any) -> tuple[int, bool, int, bool]:
+    return message.frame_id, bool(message.is_extended_frame), message.length, bool(message.is_fd)
+
+
+def _without_place(error: Exception) -> str:
+    """A complaint without the `file:line: ` of the program that declared it."""
+    text = str(error)
+    head, separator, rest = text.partition(": ")
+    return rest if separator and head.rpartition(":")[2].isdigit() else text
+
+
+def _j1939(identifier: int) -> Pattern:
+    """The identifiers of a parameter group (SAE J1939-21): any priority, any source, any destination."""
+    priority, source = Capture("priority", range(8)), Capture("source", range(256))
+    if identifier >> 16 & 0xFF < 240:
+        group = identifier & 0x3FF_0000
+        return priority << 26 | group | Capture("destination", range(256)) << 8 | source
+    return priority << 26 | identifier & 0x3FF_FF00 | source
+
+
+def _doc_of(message: Any) -> str:
+    facts = []
+    senders = [str(sender) for sender in message.senders or () if sender]
+    if senders:
+        facts.append(f"sent by {', '.join(senders)}")
+    receivers = sorted({str(one) for signal in message.signals for one in signal.receivers or () if one})
+    if receivers:
+        facts.append(f"to {', '.join(receivers)}")
+    if message.cycle_time:
+        facts.append(f"every {message.cycle_time} ms")
+    said = clean(message.comment or "")
+    return clean("\n".join(filter(None, [said, "; ".join(facts)])))
+
+
+# ---------------------------------------------------------------------- signals
+
+
+def _selectors_first(signals: list[Any], by_name: Mapping[str, Any]) -> list[Any]:
+    """The signals in their order, but each behind its multiplexer."""
+    done: dict[int, Any] = {}
+
+    for signal in signals:
+        way: list[Any] = []
+        one = signal
+        # A chain of multiplexers that ends in itself stops where it comes round; it is found wrong later.
+        while one is not None and id(one) not in done and not any(one is seen for seen in way):
+            way.append(one)
+            one = by_name.get(one.multiplexer_signal) if one.multiplexer_signal is not None else None
+        for one in reversed(way):
+            done.setdefault(id(one), one)
+    return list(done.values())
+
+
+def _place(signal: Any, size: int) -> int:
+    """The number of the signal's first bit in its own bit order; raises where it ends past the message."""
+    at, width = int(signal.start), int(signal.length)
+    if signal.byte_order == "big_endian":
+        at = 8 * (at // 8) + 7 - at % 8
+    if width < 1:
+        raise _LeftOut(f"{width} bits")
+    if at < 0 or at + width > 8 * size:
+        raise _LeftOut(f"it ends at bit {at + width - 1}, past the {size} bytes of its message")
+    return at
+
+
+def _mask(signal: Any, at: int) -> int:
+    """The bits of a signal in the little-endian word of its message."""
+    if signal.byte_order != "big_endian":
+        return ((1 << int(signal.length)) - 1) << at
+    mask = 0
+    for position in range(at, at + signal.length):
+        mask |= 1 << (position ^ 7)
+    return mask
+
+
+def _value(signal: Any, at: int) -> c.Construct:
+    """The field of a signal: its bits, what they mean, and how."""
+    conversion = signal.conversion
+    order = "msb" if signal.byte_order == "big_endian" else "lsb"
+    choices = _names(signal)
+    if conversion.is_float:
+        if signal.length not in (16, 32, 64):
+            raise _LeftOut(f"a float of {signal.length} bits")
+        if choices:
+            raise _LeftOut("a float with a value table")
+        place: c.Construct = float_bits(signal.length, at, order=order)
+    else:
+        place = bits(signal.length, at, signed=bool(signal.is_signed), order=order)
+    scale, offset = conversion.scale, conversion.offset
+    if scale == 0:
+        raise _LeftOut("a factor of 0")
+    if not math.isfinite(scale) or not math.isfinite(offset):
+        raise _LeftOut(f"the factor {scale}, the offset {offset}")
+    if float(scale).is_integer() and float(offset).is_integer():
+        if not conversion.is_float or (scale == 1 and offset == 0):
+            scale, offset = int(scale), int(offset)
+    unit = clean(signal.unit or "")
+    if choices and scale == 1 and not offset and not unit:
+        return Enumeration(place, choices)
+    span = _range(signal)
+    if scale == 1 and not offset and not unit and span is None:
+        return place
+    if choices and not _are_distinct(choices, signal, scale, offset):
+        raise _LeftOut("its value table names numbers that its factor makes equal")
+    return Quantity(place, unit=unit, scale=scale, offset=offset, range=span, names=choices)
+
+
+def _names(signal: Any) -> dict[str, int]:
+    """The value table, without numbers that the signal cannot have; a name that is there twice gets its number."""
+    low, high = _limits(signal)
+    names: dict[str, int] = {}
+    for value, text in (signal.conversion.choices or {}).items():
+        if low <= value <= high:
+            name = str(text)
+            names[name if name not in names else f"{name}_{value}"] = int(value)
+    return names
+
+
+def _limits(signal: Any) -> tuple[int, int]:
+    low = -(1 << signal.length - 1) if signal.is_signed else 0
+    return low, low + (1 << signal.length) - 1
+
+
+def _are_distinct(names: Mapping[str, int], signal: Any, scale: float, offset: float) -> bool:
+    """Whether each named number is, scaled, unlike its neighbours: then the scaled number tells whether it is named."""
+    low, high = _limits(signal)
+    for raw in names.values():
+        for other in (raw - 1, raw + 1):
+            if low <= other <= high and raw * scale + offset == other * scale + offset:
+                return False
+    return True
+
+
+def _range(signal: Any) -> tuple[float, float] | None:
+    low, high = signal.minimum, signal.maximum
+    if low is None and high is None:
+        return None
+    if signal.conversion.is_float:
+        ends = [-float_info.max, float_info.max]
+    else:
+        ends = sorted(raw * signal.conversion.scale + signal.conversion.offset for raw in _limits(signal))
+    low = ends[0] if low is None else _plain(low)
+    high = ends[1] if high is None else _plain(high)
+    is_span = math.isfinite(low) and math.isfinite(high) and low <= high and not low == high == 0
+    return (low, high) if is_span else None
+
+
+def _plain(number: Any) -> float:
+    return number if isinstance(number, (int, float)) else float(number)
+
+
+def _raw_values(selector: Any, wanted: Any) -> frozenset[int]:
+    """The raw values of a multiplexer that mean one of `wanted`.
+
+    cantools compares the scaled number, cut off to a whole one, or the number of the name; factors are rare here.
+    """
+    low, high = _limits(selector)
+    conversion = selector.conversion
+    if conversion.is_float:
+        return frozenset()
+    if conversion.scale == 1 and conversion.offset == 0:
+        return frozenset(value for value in wanted if low <= value <= high)
+    among = range(low, high + 1)
+    if selector.length > SEARCHED:
+        near = {round((value - conversion.offset) / conversion.scale) for value in wanted}
+        among_near = {n + step for n in near for step in (-1, 0, 1)} | set(conversion.choices or ())
+        return frozenset(n for n in among_near if n in among and _number(conversion, n) in set(wanted))
+    ids = set(wanted)
+    return frozenset(raw for raw in among if _number(conversion, raw) in ids)
+
+
+def _number(conversion: Any, raw: int) -> int:
+    if conversion.choices and raw in conversion.choices:
+        return raw
+    return int(raw * conversion.scale + conversion.offset)
+
+
+__all__ = ["Message", "build"]

@@ -1,0 +1,553 @@
+"""What holds for every export: one schema, bounded memory, few open files, all or nothing, names that no system refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from construct import Byte, Float32l, GreedyBytes, Int16sl, Int32ul, Struct
+
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.export import Export, format_of, open_export
+from aces_bus.export import base as export_base
+from aces_bus.export import files as export_files
+from aces_bus.export.files import FilePool, Sink
+from aces_bus.export.naming import Naming
+from aces_bus.export.open import FORMATS
+from aces_bus.export.sqlite import SqliteExport
+from aces_bus.frame import Frame
+from aces_bus.frame_table import Channels, FrameTable
+from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
+from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.scan.layout import Layout
+from aces_bus.protocol.scan.message_table import MessageTable
+
+pq = pytest.importorskip("pyarrow.parquet")
+pa = pytest.importorskip("pyarrow")
+
+arm = Protocol("shelf", link="can")
+arm.message(
+    "State",
+    id=0x100,
+    direction="from device",
+    payload=Struct("mode" / Enumeration(Byte, off=0, on=1), "angle" / Quantity(Int16sl, scale=0.1, unit="°")),
+    doc="How it stands.",
+)
+arm.message("Raw", id=0x101, length=range(9), payload=Struct("data" / GreedyBytes))
+ARM = arm.variant()
+other = Protocol("other", link="can")
+other.message("State", id=0x200, payload=Struct("load" / Float32l))
+OTHER = other.variant()
+
+PLACES = {
+    "parquet": "out.parquet",
+    "arrow": "out.arrow",
+    "feather": "out.feather",
+    "csv": "out.csv/",
+    "npz": "out.npz",
+    "sqlite": "out.sqlite",
+    "mcap": "out.mcap",
+}
+each_format = pytest.mark.parametrize("form", FORMATS)
+
+
+def state(mode: int, angle: int, time: float | None = 1.5e9, channel: str | None = "can0") -> Frame:
+    return Frame(0x100, bytes([mode]) + angle.to_bytes(2, "little", signed=True), time, channel)
+
+
+def tables(*frames: Frame, variants: list[Variant] | None = None) -> list[MessageTable]:
+    """The tables of frames."""
+    return make_column_scanner(variants or [ARM], everything=True).feed(FrameTable.from_frames(frames))
+
+
+def many(rows: int, *, first: int = 0) -> list[MessageTable]:
+    """A table of many states."""
+    data = np.zeros((rows, 8), np.uint8)
+    data[:, 1:3] = np.arange(first, first + rows).astype("<i2").view(np.uint8).reshape(rows, 2)
+    table = FrameTable(
+        np.arange(first, first + rows) * 1_000_000 + 1_500_000_000_000_000_000,
+        np.zeros(rows, np.uint16),
+        np.full(rows, 0x100, np.uint32),
+        np.zeros(rows, np.uint8),
+        np.full(rows, 3, np.uint8),
+        data,
+        Channels(["can0"]),
+    )
+    return make_column_scanner([ARM]).feed(table)
+
+
+# ---------------------------------------------------------------------- schema
+
+
+def test_a_schema_has_all_that_is_known_of_a_message(tmp_path: Path) -> None:
+    """Units, enumerations, flags and docs in the fields' metadata; protocol, message and version in the schema's."""
+    with open_export(tmp_path / "out.parquet", variants=[ARM]) as export:
+        export.write(tables(state(1, 5)))
+    schema = pq.read_schema(tmp_path / "out.parquet" / "State.parquet")
+    assert [(field.name, str(field.type)) for field in schema] == [
+        ("time", "timestamp[ns, tz=UTC]"),
+        ("channel", "dictionary<values=string, indices=int32, ordered=0>"),
+        ("id", "uint32"),
+        ("extended", "bool"),
+        ("rx", "bool"),
+        ("mode", "uint8"),
+        ("angle", "double"),
+    ]
+    assert schema.field("angle").metadata == {b"unit": "°".encode()}
+    assert json.loads(schema.field("mode").metadata[b"names"]) == {"0": "off", "1": "on"}
+    known = {key.decode(): value.decode() for key, value in schema.metadata.items() if b"ARROW" not in key}
+    assert known.pop("aces_bus")
+    assert known == {
+        "protocol": "shelf",
+        "message": "State",
+        "direction": "from device",
+        "doc": "How it stands.",
+        "time": "since 1970-01-01 UTC",
+    }
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
+def test_a_schema_does_not_hang_on_values(suffix: str, tmp_path: Path) -> None:
+    """Pieces without a channel, with another, with unnamed numbers, with no bytes: one file, one schema."""
+    first = tables(state(0, 1, 1.5e9, None), Frame(0x101, b"", None))
+    later = tables(state(7, 2, 1.5e9, "can1"), state(9, 3, 1.5e9, "can2"), Frame(0x101, b"x", 1.5e9, "can1"))
+    schemas = []
+    for pieces in ([first, later], [later, first], [first], [later]):
+        path = tmp_path / f"out{suffix}"
+        with open_export(path, variants=[ARM], names=True) as export:
+            monkey: Any = export
+            monkey.rows_at_once = 1
+            for piece in [*pieces, *pieces]:
+                export.write(piece)
+        name = path / f"State{suffix}"
+        table = pq.read_table(name) if suffix == ".parquet" else pa.ipc.open_file(name).read_all()
+        schemas.append(table.schema.remove_metadata())
+        wanted = {id(first): ["off"], id(later): ["7", "9"]}
+        assert table["mode"].to_pylist() == [m for piece in [*pieces, *pieces] for m in wanted[id(piece)]]
+    assert all(schema.equals(schemas[0]) for schema in schemas)
+
+
+def test_times_that_nobody_knows(tmp_path: Path) -> None:
+    """Where no time is known at all, times are null durations."""
+    with open_export(tmp_path / "out.parquet", variants=[ARM]) as export:
+        export.write(tables(state(0, 1, None)))
+    table = pq.read_table(tmp_path / "out.parquet" / "State.parquet")
+    assert str(table.schema.field("time").type) == "duration[ns]"
+    assert table["time"].to_pylist() == [None]
+
+
+def test_relative_times_are_durations(tmp_path: Path) -> None:
+    """A recording that counts from its start has no dates, and all its datasets agree on that."""
+    with open_export(tmp_path / "out.parquet", variants=[ARM]) as export:
+        export.write(tables(state(1, 1, 0.25), Frame(0x101, b"", 0.5)))
+    table: Any = None
+    for name in ("State", "Raw"):
+        table = pq.read_table(tmp_path / "out.parquet" / f"{name}.parquet")
+        assert str(table.schema.field("time").type) == "duration[ns]"
+        assert table.schema.metadata[b"time"] == b"as the recording counts it"
+    assert table["time"].cast(pa.int64()).to_pylist() == [500_000_000]
+
+
+def test_names_and_float32_are_choices(tmp_path: Path) -> None:
+    """Enumerations as dictionaries of names, physical values in half the size."""
+    path = tmp_path / "one.parquet"
+    with open_export(path, variants=[ARM], only="State", names=True, float32=True) as export:
+        export.write(tables(state(1, 5), state(3, -7)))
+    table = pq.read_table(path)
+    assert table["mode"].to_pylist() == ["on", "3"]
+    assert str(table.schema.field("mode").type).startswith("dictionary")
+    assert str(table.schema.field("angle").type) == "float"
+    assert table["angle"].to_pylist() == pytest.approx([0.5, -0.7])
+
+
+def test_other_readers_understand_it(tmp_path: Path) -> None:
+    """polars and pandas see dates, categories and numbers."""
+    polars, pandas = pytest.importorskip("polars"), pytest.importorskip("pandas")
+    for suffix in (".parquet", ".arrow"):
+        path = tmp_path / f"one{suffix}"
+        with open_export(path, variants=[ARM], only="State") as export:
+            monkey: Any = export
+            monkey.rows_at_once = 1
+            export.write(tables(state(1, 5), state(0, 6, 1.5e9 + 1, "can1")))
+        frame = (
+            polars.read_parquet(path)
+            if suffix == ".parquet"
+            else polars.from_arrow(pa.ipc.open_file(path).read_all())
+        )
+        assert frame["channel"].to_list() == ["can0", "can1"]
+        assert frame["time"].dtype == polars.Datetime("ns", "UTC")
+        assert frame["angle"].to_list() == [0.5, pytest.approx(0.6)]
+    read = pandas.read_parquet(tmp_path / "one.parquet")
+    assert str(read["time"].dtype) == "datetime64[ns, UTC]"
+    assert read["mode"].tolist() == [1, 0]
+
+
+def test_several_captures_are_told_apart(tmp_path: Path) -> None:
+    """With `sources` a column says which recording a row is from."""
+    with open_export(tmp_path / "out.parquet", variants=[ARM], sources=True) as export:
+        export.write(tables(state(1, 1)), source="a.log")
+        export.write(tables(state(1, 2)), source="b.log")
+    assert pq.read_table(tmp_path / "out.parquet" / "State.parquet")["source"].to_pylist() == [
+        "a.log",
+        "b.log",
+    ]
+
+
+def test_what_was_not_decoded_is_a_dataset(tmp_path: Path) -> None:
+    """`_lost` has the reason and the bytes, and all that tells frames apart."""
+    with open_export(tmp_path / "out.parquet", variants=[ARM]) as export:
+        export.write(tables(Frame(0x7FF, b"\xde\xad", 1.5e9, "can0", is_fd=True), Frame(0x100, b"\x01")))
+    lost = pq.read_table(tmp_path / "out.parquet" / "_lost.parquet").to_pylist()
+    assert [(row["id"], row["fd"], row["remote"], row["raw"]) for row in lost] == [
+        (0x7FF, True, False, b"\xde\xad"),
+        (0x100, False, False, b"\x01"),
+    ]
+    assert lost[0]["reason"] == "unknown"
+    assert lost[1]["reason"].startswith("malformed: length 1")
+
+
+def test_integers_beyond_64_bits_are_said(tmp_path: Path) -> None:
+    """A number that no column can hold is left empty, counted and named; it never stops an export."""
+    table = tables(Frame(0x101, b"\x01"))[0]
+    layout = Layout.of(table, {"data": "integer"})
+    slot = layout.slots[-1]
+    values, absent = layout._objects(slot, [1, 1 << 70, None, -(1 << 63)], None)
+    assert values.tolist() == [1, 0, 0, -(1 << 63)]
+    assert absent is not None
+    assert absent.tolist() == [False, True, True, False]
+    assert layout.too_wide == {"data": 1}
+
+
+def test_csv_describes_its_columns(tmp_path: Path) -> None:
+    """`_columns.csv` has what CSV cannot say: units and names."""
+    with open_export(f"{tmp_path}/out.csv/", variants=[ARM]) as export:
+        export.write(tables(state(1, 5)))
+    with open(tmp_path / "out.csv" / "_columns.csv", newline="", encoding="utf-8") as file:
+        rows = {row["column"]: row for row in csv.DictReader(file)}
+    assert rows["angle"]["unit"] == "°"
+    assert rows["time"]["unit"] == "s"
+    assert json.loads(rows["mode"]["names"]) == {"0": "off", "1": "on"}
+
+
+# ---------------------------------------------------------------------- memory and files
+
+
+@pytest.mark.parametrize("form", ["parquet", "npz", "sqlite"])
+def test_what_waits_is_bounded(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much is written, no more than the budget waits; nothing is lost by it."""
+    monkeypatch.setattr(export_base.Buffered, "budget", 100_000)
+    most = 0
+    with open_export(tmp_path / PLACES[form], variants=[ARM]) as export:
+        assert isinstance(export, export_base.Buffered)
+        for number in range(40):
+            export.write(many(500, first=500 * number))
+            most = max(most, export.waiting)
+        assert export.rows == {"State": 20_000}
+    assert 0 < most <= 100_000
+    assert count(form, tmp_path / PLACES[form]) == 20_000
+
+
+def count(form: str, path: Path) -> int:
+    """Rows of `State`."""
+    if form == "parquet":
+        return int(pq.read_metadata(path / "State.parquet").num_rows)
+    if form == "npz":
+        with np.load(path) as arrays:
+            assert np.all(np.diff(arrays["State/time"].astype(np.int64)) == 1_000_000)
+            return len(arrays["State/angle"])
+    base = sqlite3.connect(path)
+    try:
+        return int(base.execute('SELECT count(*) FROM "State"').fetchone()[0])
+    finally:
+        base.close()
+
+
+def test_row_groups_are_full(tmp_path: Path) -> None:
+    """Pieces are gathered into row groups, and a large table is cut into them."""
+    with open_export(tmp_path / "out.parquet", variants=[ARM]) as export:
+        monkey: Any = export
+        monkey.rows_at_once = 1000
+        for number in range(5):
+            export.write(many(300, first=300 * number))
+        export.write(many(2500, first=1500))
+    found = pq.read_metadata(tmp_path / "out.parquet" / "State.parquet")
+    sizes = [found.row_group(place).num_rows for place in range(found.num_row_groups)]
+    assert sum(sizes) == 4000
+    assert max(sizes) == 1000 + 200 - 200
+    assert len(sizes) <= 5
+
+
+def test_an_export_keeps_no_table_alive(tmp_path: Path) -> None:
+    """Values are copied out of what a scanner gave: no view holds a whole piece of a capture."""
+    export: Any = open_export(tmp_path / "out.parquet", variants=[ARM])
+    export.write(many(10))
+    for (dataset,) in export._datasets.values():
+        for block in dataset.pieces:
+            assert all(values.base is None or values.base.nbytes <= 2 * values.nbytes for values, _ in block)
+    export.abandon()
+
+
+def test_many_messages_need_few_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many messages are being written, few files are open."""
+    monkeypatch.setattr(export_files, "OPEN", 8)
+    wide = Protocol("wide", link="can")
+    for number in range(60):
+        wide.message(f"M{number}", id=number, payload=Struct("value" / Int32ul))
+    variant = wide.variant()
+    frames = [Frame(number, number.to_bytes(4, "little"), 1.5e9) for number in range(60)]
+    with open_export(tmp_path / "out.parquet", variants=[variant]) as export:
+        monkey: Any = export
+        monkey.rows_at_once = 1
+        scanner = make_column_scanner([variant])
+        for _ in range(2):
+            export.write(scanner.feed(FrameTable.from_frames(frames)))
+            assert len(monkey._pool._open) == 8
+    assert len(list((tmp_path / "out.parquet").iterdir())) == 60
+    for number in (0, 7, 59):
+        values = pq.read_table(tmp_path / "out.parquet" / f"M{number}.parquet")["value"].to_pylist()
+        assert values == [number, number]
+
+
+def test_a_pool_reopens_what_it_closed(tmp_path: Path) -> None:
+    """A file goes on where it was, however many others were written in between."""
+    pool = FilePool()
+    sinks = [Sink(pool, str(tmp_path / str(number))) for number in range(100)]
+    for word in (b"a", b"b", b"c"):
+        for sink in sinks:
+            sink.write(word)
+    pool.close()
+    assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"abc"}
+    assert sinks[0].tell() == 3
+
+
+# ---------------------------------------------------------------------- all or nothing
+
+
+@each_format
+def test_nothing_stands_before_it_is_whole(form: str, tmp_path: Path) -> None:
+    """Until `close` the name is free; after it there is nothing else in the folder."""
+    path = tmp_path / PLACES[form].rstrip("/")
+    export = open_export(f"{tmp_path}/{PLACES[form]}", variants=[ARM])
+    export.write(tables(state(1, 1)))
+    assert not path.exists()
+    export.close()
+    assert list(tmp_path.iterdir()) == [path]
+    export.close()
+    with pytest.raises(CallerError, match="closed"):
+        export.write(tables(state(1, 1)))
+
+
+@each_format
+def test_a_failed_export_leaves_what_was_there(form: str, tmp_path: Path) -> None:
+    """An exception inside `with` removes every trace; an export that was there before still stands."""
+    path = f"{tmp_path}/{PLACES[form]}"
+    with open_export(path, variants=[ARM]) as export:
+        export.write(tables(state(1, 1)))
+    before = listing(tmp_path)
+
+    def fail() -> None:
+        with open_export(path, variants=[ARM]) as export:
+            export.write(tables(state(1, 1), Frame(0x101, b"abc")))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert listing(tmp_path) == before
+    with open_export(path, variants=[ARM]) as export:  # and a whole one takes its place
+        export.write(tables(Frame(0x101, b"abc", 1.5e9)))
+    assert listing(tmp_path) != before
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def listing(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@each_format
+def test_a_full_disk_leaves_nothing(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What cannot be written to its end is one clear error, and no file."""
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    export = open_export(f"{tmp_path}/{PLACES[form]}", variants=[ARM])
+    export.write(tables(state(1, 1)))
+    monkeypatch.setattr(type(export), "_finish", full)
+    with pytest.raises(CallerError, match="cannot be written: No space left"):
+        export.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_other_files_is_not_replaced(tmp_path: Path) -> None:
+    """Only a folder that an export made is replaced by one."""
+    folder = tmp_path / "out.parquet"
+    folder.mkdir()
+    (folder / "diary.txt").write_text("dear")
+    with pytest.raises(CallerError, match=r"holds other files \(diary.txt\)"):
+        open_export(folder)
+    assert listing(tmp_path) == {"out.parquet/diary.txt": b"dear"}
+
+
+def test_a_folder_takes_the_place_of_a_file(tmp_path: Path) -> None:
+    """One message, then all: the file of the first export makes room for the folder of the second, and back."""
+    path = tmp_path / "out.parquet"
+    for only in ("State", None, "State"):
+        with open_export(path, variants=[ARM], only=only) as export:
+            export.write(tables(state(1, 1)))
+        assert path.is_dir() is (only is None)
+        assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
+def test_a_single_message_that_did_not_occur(suffix: str, tmp_path: Path) -> None:
+    """A file with its columns and without rows."""
+    path = tmp_path / f"one{suffix}"
+    open_export(path, variants=[ARM], only="State").close()
+    table = pq.read_table(path) if suffix == ".parquet" else pa.ipc.open_file(path).read_all()
+    assert table.num_rows == 0
+    assert table.schema.names[-2:] == ["mode", "angle"]
+
+
+def test_a_file_for_one_message_takes_no_other(tmp_path: Path) -> None:
+    """Two messages never end up in one file."""
+    export = open_export(tmp_path / "one.parquet", variants=[ARM], only="State")
+    with pytest.raises(CallerError, match="for State alone, and Raw came too"):
+        export.write(tables(state(1, 1), Frame(0x101, b"")))
+    export.abandon()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "complaint"),
+    [
+        ("nowhere/out.parquet", "no folder"),
+        ("out.xlsx", "suffix says no format"),
+        ("taken.npz", "is a folder"),
+    ],
+)
+def test_wrong_places(path: str, complaint: str, tmp_path: Path) -> None:
+    """What cannot be written is refused before anything is decoded."""
+    (tmp_path / "taken.npz").mkdir()
+    with pytest.raises(CallerError, match=complaint):
+        open_export(tmp_path / path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["taken.npz"]
+
+
+def test_wrong_formats() -> None:
+    """A format that does not exist is named with those that do; none goes to standard output."""
+    with pytest.raises(UnknownNameError, match="parquet"):
+        open_export("x", "parkett")
+    with pytest.raises(CallerError, match="standard output"):
+        open_export("-", "mcap")
+    assert format_of("a/b.SQLITE3") == "sqlite"
+    assert format_of("walk.csv/") == "csv"
+    assert format_of("walk.csv") is None
+
+
+# ---------------------------------------------------------------------- names
+
+
+def test_the_protocol_stands_in_front_where_two_have_a_message(tmp_path: Path) -> None:
+    """Messages of one name of two protocols are two datasets, whichever comes first."""
+    both = [ARM, OTHER]
+    scanner = make_column_scanner(both)
+    with open_export(tmp_path / "out.parquet", variants=both) as export:
+        export.write(scanner.feed(FrameTable.from_frames([Frame(0x101, b""), Frame(0x200, bytes(4))])))
+        export.write(scanner.feed(FrameTable.from_frames([state(1, 1)])))
+    assert {path.name for path in (tmp_path / "out.parquet").iterdir()} == {
+        "Raw.parquet",
+        "other.State.parquet",
+        "shelf.State.parquet",
+    }
+
+
+def test_names_are_safe_and_unique() -> None:
+    """Names that differ in case alone, paths, devices of Windows and very long ones become files of their own."""
+    naming = Naming()
+    names = [
+        naming.name("p", message) for message in ("Ab", "aB", "../x", "CON", "a" * 300, "é", "", "_lost")
+    ]
+    assert names[:4] == ["Ab", "aB.2", "_x", "_CON"]
+    assert len({name.casefold() for name in names}) == len(names)
+    assert all(len(name) < 130 and os.path.basename(name) == name for name in names)
+    assert names[6:] == ["_lost", "_lost_"]
+
+
+def test_sqlite_quotes_foreign_names(tmp_path: Path) -> None:
+    """No name can break a statement, and columns that differ in case alone are two."""
+    odd = Protocol("odd", link="can")
+    odd.message("Select", id=0x100, payload=Struct("from_" / Byte, "Order" / Byte, "order" / Byte))
+    variant = odd.variant()
+    path = tmp_path / "out.db"
+    with open_export(path, variants=[variant]) as export:
+        assert isinstance(export, SqliteExport)
+        export.write(tables(Frame(0x100, b"\x01\x02\x03", 1.5e9), variants=[variant]))
+    base = sqlite3.connect(path)
+    assert base.execute('SELECT "from_", "Order", "order.2", time_ns FROM "Select"').fetchall() == [
+        (1, 2, 3, 1_500_000_000_000_000_000)
+    ]
+    assert base.execute('SELECT "path" FROM "_columns" WHERE "column" = \'order.2\'').fetchone() == ("order",)
+    base.close()
+
+
+@pytest.fixture
+def mcap_file(tmp_path: Path) -> Path:
+    pytest.importorskip("foxglove")
+    path = tmp_path / "out.mcap"
+    with open_export(path, variants=[ARM]) as export:
+        export.write(tables(state(1, 5, 1.5e9), state(7, 6, None), state(0, 7, 1.5e9 + 0.25)))
+        assert export.notes == [
+            "1 messages have no time; in the MCAP they stand at the time of the one before"
+        ]
+    return path
+
+
+def test_mcap_has_schemas_and_times(mcap_file: Path) -> None:
+    """A JSON schema a message with units and numbers' names, log times in ns, the transport under `meta`."""
+    reader = pytest.importorskip("mcap.reader")
+    with mcap_file.open("rb") as file:
+        found = list(reader.make_reader(file).iter_messages())
+    schema, channel, _ = found[0]
+    assert (channel.topic, channel.message_encoding, schema.encoding) == (
+        "/shelf/State",
+        "json",
+        "jsonschema",
+    )
+    assert channel.metadata["protocol"] == "shelf"
+    fields = json.loads(schema.data)["properties"]
+    assert fields["angle"] == {"type": "number", "description": "in °", "unit": "°"}
+    assert fields["mode"] == {"type": "integer", "description": "0 = off, 1 = on"}
+    assert [message.log_time for _, _, message in found] == [
+        1_500_000_000_000_000_000,
+        1_500_000_000_000_000_000,
+        1_500_000_000_250_000_000,
+    ]
+    assert json.loads(found[0][2].data) == {
+        "mode": 1,
+        "angle": 0.5,
+        "meta": {"channel": "can0", "id": 256, "extended": False, "rx": None},
+    }
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without pyarrow or foxglove the message says what to install, and nothing is left behind."""
+    import sys
+
+    for module, place, extra in (("pyarrow", "a.parquet", "columns"), ("foxglove", "a.mcap", "mcap")):
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, module, None)
+            with pytest.raises(CallerError, match=rf"aces-bus\[{extra}\]"):
+                open_export(tmp_path / place, variants=[ARM])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_exports_are_contexts(tmp_path: Path) -> None:
+    """`with` gives the export itself."""
+    with open_export(tmp_path / "out.npz") as export:
+        assert isinstance(export, Export)

@@ -1,0 +1,200 @@
+"""Which bus a command works on, and how it is opened: the options that `sniff`, `send` and `play` share.
+
+    -i socketcan -c can0 -b 1000000      CAN: python-can's own options, configuration files and CAN_* variables
+    -i aces -c unix:can0                 the virtual bus of `aces bus serve`
+    --serial /dev/ttyUSB0 --baud 57600   a serial line: a port, socket://host:port, rfc2217://…, a pty
+    --udp 14550                          UDP datagrams
+
+1. One bus, of one kind: options of two kinds are refused, and so is a protocol of another kind.
+2. Nothing is opened before everything else about the call is known to be right.
+3. What the system or a backend says when a bus cannot be opened becomes one line, with the bus's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from aces_bus.errors import CallerError
+from aces_bus.protocol import Variant
+
+if TYPE_CHECKING:
+    from aces_bus.hardware import CanGate, DatagramGate, SerialGate
+
+Kind = Literal["can", "serial", "datagram"]
+AnyGate = "CanGate | SerialGate | DatagramGate"
+
+#: What python-can's options put into a namespace.
+CAN_OPTIONS = ("channel", "interface", "bitrate", "fd", "data_bitrate", "timing", "bus_kwargs")
+#: The line speed where neither the call nor a protocol says one.
+BAUD = 115_200
+LOOPBACK = "127.0.0.1"
+
+HELP = (
+    "name it with -i INTERFACE -c CHANNEL (python-can's; also in ~/.canrc or CAN_INTERFACE and CAN_CHANNEL),"
+    " --serial URL, or --udp [HOST:]PORT"
+)
+
+
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add python-can's options of a bus, and ours of a line."""
+    from can import cli
+
+    before = set(parser._actions)
+    cli.add_bus_arguments(parser, group_title="CAN bus (python-can's options)")
+    for action in set(parser._actions) - before:
+        if action.dest == "timing":
+            _hush(action)
+    group = parser.add_argument_group("serial line, datagrams")
+    add = group.add_argument
+    add("--serial", metavar="URL", help="a port, socket://HOST:PORT, rfc2217://…")
+    add("--baud", type=int, metavar="N", help=f"line speed (default: the protocol's, else {BAUD})")
+    add("--half-duplex", action="store_true", help="one pair of wires for both ways (RS-485), with its echo")
+    add("--udp", metavar="[HOST:]PORT", help="UDP datagrams, by default of this machine only")
+
+
+def _hush(action: Any) -> None:
+    """python-can prints what --timing means; standard output is ours."""
+    kind = type(action)
+
+    class Quiet(kind):  # type: ignore[misc,valid-type]
+        def __call__(self, *arguments: Any, **options: Any) -> None:
+            with contextlib.redirect_stdout(io.StringIO()):
+                super().__call__(*arguments, **options)
+
+    action.__class__ = Quiet
+
+
+@dataclass(frozen=True)
+class ChosenBus:
+    """A bus that is named and not yet open. `options` are python-can's keywords (CAN) or the gate's (others)."""
+
+    kind: Kind
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def link(self) -> Literal["can", "serial"]:
+        """What captures call it: bytes are bytes."""
+        return "can" if self.kind == "can" else "serial"
+
+    @property
+    def described(self) -> str:
+        """How messages call it."""
+        if self.kind == "can":
+            return f"{self.name} (interface {self.options.get('interface')})"
+        return self.name
+
+    def on(self, channel: str) -> ChosenBus:
+        """The same kind of CAN bus, another channel of it."""
+        return replace(self, name=channel, options={**self.options, "channel": channel})
+
+    def gate(self, *, listen_only: bool, send_rate: float | None = None) -> CanGate | SerialGate | DatagramGate:
+        """Its gatekeeper, not yet started. With `listen_only` the gate has no way to send."""
+        if self.kind == "can":
+            from aces_bus.hardware import CanGate
+
+            return CanGate(self.options, name=self.name, listen_only=listen_only, send_rate=send_rate)
+        if self.kind == "serial":
+            from aces_bus.hardware import SerialGate
+
+            return SerialGate(name=self.name, listen_only=listen_only, **self.options)
+        from aces_bus.hardware import DatagramGate
+
+        host, port = self.options["address"]
+        if listen_only:
+            return DatagramGate((host, port), name=self.name, listen_only=True)
+        near = LOOPBACK if host.startswith("127.") or host == "localhost" else "0.0.0.0"  # noqa: S104
+        return DatagramGate((near, 0), peer=(host, port), name=self.name)
+
+    def start(self, gate: CanGate | SerialGate | DatagramGate) -> None:
+        """Start its gate; raises `CallerError` for whatever opening raises."""
+        try:
+            gate.start()
+        except CallerError:
+            raise
+        except Exception as error:  # whatever a backend or the system may raise
+            said = " ".join(str(error).split()) or type(error).__name__
+            raise CallerError(f"{self.described} cannot be opened: {said}") from error
+
+
+def chosen_bus(arguments: argparse.Namespace, variants: Sequence[Variant] = ()) -> ChosenBus:
+    """The bus that the options name; raises `CallerError` when they name none or two, or none for these protocols."""
+    given = [f"--{name.replace('_', '-')}" for name in CAN_OPTIONS if name in arguments]
+    if arguments.serial is not None and arguments.udp is not None:
+        raise CallerError("--serial and --udp are two buses; name one")
+    if given and (arguments.serial is not None or arguments.udp is not None):
+        other = "--serial" if arguments.serial is not None else "--udp"
+        raise CallerError(f"{given[0]} is for CAN and {other} is not; name one bus")
+    if arguments.serial is None:
+        for option in ("baud", "half_duplex"):
+            if getattr(arguments, option):
+                raise CallerError(f"--{option.replace('_', '-')} is for serial lines; name one: --serial URL")
+    if arguments.serial is not None:
+        chosen = _serial(arguments, variants)
+    elif arguments.udp is not None:
+        chosen = _datagrams(arguments.udp)
+    else:
+        _check_link("can", variants)
+        chosen = _can(arguments)
+    _check_link(chosen.kind, variants)
+    return chosen
+
+
+def _check_link(kind: Kind, variants: Iterable[Variant]) -> None:
+    for variant in variants:
+        if (variant.link == "can") != (kind == "can"):
+            if kind == "can":
+                raise CallerError(
+                    f"{variant.name} is not spoken on CAN but on a {variant.link} link; name one: --serial URL or --udp"
+                    " [HOST:]PORT"
+                )
+            raise CallerError(f"{variant.name} is spoken on CAN; name a CAN bus: -i INTERFACE -c CHANNEL")
+
+
+def _can(arguments: argparse.Namespace) -> ChosenBus:
+    from can import CanError
+    from can.util import load_config
+
+    options: dict[str, Any] = {}
+    for name in CAN_OPTIONS:
+        if name in arguments:
+            value = getattr(arguments, name)
+            options.update(value if name == "bus_kwargs" else {name: value})
+    try:
+        whole: Mapping[str, Any] = load_config(config=dict(options))
+    except (CanError, ValueError, OSError) as error:
+        if "interface" in options:
+            raise CallerError(f"the bus is not understood: {' '.join(str(error).split())}") from error
+        raise CallerError(f"no bus is named; {HELP}") from None
+    interface, channel = whole.get("interface"), whole.get("channel")
+    options["interface"] = interface
+    if channel is not None:
+        options["channel"] = channel
+    return ChosenBus("can", str(channel if channel is not None else interface), options)
+
+
+def _serial(arguments: argparse.Namespace, variants: Sequence[Variant]) -> ChosenBus:
+    baud: int | None = arguments.baud
+    if baud is None:
+        speeds = {variant.protocol.baud for variant in variants if variant.protocol.baud is not None}
+        baud = speeds.pop() if len(speeds) == 1 else BAUD
+    if baud <= 0:
+        raise CallerError(f"--baud {baud}: a line speed is a number above 0")
+    options = {"url": arguments.serial, "baud": baud, "half_duplex": bool(arguments.half_duplex)}
+    return ChosenBus("serial", arguments.serial, options)
+
+
+def _datagrams(text: str) -> ChosenBus:
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) < 65_536:
+        raise CallerError(f"--udp {text!r}: write PORT or HOST:PORT, such as 14550 or 0.0.0.0:14550")
+    address = (host or LOOPBACK, int(port))
+    return ChosenBus("datagram", f"udp {address[0]}:{address[1]}", {"address": address})
+
+
+__all__ = ["ChosenBus", "add_bus_arguments", "chosen_bus"]

@@ -1,0 +1,281 @@
+"""`aces decode -o walk.parquet`: whole pieces of a capture at once, into files of tables.
+
+1. What is counted, said and left out is what the live way counts, says and leaves out.
+2. Memory is bounded whatever the capture's size: a piece is decoded, written and forgotten.
+3. The output stands when it is whole: an interrupted or failed run leaves what was there before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from aces_bus.capture import CanCapture, SerialCapture
+from aces_bus.capture.filter_columns import passing
+from aces_bus.errors import CallerError, CaptureError
+from aces_bus.export import Export, open_export
+from aces_bus.frame_table import FrameTable, to_ns
+from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
+from aces_bus.protocol.scan.decoded import feed
+from aces_bus.protocol.scan.gather import kinds_of
+from aces_bus.protocol.scan.message_table import MessageTable
+
+from .console import Patience, say
+from .decoding import Decoding, Direction, Totals, utf8
+from .progress import Progress
+from .where_columns import Rows, WhereColumns
+
+#: Frames that are decoded at once, at least, where they need not be waited for.
+PIECE = 1 << 16
+
+
+class ColumnDecoding(Decoding):
+    """One run into an output of tables. A wrong call raises before anything is read or written."""
+
+    def __init__(self, arguments: argparse.Namespace, form: str) -> None:
+        super().__init__(arguments)
+        if arguments.quiet:
+            raise CallerError(
+                "--quiet prints nothing, and a table is not printed; leave --quiet or --output out"
+            )
+        self.where = WhereColumns(arguments.where, self.plans) if arguments.where else None
+        self.columns = self._signals(arguments.signals)
+        show = arguments.unknown or "hide"
+        self.shows_records, self.shows_losses = show != "only", show != "hide"
+        # Filters by frame and by time also refuse what is not decoded: they need to see it.
+        self.everything = self.shows_losses or self.filter is not None or self.window is not None
+        self.source: str | None = None
+        self.interrupted = False
+        path: str = arguments.output
+        for name in self.files:
+            if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
+                raise CallerError(f"--output {path} is one of the files to read; choose another name")
+        self.progress = Progress(self.files)
+        self.form = form
+        self.export: Export = self._open_export(path)
+
+    def _open_export(self, path: str) -> Export:
+        arguments = self.arguments
+        return open_export(
+            path,
+            self.form,
+            variants=[variant for some in self.variants.values() for variant in some],
+            only=self._only(),
+            names=arguments.names,
+            float32=arguments.float32,
+            sources=len(self.files) > 1,
+        )
+
+    def _only(self) -> str | None:
+        """The one message that is wanted: it is written as a file and not as a folder."""
+        if len(self.messages) != 1 or self.shows_losses:
+            return None
+        name = next(iter(self.messages))
+        owners = [v for some in self.variants.values() for v in some if name in v.messages]
+        return name if len(owners) == 1 else None
+
+    def _signals(self, texts: list[str]) -> dict[str, list[str]] | None:
+        """The wanted columns of each message that has some; None: all."""
+        globs = [one.strip() for text in texts for one in text.split(",")]
+        if not globs:
+            return None
+        found: dict[str, list[str]] = {}
+        known: list[str] = []
+        used: set[str] = set()
+        for kind, plan in self.plans.items():
+            for column in kinds_of(plan):
+                full = f"{kind.__name__}.{column.name}"
+                known.append(full)
+                matching = {glob for glob in globs if fnmatchcase(full, glob)}
+                if matching:
+                    used |= matching
+                    names = found.setdefault(kind.__name__, [])
+                    if column.name not in names:
+                        names.append(column.name)
+        for glob in globs:
+            if glob not in used:
+                some = ", ".join(sorted(known)[:8])
+                raise CallerError(
+                    f"--signals {glob!r} fits no column; they are named Message.field, with * and ? for any: {some}, …"
+                )
+        return found
+
+    # ------------------------------------------------------------------ running
+
+    def _opened(self, capture: CanCapture | SerialCapture) -> None:
+        self.source = utf8(capture.name)
+        self.progress.opened(capture)
+
+    def _finish(self, *, is_whole: bool) -> None:
+        self.progress.close()
+        if not self.totals:
+            return  # no file could be opened: what stands at the output still stands
+        if not is_whole:
+            self.interrupted = True
+            return
+        notes = self.export.notes
+        self.export.close()
+        for note in notes:
+            say(note)
+
+    def _flush(self) -> None:
+        """Nothing of the output is printed."""
+
+    def _clean_up(self) -> None:
+        self.progress.close()
+        self.export.abandon()  # nothing, once it is closed
+        if self.interrupted:
+            say(f"interrupted: {self.arguments.output} is not written")
+
+    def _scanner(self, direction: Direction | None, link: str) -> ColumnScanner:
+        variants = self.variants["can" if link == "can" else "serial"]
+        if link != "can":
+            self._check_direction(direction)
+        return make_column_scanner(variants, direction=direction, everything=self.everything)
+
+    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+        scanner = self._scanner(self.direction, "can")
+        first = 0
+        try:
+            for frames in pieces_of(patience.each(capture.tables()), is_live=capture.live):
+                tables = scanner.feed(frames)
+                contested = getattr(scanner, "contested", None)
+                if contested and not self.is_warned:
+                    self._warn_of(contested, tables)
+                if self.absent:
+                    numbers = np.unique(frames.channel).tolist()
+                    self._seen({str(frames.channels.names[number]) for number in numbers})
+                kept = self._kept(frames)
+                if kept is not None:
+                    tables = [self._part(table, kept[table.row - first], totals) for table in tables]
+                self._take(tables, totals)
+                first += len(frames)
+                self.progress.step(len(frames))
+                if capture.live:
+                    self._problems(capture)
+            self._take(scanner.close(), totals)
+        finally:
+            totals.count(scanner.counts)
+
+    def _kept(self, frames: FrameTable) -> Rows | None:
+        """Which frames --filter, --from and --to let pass; None: all."""
+        kept: Rows | None = None
+        if self.window is not None:
+            kept = self.window.inside(frames.time)
+        if self.filter is not None:
+            passed = passing(self.filter, frames)
+            kept = passed if kept is None else kept & passed
+        return kept
+
+    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+        used: dict[Direction | None, ColumnScanner] = {}
+        try:
+            for chunk in patience.each(capture):
+                direction: Direction | None = self.direction or chunk.direction
+                if direction not in used:
+                    used[direction] = self._scanner(direction, "serial")
+                if self.window is not None:
+                    self.window.see(to_ns(chunk.time))
+                self._take(self._inside(feed(used[direction], chunk.data, chunk.time), totals), totals)
+                self.progress.step(0)
+            for scanner in used.values():
+                self._take(self._inside(scanner.close(), totals), totals)
+        finally:
+            for scanner in used.values():
+                totals.count(scanner.counts)
+
+    def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
+        """The packets that --from and --to let pass."""
+        if self.window is None:
+            return tables
+        return [self._part(table, self.window.inside(table.time), totals) for table in tables]
+
+    # ------------------------------------------------------------------ tables
+
+    def _take(self, tables: Sequence[MessageTable], totals: Totals) -> None:
+        """Write what is to be shown; what --message, --signals and --where refuse goes into the bin `filtered`."""
+        shown: list[MessageTable] = []
+        for table in tables:
+            if not table.message:
+                if self.shows_losses:
+                    shown.append(table)
+                continue
+            if (self.messages and table.message not in self.messages) or (
+                self.columns is not None and table.message not in self.columns
+            ):
+                self._reject(table, totals)
+                continue
+            if self.where is not None:
+                table = self._part(table, self.where.holds(table), totals)
+            if self.shows_records:
+                shown.append(table)
+        self.export.write(shown, source=self.source, columns=self.columns)
+
+    def _part(self, table: MessageTable, kept: Rows, totals: Totals) -> MessageTable:
+        """The rows that are kept; the others go into the bin `filtered`."""
+        if kept.all():
+            return table
+        self._reject(table.take(np.flatnonzero(~kept)), totals)
+        return table.take(np.flatnonzero(kept))
+
+    @staticmethod
+    def _reject(table: MessageTable, totals: Totals) -> None:
+        """Move rows from their bins to `filtered`."""
+        sizes: Any = np.ones(len(table), np.int64) if table.size is None else table.size
+        total = int(sizes.sum())
+        totals.add("filtered", total)
+        if table.message:
+            totals.add("decoded", -total)
+            totals.add("records", -len(table))
+            return
+        for reason, size in zip(table["reason"].values.tolist(), sizes.tolist(), strict=True):
+            totals.add("errors" if reason == "error frame" else reason.partition(":")[0], -size)
+
+    def _warn_of(self, contested: Any, tables: Sequence[MessageTable]) -> None:
+        """Warn when a decoded frame is of an identifier that two protocols claim: of the first such frame."""
+        found = self._first_contested(contested, tables)
+        if found is not None:
+            self._warn(contested, found, found & 0x1FFF_FFFF)
+
+    @staticmethod
+    def _first_contested(contested: Any, tables: Sequence[MessageTable]) -> int | None:
+        """The key of the first decoded frame that two protocols claim."""
+        keys = np.fromiter(contested, np.uint32, len(contested))
+        found: list[tuple[int, int]] = []
+        for table in tables:
+            if table.message:
+                places = np.flatnonzero(np.isin(table.key, keys))
+                if len(places):
+                    found.append((int(table.row[places[0]]), int(table.key[places[0]])))
+        return min(found)[1] if found else None
+
+
+def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameTable]:
+    """Tables joined until they are worth decoding: what a piece costs for each message is paid less often.
+
+    Where reading stops with an error, what was read before comes first.
+    """
+    waiting: list[FrameTable] = []
+    rows = 0
+    failure: CaptureError | None = None
+    try:
+        for table in tables:
+            waiting.append(table)
+            rows += len(table)
+            if is_live or rows >= PIECE:
+                yield FrameTable.concat(waiting)
+                waiting, rows = [], 0
+    except CaptureError as error:
+        failure = error
+    if waiting:
+        yield FrameTable.concat(waiting)
+    if failure is not None:
+        raise failure
+
+
+__all__ = ["ColumnDecoding", "pieces_of"]

@@ -1,0 +1,360 @@
+"""`aces decode -o walk.parquet --jobs N`: one capture, several processes.
+
+1. The answer is that of one process: the same rows, counts and complaints. Only the files differ: each message is a folder
+   of parts (`Encoder.parquet/part-00000.parquet`, …), which readers of Parquet take for one table.
+2. Pieces are put together in the order of the capture. Frames that hang on others (requests, replies, modes) come back
+   undecoded, and this process decodes them; so a reply finds its request across any border.
+3. No more pieces are under way than processes can chew: memory does not grow with the file.
+
+A plain candump log is entered at several places at once; other formats are read here and decoded there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from aces_bus.capture import CanCapture, Problem, open_capture
+from aces_bus.capture.parts import open_part, split_capture
+from aces_bus.errors import AcesError, CallerError, CaptureError
+from aces_bus.export import Export
+from aces_bus.export.files import Staging, telling
+from aces_bus.frame_table import FrameTable
+from aces_bus.protocol.scan.can_columns import CanColumns
+from aces_bus.protocol.scan.channels import ChannelColumns
+from aces_bus.protocol.scan.message_table import MessageTable
+
+from .console import Patience, say
+from .decode_columns import ColumnDecoding, pieces_of
+from .decoding import SHOWN, Totals
+from .where_columns import Rows
+
+#: Bytes of a log that are one piece.
+PIECE = 24 << 20
+#: Outputs that are folders of tables, which parts can be put into.
+FORMS = ("parquet", "arrow", "feather")
+
+
+@dataclass
+class Done:
+    """What a process says of a piece. It can be pickled."""
+
+    handover: Any
+    totals: Totals
+    channels: set[str]
+    #: The key of the first frame that two protocols claim.
+    contested: int | None = None
+    lines: tuple[int, int, int, int] = (0, 0, 0, 0)
+    frames_dropped: int = 0
+    others: dict[str, int] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    error: str = ""
+
+
+class JobsDecoding(ColumnDecoding):
+    """One run over several processes."""
+
+    def __init__(self, arguments: argparse.Namespace, form: str) -> None:
+        if form not in FORMS:
+            raise CallerError(f"--jobs writes {', '.join(FORMS)}; {form} is written by one process")
+        super().__init__(arguments, form)
+        self._pool: ProcessPoolExecutor | None = None
+        self._piece = 0
+        #: Frames of this file that have been put together.
+        self._frames = 0
+        self._notes: dict[str, None] = {}
+
+    def _open_export(self, path: str) -> Export:
+        return Parts(self, path)  # type: ignore[return-value]  # what this class uses of an export
+
+    def part(self, path: str) -> Export:
+        """An export of its own for a part."""
+        return super()._open_export(path)
+
+    # ------------------------------------------------------------------ this process
+
+    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+        if capture.live:
+            super()._can(capture, totals, patience)
+            return
+        scanner = self._column_scanner(defer=False)
+        tasks = self._tasks(capture)
+        under_way: deque[Future[Done]] = deque()
+        self._frames = 0
+        self._start_window(capture)
+        try:
+            while True:
+                while len(under_way) < 2 * self.arguments.jobs and not patience.is_over:
+                    task = next(tasks, None)
+                    if task is None:
+                        break
+                    under_way.append(self._submit(task))
+                if not under_way:
+                    break
+                self._adopt(capture, scanner, under_way.popleft().result(), totals)
+        except BrokenProcessPool as error:
+            raise CallerError(
+                "a decoding process has died; is there enough memory? Try fewer --jobs"
+            ) from error
+        finally:
+            for future in under_way:
+                future.cancel()
+            totals.count(scanner.counts)
+
+    def _start_window(self, capture: CanCapture) -> None:
+        """Relative times count from the first frame of the file: every process must know it."""
+        if self.window is None:
+            return
+        with open_capture(capture.name, link="can") as same:
+            for table in same.tables():
+                self.window.inside(table.time)
+                if self.window.first is not None:
+                    break
+        self.window.untimed = 0
+
+    def _tasks(self, capture: CanCapture) -> Iterator[Any]:
+        spans = split_capture(capture.name, PIECE) if os.path.isfile(capture.name) else None
+        first = None if self.window is None else self.window.first
+        if spans is not None:
+            for span in spans:
+                yield ("span", capture.name, span, first)
+            return
+        for table in pieces_of(capture.tables(), is_live=False):
+            yield ("table", capture.name, table, first)
+
+    def _submit(self, task: Any) -> Future[Done]:
+        if self._pool is None:
+            self._pool = self._make_pool()
+        number, self._piece = self._piece, self._piece + 1
+        return self._pool.submit(_work, task, self.export.piece(number))  # type: ignore[attr-defined]
+
+    def _make_pool(self) -> ProcessPoolExecutor:
+        # A fork has everything imported and generated already; it is safe while no thread runs beside this one.
+        can_fork = sys.platform == "linux" and threading.active_count() == 1
+        global _worker
+        _worker = self
+        return ProcessPoolExecutor(
+            self.arguments.jobs,
+            multiprocessing.get_context("fork" if can_fork else "spawn"),
+            initializer=_begin,
+            initargs=(self.arguments, self.form),
+        )
+
+    def _adopt(self, capture: CanCapture, scanner: Any, done: Done, totals: Totals) -> None:
+        """Go on behind a piece: its files, its counts, its complaints, and the frames that it left."""
+        if done.error:
+            raise CaptureError(done.error)
+        export: Any = self.export
+        export.adopt()
+        self._seen(done.channels)
+        contested = scanner.contested
+        if done.contested is not None and not self.is_warned:
+            self._warn(contested, done.contested, done.contested & 0x1FFF_FFFF)
+        for name, number in done.totals.bins.items():
+            totals.add(name, number)
+        before = capture.lines
+        if any(done.lines):  # a part of a log, which the process has read itself
+            capture.lines += done.lines[0]
+            capture.lines_unreadable += done.lines[1]
+            capture.lines_comment += done.lines[2]
+            capture.lines_blank += done.lines[3]
+            capture.frames_dropped += done.frames_dropped
+            for kind, number in done.others.items():
+                capture.others[kind] = capture.others.get(kind, 0) + number
+            room = max(0, SHOWN - len(capture.problems))
+            capture.problems += [p._replace(line=p.line + before) for p in done.problems[:room]]
+        self._notes.update(dict.fromkeys(done.notes))
+        handovers = done.handover.values() if isinstance(done.handover, dict) else [done.handover]
+        deferred = [(table, rows + self._frames) for one in handovers for table, rows in one.deferred]
+        frames = max((one.frames for one in handovers), default=0)
+        tables = scanner.adopt(done.handover)
+        self._frames += frames
+        if deferred and (self.window is not None or self.filter is not None):
+            tables = [self._part(table, self._kept_rows(deferred, table), totals) for table in tables]
+        self._take(tables, totals)
+        self.progress.step(frames)
+
+    def _kept_rows(self, deferred: Sequence[tuple[FrameTable, Any]], table: MessageTable) -> Rows:
+        """Which lines of a table --filter, --from and --to let pass."""
+        kept = np.zeros(len(table), bool)
+        for frames, rows in deferred:
+            places = np.minimum(np.searchsorted(rows, table.row), len(rows) - 1)
+            passed = self._kept(frames)
+            if passed is not None:
+                kept |= (rows[places] == table.row) & passed[places]
+        return kept
+
+    def _finish(self, *, is_whole: bool) -> None:
+        if is_whole:
+            for note in self._notes:
+                say(note)
+        super()._finish(is_whole=is_whole)
+
+    def _clean_up(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+        super()._clean_up()
+
+    # ------------------------------------------------------------------ the other processes
+
+    def _column_scanner(self, *, defer: bool) -> CanColumns | ChannelColumns:
+        variants = self.variants["can"]
+        kind: Any = ChannelColumns if any(v.channel is not None for v in variants) else CanColumns
+        made: CanColumns | ChannelColumns = kind(
+            variants, direction=self.direction, everything=self.everything, defer=defer
+        )
+        return made
+
+    def work(self, task: Any, place: str) -> Done:
+        """Decode a piece into an export of its own at `place`."""
+        kind, name, piece, first = task
+        scanner = self._column_scanner(defer=True)
+        totals, channels = Totals(), set[str]()
+        contested: int | None = None
+        capture: CanCapture | None = None
+        if self.window is not None:
+            self.window.begin()
+            self.window.see(first)
+        tables: Iterable[FrameTable] = [piece]
+        if kind == "span":
+            capture = open_part(name, piece)
+            tables = pieces_of(capture.tables(), is_live=False)
+        self.source = name
+        with self.part(place) as self.export:
+            row = 0
+            for frames in tables:
+                found = scanner.feed(frames)
+                if scanner.contested and contested is None:
+                    contested = self._first_contested(scanner.contested, found)
+                if self.absent:
+                    channels |= {str(frames.channels.names[n]) for n in np.unique(frames.channel).tolist()}
+                kept = self._kept(frames)
+                if kept is not None:
+                    found = [self._part(table, kept[table.row - row], totals) for table in found]
+                self._take(found, totals)
+                row += len(frames)
+            notes = self.export.notes
+        done = Done(scanner.hand_over(), totals, channels, contested, notes=notes)
+        if capture is not None:
+            done.lines = (
+                capture.lines,
+                capture.lines_unreadable,
+                capture.lines_comment,
+                capture.lines_blank,
+            )
+            done.frames_dropped, done.others, done.problems = (
+                capture.frames_dropped,
+                capture.others,
+                capture.problems,
+            )
+        return done
+
+
+_worker: JobsDecoding | None = None
+
+
+def _begin(arguments: argparse.Namespace, form: str) -> None:
+    """A process starts: Ctrl-C is the first one's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    global _worker
+    if _worker is None:
+        _worker = Worker(arguments, form)
+
+
+def _work(task: Any, place: str) -> Done:
+    assert _worker is not None
+    try:
+        return _worker.work(task, place)
+    except AcesError as error:
+        return Done(None, Totals(), set(), error=str(error))
+
+
+class Worker(JobsDecoding):
+    """The run as another process has it that could not be forked: without an output of its own."""
+
+    def _open_export(self, path: str) -> Export:
+        return None  # type: ignore[return-value]  # each piece has its own
+
+
+class Parts:
+    """The folder that parts are put into; it has of an export what `ColumnDecoding` uses."""
+
+    def __init__(self, run: JobsDecoding, path: str) -> None:
+        self._run = run
+        self._path = path.rstrip("/" + os.sep) or path
+        suffix = os.path.splitext(self._path)[1]
+        self.suffix = suffix if suffix else f".{run.form}"
+        self._staging = Staging(self._path, is_folder=True, is_ours=lambda name: name.endswith(self.suffix))
+        self._folder = os.path.join(self._staging.temporary, ".pieces")
+        with telling(path):
+            os.mkdir(self._folder)
+        self._adopted = 0
+        self._own: Export | None = None
+        self.notes: list[str] = []
+
+    def piece(self, number: int) -> str:
+        """Where a process writes piece `number`."""
+        return os.path.join(self._folder, f"{number}{self.suffix}")
+
+    def adopt(self) -> None:
+        """The next piece is written: its files take their places, those of the piece before are complete."""
+        self._close_own()
+        self._move(self.piece(self._adopted), f"part-{self._adopted:05}")
+        self._adopted += 1
+
+    def write(
+        self, tables: Sequence[MessageTable], *, source: str | None = None, columns: Any = None
+    ) -> None:
+        """Tables that this process has decoded itself, of the piece adopted last."""
+        tables = [table for table in tables if len(table)]
+        if not tables:
+            return
+        if self._own is None:
+            self._own = self._run.part(os.path.join(self._folder, f"own{self.suffix}"))
+        self._own.write(tables, source=source, columns=columns)
+
+    def _close_own(self) -> None:
+        if self._own is not None:
+            self.notes += self._own.notes
+            self._own.close()
+            self._own = None
+            name = f"part-{max(0, self._adopted - 1):05}-in-context"
+            self._move(os.path.join(self._folder, f"own{self.suffix}"), name)
+
+    def _move(self, place: str, part: str) -> None:
+        """The files of a piece, each into the folder of its message."""
+        with telling(self._path):
+            if os.path.isfile(place):  # a single message: the parts are the folder
+                os.rename(place, os.path.join(self._staging.temporary, f"{part}{self.suffix}"))
+                return
+            for name in os.listdir(place):
+                folder = os.path.join(self._staging.temporary, name)
+                os.makedirs(folder, exist_ok=True)
+                os.rename(os.path.join(place, name), os.path.join(folder, f"{part}{self.suffix}"))
+            shutil.rmtree(place, ignore_errors=True)
+
+    def close(self) -> None:
+        """Everything is written: the folder takes its place."""
+        self._close_own()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._staging.commit()
+
+    def abandon(self) -> None:
+        """Leave nothing behind."""
+        if self._own is not None:
+            self._own.abandon()
+        self._staging.discard()

@@ -1,0 +1,288 @@
+"""What both ways of `aces decode` share: the files and their links, the bins, what goes to stderr, the exit status.
+
+1. A wrong call raises before anything is read.
+2. Which way values take (one by one, or in columns) changes nothing that is counted or said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from aces_bus.capture import CanCapture, CanFilter, Capture, SerialCapture, open_capture, parse_filter
+from aces_bus.errors import CallerError, CaptureError, UnknownNameError
+from aces_bus.protocol import Counts, Variant
+
+from .console import Patience, abandon_stdout, say
+from .output.shape import plans_of
+from .protocols_arg import parse_protocols
+from .window import Window
+
+Link = Literal["can", "serial"]
+Direction = Literal["to device", "from device", "both"]
+
+DIRECTIONS: Mapping[str | None, Direction | None] = {
+    "to": "to device",
+    "from": "from device",
+    "both": "both",
+    None: None,
+}
+#: Unreadable lines that are shown, of each file.
+SHOWN = 3
+
+
+@dataclass
+class Totals:
+    """The bins of one kind of link, over all files."""
+
+    bins: dict[str, int] = field(default_factory=dict)
+    lines_unreadable: int = 0
+    missed: int = 0
+    dropped: int = 0
+
+    def add(self, name: str, number: int) -> None:
+        self.bins[name] = self.bins.get(name, 0) + number
+
+    def __getitem__(self, name: str) -> int:
+        return self.bins.get(name, 0)
+
+    def count(self, counts: Counts) -> None:
+        """Add what a scanner counted."""
+        for name in ("total", "decoded", "unknown", "malformed", "skipped", "errors", "pending", "records"):
+            self.add(name, getattr(counts, name))
+        self.missed += counts.missed
+
+    def line(self, link: Link) -> str:
+        """The summary line."""
+        if link == "can":
+            names = ("decoded", "unknown", "malformed", "filtered", "errors")
+            parts = [
+                f"frames={self['total']}",
+                *(f"{n}={self[n]}" for n in names),
+                f"lines_unreadable={self.lines_unreadable}",
+            ]
+            return " ".join(parts)
+        bins = ("decoded", "unknown", "malformed", "skipped", "filtered", "pending", "records")
+        text = " ".join([f"bytes={self['total']}", *(f"{n}={self[n]}" for n in bins)])
+        return f"{text} lines_unreadable={self.lines_unreadable}" if self.lines_unreadable else text
+
+    @property
+    def faults(self) -> list[str]:
+        """What --strict does not allow."""
+        found = [f"{self[n]} {n}" for n in ("unknown", "malformed", "skipped", "pending") if self[n]]
+        if self.lines_unreadable:
+            found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")
+        return found
+
+
+class Decoding(ABC):
+    """One run of `aces decode`."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self.arguments = arguments
+        self.files: list[str] = arguments.files
+        self.direction: Direction | None = DIRECTIONS[arguments.direction]
+        self.variants: dict[Link, list[Variant]] = {"can": [], "serial": []}
+        variants = parse_protocols(arguments.protocol)
+        for variant in variants:
+            self.variants["can" if variant.link == "can" else "serial"].append(variant)
+        self.plans = plans_of(variants)
+        self.filter = self._filter(arguments.filter)
+        self.messages = self._messages(arguments.message)
+        self.window = Window.parse(arguments.start, arguments.stop)
+        self.totals: dict[Link, Totals] = {}
+        self.status = 0
+        #: Whether it has been said that two protocols claim one frame.
+        self.is_warned = False
+        #: Interfaces that --filter names; those that occurred are taken out.
+        self.absent = (
+            {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
+        )
+        #: All that occurred, while one is missing.
+        self.present: set[str] = set()
+        #: Unreadable lines of this file that have been named.
+        self.shown = 0
+
+    def _filter(self, texts: list[str]) -> CanFilter | None:
+        if texts and not self.variants["can"]:
+            raise CallerError("--filter is for CAN frames, and no protocol given with -p is for CAN")
+        return parse_filter(*texts) if texts else None
+
+    def _messages(self, texts: list[str]) -> frozenset[str]:
+        known = {kind.__name__ for kind in self.plans}
+        wanted = [name.strip() for text in texts for name in text.split(",")]
+        for name in wanted:
+            if name not in known:
+                raise UnknownNameError("message", name, known)
+        return frozenset(wanted)
+
+    # ------------------------------------------------------------------ what a way does
+
+    @abstractmethod
+    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+        """Decode frames, and count them whatever happens."""
+
+    @abstractmethod
+    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+        """Decode bytes, and count them whatever happens."""
+
+    def _opened(self, capture: CanCapture | SerialCapture) -> None:  # noqa: B027 - a way may have nothing to do
+        """A file is about to be decoded."""
+
+    def _done(self) -> None:  # noqa: B027
+        """A file has been decoded."""
+
+    @abstractmethod
+    def _finish(self, *, is_whole: bool) -> None:
+        """All files have been decoded; `is_whole` unless Ctrl-C ended one that would have ended by itself."""
+
+    @abstractmethod
+    def _flush(self) -> None:
+        """What has been written stands before what is said about it. Must not raise."""
+
+    def _clean_up(self) -> None:  # noqa: B027
+        """The run is over, whichever way."""
+
+    # ------------------------------------------------------------------ running
+
+    def run(self) -> int:
+        was_live = False
+        with Patience() as patience:
+            try:
+                for name in self.files:
+                    if patience.is_over:
+                        break
+                    was_live = self._file(name, patience)
+                self._finish(is_whole=was_live or not patience.is_over)
+            except BrokenPipeError:
+                abandon_stdout()
+            except KeyboardInterrupt:
+                patience.is_over = True
+            except CallerError as error:  # the output, or a call that only shows itself wrong while decoding
+                self._complain(str(error))
+            finally:
+                self._clean_up()
+            self._summarise()
+        if patience.is_over and not was_live and not self.status:
+            return 130
+        return self.status
+
+    def _complain(self, message: str) -> None:
+        self.status = 2
+        self._flush()
+        say(message)
+
+    def _file(self, name: str, patience: Patience) -> bool:
+        """Decode one file; whether it was live. What is wrong with it is said, and the others are decoded."""
+        try:
+            capture = self._open(name, patience)
+        except CaptureError as error:
+            self._complain(str(error))
+            return False
+        except KeyboardInterrupt:
+            patience.is_over = True
+            return name == "-"
+        with capture:
+            self.shown = 0
+            if self.window is not None:
+                self.window.begin()
+            totals = self.totals.setdefault(capture.link, Totals())
+            self._opened(capture)
+            try:
+                if isinstance(capture, CanCapture):
+                    self._can(capture, totals, patience)
+                else:
+                    self._serial(capture, totals, patience)
+                self._done()
+            except CaptureError as error:
+                self._complain(str(error))
+            finally:
+                self._problems(capture)
+                if capture.lines_unreadable > SHOWN:
+                    say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
+                if capture.others:
+                    kinds = ", ".join(f"{number} {kind}" for kind, number in capture.others.items())
+                    say(f"{capture.name}: beside its frames it holds {kinds}")
+                totals.lines_unreadable += capture.lines_unreadable
+                if isinstance(capture, CanCapture):
+                    totals.dropped += capture.frames_dropped
+            return capture.live
+
+    def _open(self, name: str, patience: Patience) -> CanCapture | SerialCapture:
+        links: list[Link] = [link for link, variants in self.variants.items() if variants]
+        with patience.waiting():  # for the first bytes of a pipe
+            if len(links) == 1:
+                return open_capture(name, link=links[0])
+            try:
+                return open_capture(name)
+            except CaptureError:
+                if name == "-" or not os.path.isfile(name):
+                    raise
+                return open_capture(name, link="serial")  # none of the formats that say what they are
+
+    def _check_direction(self, direction: Direction | None) -> None:
+        """Streams of some protocols are not to be told apart without it."""
+        for variant in self.variants["serial"] if direction is None else ():
+            clash = variant.needs_direction
+            if clash is not None:
+                raise CallerError(
+                    f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
+                    " say which way they went: --direction to (to the device), from, or both"
+                )
+
+    def _seen(self, channels: set[str]) -> None:
+        """These interfaces have occurred."""
+        self.present |= channels
+        self.absent -= channels
+
+    # ------------------------------------------------------------------ what goes to stderr
+
+    def _problems(self, capture: Capture) -> None:
+        """Name the first unreadable lines, each once; those of live sources as they come."""
+        for problem in capture.problems[self.shown : SHOWN]:
+            self.shown += 1
+            self._flush()
+            say(f"{capture.name}:{problem.line}: {problem.reason}: {problem.excerpt!r}")
+
+    def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
+        """Two protocols claim a frame that has come: say so, once."""
+        first, other = contested[key]
+        say(
+            f"{first} and {other} both claim identifier {identifier:#05x}"
+            f" ({len(contested)} in all); the one that -p names first is tried first"
+        )
+        self.is_warned = True
+
+    def _summarise(self) -> None:
+        totals: dict[Link, Totals] = self.totals
+        if not totals:
+            totals = {link: Totals() for link, variants in self.variants.items() if variants}
+        for name in sorted(self.absent) if self.present else ():
+            say(f"--filter: no frame came from {name!r} (there are: {', '.join(sorted(self.present))})")
+        if self.window is not None and self.window.untimed:
+            say(f"--from and --to need times: {self.window.untimed} items have none, and are filtered")
+        for total in totals.values():
+            if total.dropped:
+                say(f"the recorder says that it lost {total.dropped} frames")
+            if total.missed:
+                say(f"rolling counters say that {total.missed} messages are missing")
+            if total["total"] and not total["decoded"] and not total["filtered"]:
+                say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
+        faults = [fault for total in totals.values() for fault in total.faults]
+        if self.arguments.strict and faults:
+            say(f"--strict: {', '.join(faults)}")
+            self.status = self.status or 1
+        for link, total in totals.items():
+            say(total.line(link), who="")
+
+
+def utf8(name: str) -> str:
+    """A file's name as JSON and terminals take it."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+__all__ = ["DIRECTIONS", "SHOWN", "Decoding", "Direction", "Link", "Totals", "utf8"]

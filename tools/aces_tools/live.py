@@ -1,0 +1,143 @@
+"""What the live commands share: ending well, events on stderr, absolute deadlines, frames with a time and a channel.
+
+1. Ctrl-C, SIGTERM and SIGHUP end a command as if its time were up: what was heard is shown and counted.
+2. Waiting is done in steps, so that a signal never waits long; the last step ends at the deadline.
+3. An event is said when it happens, but a flood of one kind is counted instead of printed.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from aces_bus.errors import CallerError
+from aces_bus.frame import Frame
+
+from .console import Patience, say
+
+if TYPE_CHECKING:
+    from aces_bus.hardware import BusEvent, CanGate, DatagramGate, Received, SerialGate
+
+#: Seconds after which a waiting command looks at other things than its bus.
+STEP_S = 0.1
+#: Events of one kind that are printed within `PAUSE_S`.
+FEW, PAUSE_S = 3, 1.0
+#: What nobody needs to be told: it was asked for.
+EXPECTED = frozenset({"opened", "closed"})
+
+_DURATION = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(ns|us|µs|ms|s|min|h)?")
+_UNITS: Mapping[str | None, float] = {
+    "ns": 1,
+    "us": 1e3,
+    "µs": 1e3,
+    "ms": 1e6,
+    "s": 1e9,
+    "min": 60e9,
+    "h": 3600e9,
+    None: 1e9,
+}
+
+
+def parse_duration(option: str, text: str) -> int:
+    """A duration in ns: `10ms`, `0.5s`, `2min`, or plain seconds; raises `CallerError` for anything else, and for 0."""
+    found = _DURATION.fullmatch(text.strip())
+    duration = round(float(found[1]) * _UNITS[found[2]]) if found else 0
+    if not 0 < duration < 1 << 62:
+        raise CallerError(f"{option} {text!r} is not a duration; write 10ms, 0.5s, 2min, or seconds")
+    return duration
+
+
+class LivePatience(Patience):
+    """Patience with everything that ends a live command: a second signal interrupts at once."""
+
+    def __enter__(self) -> LivePatience:
+        super().__enter__()
+        self._others: dict[int, Any] = {}
+        if self._is_ours:
+            for name in ("SIGTERM", "SIGHUP"):
+                number = getattr(signal, name, None)
+                if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                    self._others[number] = signal.signal(number, self._interrupted)
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        for number, before in self._others.items():
+            signal.signal(number, before)
+        super().__exit__(*details)
+
+    def wait_until(self, instant: int) -> bool:
+        """Wait until `instant` (ns of the monotonic clock); False when the command was told to end before."""
+        while not self.is_over:
+            left = instant - time.monotonic_ns()
+            if left <= 0:
+                return True
+            time.sleep(min(left / 1e9, STEP_S))
+        return False
+
+
+class Told:
+    """The events of a gate as lines on stderr. Listens from when it is made; `tell` prints what has come since."""
+
+    def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
+        self._queue: deque[BusEvent] = deque(maxlen=4096)
+        gate.on_event(self._queue.append)
+        #: How many events of each kind were told.
+        self.counts: dict[str, int] = {}
+        self._shown: dict[str, int] = {}
+        self._held: dict[tuple[str, str], int] = {}
+        self._since = time.monotonic()
+
+    def tell(self, *, last: bool = False) -> bool:
+        """Print what has happened; whether anything was printed. With `last`, also what is held back."""
+        said = False
+        while self._queue:
+            event = self._queue.popleft()
+            self.counts[event.kind] = self.counts.get(event.kind, 0) + 1
+            if event.kind in EXPECTED:
+                continue
+            self._shown[event.kind] = shown = self._shown.get(event.kind, 0) + 1
+            if shown <= FEW:
+                say(str(event))
+                said = True
+            else:
+                key = event.bus, event.kind
+                self._held[key] = self._held.get(key, 0) + 1
+        now = time.monotonic()
+        if last or now - self._since >= PAUSE_S:
+            for (bus, kind), number in self._held.items():
+                say(f"{bus}: {kind}: {number} more times")
+                said = True
+            self._held.clear()
+            self._shown.clear()
+            self._since = now
+        return said
+
+
+def heard_frame(item: Received, name: str, epoch_ns: int) -> Frame:
+    """A frame as it was received, with the host's time and the bus's name where the adapter gives none."""
+    frame = item.frame
+    if frame.channel is None or not frame.timestamp:
+        return msgspec.structs.replace(
+            frame,
+            channel=name if frame.channel is None else frame.channel,
+            timestamp=frame.timestamp or (item.host_ns + epoch_ns) / 1e9,
+        )
+    return frame
+
+
+def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
+    """What was lost on the way, for the end of a summary line; `dropped`: came faster than the command took it."""
+    counters = gate.counters
+    return (
+        f"dropped={dropped} kernel_dropped={counters.kernel_dropped} bad_input={counters.bad_input}"
+        f" reopened={counters.reopened}"
+    )
+
+
+__all__ = ["LivePatience", "Told", "heard_frame", "losses", "parse_duration"]

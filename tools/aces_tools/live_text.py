@@ -1,0 +1,122 @@
+"""Live lines for people: candump's time modes, and candump's own lines for what no protocol is named for.
+
+     (1436509052.249713)  can0  123   [4]  DE AD BE EF
+
+1. The lines are candump's, byte by byte, so that what reads candump reads these.
+2. A delta is to the line before, as it is shown; the zero of `z` is the first item heard.
+
+*Facts*: candump.c and lib.c of can-utils: times have ten digits before the point (`a`) or three (`d`, `z`); once a
+29-bit identifier was shown, 11-bit ones are indented to its width.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from aces_bus.capture import Chunk
+from aces_bus.frame import Frame
+
+from .output.text import Paint, Text, no_paint, printable
+
+#: `-t`, as candump has it, and what it means.
+TIME_MODES = {"a": "absolute", "d": "delta to the line before", "z": "from the first on", "A": "date and time"}
+
+
+class Times:
+    """The times of shown lines in one of candump's modes. `digits` is the least number before the point."""
+
+    def __init__(self, mode: str, start: float | None = None) -> None:
+        self.mode = mode
+        self.start = start
+        self._last: float | None = None
+
+    def number(self, time: float) -> float | None:
+        """What is shown for an instant (s); None where that is a date."""
+        if self.mode == "A":
+            return None
+        if self.mode == "a":
+            return time
+        if self.start is None:
+            self.start = time
+        if self.mode == "z":
+            return time - self.start
+        last, self._last = self._last, time
+        return 0.0 if last is None else time - last
+
+    @staticmethod
+    def date(time: float) -> str:
+        """An instant as candump's `-t A`: local time."""
+        try:
+            return f"{datetime.datetime.fromtimestamp(time):%Y-%m-%d %H:%M:%S.%f}"
+        except (OverflowError, ValueError, OSError):
+            return f"{time:.6f}"
+
+
+class LiveText(Text):
+    """Decoded lines with candump's time modes."""
+
+    def __init__(self, *arguments: Any, times: Times, **options: Any) -> None:
+        super().__init__(*arguments, is_relative=times.mode == "z", **options)
+        self._times = times
+
+    def _stamp(self, time: float) -> str:
+        if self._times.mode == "z":
+            return super()._stamp(time)
+        number = self._times.number(time)
+        return self._times.date(time) if number is None else f"{number:.6f}"
+
+
+class CandumpLines:
+    """Frames as candump shows them on a screen; bytes of a line in the same manner."""
+
+    def __init__(self, times: Times, *, paint: Paint = no_paint, encoding: str = "utf-8") -> None:
+        self._times, self._paint, self._encoding = times, paint, encoding
+        self._is_wide = False
+        self._width = 0
+
+    def frames(self, frames: Sequence[Frame]) -> bytes:
+        """One line a frame."""
+        return self._joined(frames, self._frame)
+
+    def chunks(self, chunks: Sequence[Chunk], name: str) -> bytes:
+        """One line a piece of at most 16 bytes."""
+        pieces = [
+            Chunk(chunk.data[start : start + 16], chunk.time, chunk.direction)
+            for chunk in chunks
+            for start in range(0, len(chunk.data), 16)
+        ]
+        return self._joined(pieces, lambda piece: self._chunk(piece, name))
+
+    def _joined(self, items: Sequence[Any], line: Callable[[Any], str]) -> bytes:
+        return "".join(f"{line(item)}\n" for item in items).encode(self._encoding, "replace")
+
+    def _stamp(self, time: float | None) -> str:
+        if time is None:
+            return ""
+        number = self._times.number(time)
+        if number is None:
+            text = self._times.date(time)
+        else:
+            text = f"{number:0{17 if self._times.mode == 'a' else 10}.6f}"
+        return self._paint("place", f" ({text})")
+
+    def _frame(self, frame: Frame) -> str:
+        name = printable(str(frame.channel))
+        self._width = max(self._width, len(name))
+        wide = frame.is_extended_id or frame.is_error_frame
+        self._is_wide = self._is_wide or frame.is_extended_id
+        number = frame.arbitration_id | (0x2000_0000 if frame.is_error_frame else 0)
+        identifier = f"{number:0{8 if wide else 3}X}".rjust(8 if self._is_wide else 3)
+        size = f" [{frame.length:02}]" if frame.is_fd else f"  [{frame.length}]"
+        data = "  remote request" if frame.is_remote_frame else f"  {frame.data.hex(' ').upper()}"
+        mark = self._paint("errors", "   ERRORFRAME") if frame.is_error_frame else ""
+        return f"{self._stamp(frame.timestamp)}  {name:<{self._width}}  {identifier} {size}{data}{mark}".rstrip()
+
+    def _chunk(self, chunk: Chunk, name: str) -> str:
+        arrow = {"to device": ">", "from device": "<"}.get(chunk.direction or "", "?")
+        return f"{self._stamp(chunk.time)}  {printable(name)} {arrow}  [{len(chunk.data)}]  {chunk.data.hex(' ').upper()}"
+
+
+__all__ = ["TIME_MODES", "CandumpLines", "LiveText", "Times"]

@@ -1,0 +1,405 @@
+"""Draw signals of recordings over time: in the terminal, into a file, in a window.
+
+  aces plot walk.log -p hubo 'Encoder.position.*'
+  aces plot walk.log -p hubo 'Encoder[board=3].*' - 'Current.*' -o walk.png
+  aces plot walk.log -p hubo --list
+  candump can0 | aces plot - -p car.py 'Motor.speed:r-' , 'Motor.torque' --show
+
+CAPTUREs come first, SIGNALs after them; `-` as the first is standard input.
+Without SIGNALs each message that occurs gets a subplot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from aces_bus.capture import CanCapture, SerialCapture
+from aces_bus.errors import CallerError
+from aces_bus.frame_table import NO_TIME, to_ns
+from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
+from aces_bus.protocol.scan.message_table import MessageTable
+
+from .console import Output, Patience, say, terminal_width, wants_colour
+from .decoding import Decoding, Direction, Totals
+from .plotting.picture import Limits, Names, Panel, Picture, panels_of
+from .plotting.select import Declared, Pattern, Wanted, declared, parse_groups, parse_pattern, select
+from .plotting.series import Clock, Collector, Series
+
+#: As `cantools plot` has it: a line is interrupted where nothing came for so many seconds.
+LONGEST_GAP_S = 100.0
+
+EPILOG = """\
+signals:
+  Encoder.position.0           one signal; case does not count
+  position.0                   the same of whichever message has it
+  Encoder.position             all that stands under a name
+  'Enc*.pos*'                  * is any number of characters, ? is one
+  'Encoder[board=3].position'  of one device only; also [board=3,channel=can0],
+                               and any field of the message: [selector=7]
+  'State.error.hot'            one flag; State.error is all of them
+  SIGNAL:FMT                   with matplotlib's colour, marker and line style,
+                               such as :r--, :.k or :C2; :| draws stems
+  -                            between signals: a new subplot
+  ,                            between signals: another vertical axis
+  A signal that several devices or channels send is one line each. Enumerations
+  and flags have subplots of their own: names as ticks, flags as lanes.
+
+time:
+  --from and --to count seconds from the first frame of each capture or, from
+  1e8 on, since 1970. The axis begins at the first frame of the first capture;
+  where captures have no times it counts frames, or bytes.
+
+exit status: 0; 2 for a wrong call, a file that cannot be read, or when nothing
+of what is asked for occurs; 130 after Ctrl-C, with what was read so far drawn
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EPILOG
+    parser.usage = "%(prog)s CAPTURE… -p PROTOCOL [SIGNAL | - | ,]… [options]"
+    add = parser.add_argument
+    add("items", nargs="+", metavar="CAPTURE… SIGNAL…", help="recordings (- is standard input), then signals")
+    add("-p", "--protocol", action="append", required=True, metavar="PROTOCOL", help="as of `aces decode`")
+    add("--direction", choices=["to", "from", "both"], help="which way the bytes of a raw serial file went")
+    add("--list", action="store_true", help="list the signals that occur, with count, range and unit")
+    add("--output", "--output-file", "-o", metavar="FILE", help="draw into FILE.png, FILE.svg or FILE.pdf")
+    add("--terminal", action="store_true", help="draw in the terminal, as without -o and --show")
+    add("--show", action="store_true", help="open a window")
+    add("--from", "--start", "-ss", dest="start", metavar="TIME", help="leave out what is before")
+    add("--to", "--stop", "-to", dest="stop", metavar="TIME", help="leave out what is from there on")
+    add(
+        "--time", choices=["relative", "absolute"], default="relative", help="of the axis (default: relative)"
+    )
+    add(
+        "--break-time",
+        "-t",
+        type=float,
+        default=LONGEST_GAP_S,
+        metavar="SECONDS",
+        help="interrupt a line where nothing came for so long; -1: never (default: %(default)g)",
+    )
+    add("--step", action="store_true", help="hold each value until the next one, instead of straight lines")
+    add("--title", default="", metavar="TEXT")
+    add("--xlabel", default="", metavar="TEXT")
+    add(
+        "--ylabel",
+        action="append",
+        default=[],
+        metavar="TEXT",
+        help="once for all, or once an axis, in order",
+    )
+    add(
+        "--ylim",
+        action="append",
+        default=[],
+        metavar="LOW:HIGH",
+        help="either may be empty; once for all, or once an axis, in order; write --ylim=-5:5",
+    )
+    add("--ymin", type=float, metavar="LOW", help="of all axes")
+    add("--ymax", type=float, metavar="HIGH", help="of all axes")
+    parser.set_defaults(message=[], filter=[], strict=False)  # of `decode`
+    add("--style", metavar="STYLE", help="a style of matplotlib, such as ggplot")
+    add("--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    return Plotting(arguments).run()
+
+
+class Plotting(Decoding):
+    """One run of `aces plot`. A wrong call raises before anything is read."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        arguments.files, texts = split(arguments.items)
+        super().__init__(arguments)
+        self.declared = declared([variant for variants in self.variants.values() for variant in variants])
+        self.groups = parse_groups(texts)
+        self.limits = [parse_limits(text) for text in arguments.ylim]
+        wanted = self._wanted()
+        self._check_output()
+        self.clock = Clock()
+        self.collector = Collector(wanted, self.clock, self.window, keeps_points=not arguments.list)
+
+    def _wanted(self) -> Mapping[tuple[str, str], Wanted]:
+        patterns = [pattern for group in self.groups for axis in group for pattern in axis]
+        if patterns:
+            return select(patterns, self.declared)
+        everything = self.arguments.list
+        return {
+            owner: Wanted(
+                tuple(
+                    (signal, ())
+                    for signal in message.signals
+                    if signal.column not in message.devices
+                    and (everything or (signal.is_number and not signal.is_quiet))
+                ),
+                message.devices,
+            )
+            for owner, message in self.declared.items()
+        }
+
+    def _check_output(self) -> None:
+        asked = self.arguments
+        path: str | None = asked.output
+        if sum((path is not None, asked.show, asked.terminal, asked.list)) > 1:
+            raise CallerError("choose one of -o FILE, --show, --terminal and --list")
+        if path is not None or asked.show:
+            from .plotting import figure
+
+            figure.load()
+            figure.check_style(asked.style)
+            if path is not None:
+                figure.check_output(path)
+                for name in self.files:
+                    if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
+                        raise CallerError(f"--output {path} is one of the files to read; choose another name")
+        elif asked.style is not None:
+            raise CallerError("--style is for pictures: give -o FILE.png or --show as well")
+
+    # ------------------------------------------------------------------ reading
+
+    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+        scanner = make_column_scanner(self.variants["can"], direction=self.direction)
+        try:
+            for table in patience.each(capture.tables()):
+                self.clock.see(table.time)
+                if self.window is not None:
+                    known = table.time[table.time != NO_TIME]
+                    if len(known):
+                        self.window.see(int(known[0]))
+                self._take(scanner.feed(table))
+            self._take(scanner.close())
+        finally:
+            totals.count(scanner.counts)
+
+    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+        used: dict[Direction | None, ColumnScanner] = {}
+        times: dict[Direction | None, int] = {}
+        try:
+            for chunk in patience.each(capture):
+                direction: Direction | None = self.direction or chunk.direction
+                if direction not in used:
+                    self._check_direction(direction)
+                    used[direction] = make_column_scanner(self.variants["serial"], direction=direction)
+                times[direction] = to_ns(chunk.time)
+                if self.window is not None:
+                    self.window.see(times[direction])
+                self._take(used[direction].feed(chunk.data), times[direction])
+            for direction, scanner in used.items():
+                self._take(scanner.close(), times[direction])
+        finally:
+            for scanner in used.values():
+                totals.count(scanner.counts)
+
+    def _take(self, tables: Sequence[MessageTable], time: int | None = None) -> None:
+        for table in tables:
+            if time is not None and (table.time == NO_TIME).all():  # what came in one chunk came at its time
+                table = replace(table, time=np.full(len(table), time, np.int64))
+            self.collector.add(table)
+
+    def _finish(self, *, is_whole: bool) -> None:
+        if self.arguments.list:
+            self._list()
+        elif self.collector.series or not self.status:
+            self._draw()
+
+    def _flush(self) -> None:
+        pass  # nothing is written before all is read
+
+    # ------------------------------------------------------------------ drawing
+
+    def _draw(self) -> None:
+        series = [one for one in self.collector.series.values() if one.count and one.points()[0].size]
+        for one in [one for one in series if one.others]:
+            say(f"{Names(series).full(one)} holds {one.others}, which no line can show")
+        series = [one for one in series if not one.others]
+        if not series:
+            raise CallerError(f"nothing to draw: {self._absent()}")
+        order = {owner: number for number, owner in enumerate(self.declared)}
+        series.sort(key=lambda one: (order[one.signal.owner], _natural(one.key)))
+        panels = panels_of(
+            self.groups or _one_a_message(series),
+            series,
+            longest_gap=self.arguments.break_time if self._breaks() else None,
+            by_unit=not self.groups,
+        )
+        self._say_what_is_absent(series)
+        self._label(panels)
+        picture = Picture(
+            panels,
+            self.clock,
+            self.arguments.title,
+            self.arguments.xlabel,
+            "byte" if self.variants["serial"] and not self.variants["can"] else "frame",
+            self.arguments.time == "absolute",
+            self.arguments.step,
+            self.arguments.style,
+        )
+        if self.arguments.output is not None:
+            from .plotting import figure
+
+            figure.save(picture, self.arguments.output)
+        elif self.arguments.show:
+            from .plotting import figure
+
+            figure.show(picture)
+        else:
+            self._print(picture)
+
+    def _breaks(self) -> bool:
+        return self.clock.origin is not None and self.arguments.break_time >= 0
+
+    def _absent(self) -> str:
+        if self.window is not None:
+            return "none of these signals occurs between --from and --to"
+        return "none of these signals occurs; --list shows those that do"
+
+    def _say_what_is_absent(self, series: Sequence[Series]) -> None:
+        for pattern in (pattern for group in self.groups for axis in group for pattern in axis):
+            if not any(pattern.takes(one.signal) and pattern.holds(one.key) for one in series):
+                say(f"nothing that {pattern.text!r} means occurs")
+
+    def _label(self, panels: Sequence[Panel]) -> None:
+        """Give each vertical axis of numbers what --ylabel, --ylim, --ymin and --ymax say."""
+        asked = self.arguments
+        number = 0
+        for panel in panels:
+            if panel.sort != "numbers":
+                continue
+            for place in range(len(panel.axes)):
+                low, high = _nth(self.limits, number) or (None, None)
+                panel.limits[place] = (
+                    low if asked.ymin is None else asked.ymin,
+                    high if asked.ymax is None else asked.ymax,
+                )
+                panel.captions[place] = _nth(asked.ylabel, number) or ""
+                number += 1
+
+    def _print(self, picture: Picture) -> None:
+        from .plotting import terminal
+
+        output = Output(None)
+        height = None
+        if output.is_terminal:
+            try:
+                height = os.get_terminal_size(sys.stdout.fileno()).lines - 1
+            except (OSError, ValueError, AttributeError):
+                pass
+        paint = terminal.make_paint() if wants_colour(self.arguments.color, output.is_terminal) else None
+        text = terminal.draw(picture, terminal_width(), paint=paint, height=height, encoding=output.encoding)
+        output.write(text.encode(output.encoding, "replace"))
+        output.close()
+
+    def _list(self) -> None:
+        from .output.columns import columns
+        from .output.text import make_paint, no_paint, printable
+
+        order = {owner: number for number, owner in enumerate(self.declared)}
+        series = sorted(
+            (one for one in self.collector.series.values() if one.count and not _is_dull(one)),
+            key=lambda one: (order[one.signal.owner], _natural(one.key)),
+        )
+        if not series:
+            raise CallerError(f"nothing to list: {self._absent().partition(';')[0]}")
+        names = Names(series, always=True)
+        output = Output(None)
+        rows = [
+            (
+                printable(names.full(one)),
+                str(one.count),
+                printable(_shown(one, one.low)),
+                printable(_shown(one, one.high)),
+                printable(one.signal.kind.unit or _sort(one)),
+            )
+            for one in series
+        ]
+        sizes = [max(len(row[index]) for row in [*rows, LIST_HEAD]) for index in range(5)]
+        aligned = [
+            (row[0], *(row[index].rjust(sizes[index]) for index in (1, 2, 3)), row[4])
+            for row in [LIST_HEAD, *rows]
+        ]
+        paint = make_paint() if wants_colour(self.arguments.color, output.is_terminal) else no_paint
+        width = terminal_width() if output.is_terminal else None
+        lines = columns(aligned[0], aligned[1:], width, paint)
+        output.write(("\n".join(lines) + "\n").encode(output.encoding, "replace"))
+        output.close()
+
+    def _summarise(self) -> None:
+        if self.collector.left_out:
+            say("there are more devices than a list shows: some are left out; name those wanted: [board=3]")
+        if self.clock.timeless:
+            say(f"{self.clock.timeless} messages have no time, and are left out")
+        super()._summarise()
+
+
+LIST_HEAD = ("signal", "count", "min", "max", "unit")
+
+
+def split(items: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Captures, then signals: the first is a capture, and so are those behind it that are files."""
+    files, rest = [items[0]], list(items[1:])
+    while rest and rest[0] not in ("-", ",") and os.path.exists(rest[0]):
+        files.append(rest.pop(0))
+    return files, rest
+
+
+def parse_limits(text: str) -> Limits:
+    """`LOW:HIGH`, either of which may be empty; raises `CallerError`."""
+    low, colon, high = text.partition(":")
+    try:
+        limits = (float(low) if low.strip() else None, float(high) if high.strip() else None)
+    except ValueError:
+        colon = ""
+        limits = (None, None)
+    bottom, top = limits
+    if not colon or (bottom is not None and top is not None and not bottom < top):
+        raise CallerError(
+            f"--ylim {text!r}: write LOW:HIGH, such as 0:10, or --ylim=-5: for the lower end only"
+        )
+    return limits
+
+
+def _one_a_message(series: Sequence[Series]) -> list[list[list[Pattern]]]:
+    """Without SIGNALs: what each message has, in a subplot of its own."""
+    names = dict.fromkeys(one.signal.message for one in series)
+    return [[[parse_pattern(name)]] for name in names]
+
+
+def _natural(key: Sequence[tuple[str, str]]) -> list[tuple[int, str]]:
+    """Board 10 comes after board 9, and the bus counts last."""
+    return [(int(value) if value.isdecimal() else -1, value) for _, value in [*key[1:], *key[:1]]]
+
+
+def _nth(given: Sequence[Any], number: int) -> Any:
+    if len(given) == 1:
+        return given[0]
+    return given[number] if number < len(given) else None
+
+
+def _is_dull(series: Series) -> bool:
+    """Bits that belong to no field, and are zero throughout."""
+    return series.signal.is_quiet and not series.low and not series.high
+
+
+def _sort(series: Series) -> str:
+    return {"str": "text", "dict": "record"}.get(series.others, series.others)
+
+
+def _shown(series: Series, value: float | int | None) -> str:
+    if value is None:
+        return ""
+    names = series.signal.kind.names
+    if names is not None and series.signal.bit is None:
+        return names.get(value, f"{value:g}")
+    return str(value) if isinstance(value, int) else f"{value:.6g}"
+
+
+__all__ = ["Declared", "Plotting", "add_arguments", "run", "split"]

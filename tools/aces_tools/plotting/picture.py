@@ -1,0 +1,309 @@
+"""What is drawn where: panels above each other over one time axis, whoever draws them.
+
+1. A panel shows one sort of thing: numbers on one or more vertical axes, one enumeration with its names as ticks (several
+   would lie on each other), or flags as lanes. What stands in one group and is of several sorts becomes several panels.
+2. A label says what tells lines apart, and the panel's title what they share; together they are the signal's full name
+   as it can be asked for.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from .formats import Format
+from .select import CHANNEL, Pattern, Signal
+from .series import MOST_LINES, Clock, Key, Series, broken, matching, too_many
+
+Array = npt.NDArray[Any]
+Sort = Literal["numbers", "names", "flags"]
+Limits = tuple[float | None, float | None]
+
+#: Names that an axis may carry.
+MOST_CATEGORIES = 40
+#: Since 1970, and not since the recorder was switched on.
+EPOCH_NS = 10**17
+
+
+@dataclass
+class Line:
+    """A series as it is drawn; `y` is NaN in gaps. Of an enumeration `y` are places of `Panel.categories`."""
+
+    series: Series
+    format: Format
+    x: Array
+    y: Array
+    label: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Of the values."""
+        return self.series.signal.kind.unit if self.series.signal.bit is None else ""
+
+
+@dataclass
+class Panel:
+    """Lines over one time axis. `axes` are the vertical ones: the first on the left, others on the right."""
+
+    sort: Sort
+    axes: list[list[Line]]
+    title: str = ""
+    #: Of each axis: the units of its lines, and what the caller wants to stand there instead.
+    units: list[str] = field(default_factory=list)
+    captions: list[str] = field(default_factory=list)
+    limits: list[Limits] = field(default_factory=list)
+    #: Of an enumeration: what stands at 0, 1, 2, ….
+    categories: list[str] = field(default_factory=list)
+
+    @property
+    def lines(self) -> list[Line]:
+        """All of them."""
+        return [line for axis in self.axes for line in axis]
+
+
+@dataclass
+class Picture:
+    """Panels from top to bottom. `is_absolute` asks for instants instead of seconds from the first one."""
+
+    panels: list[Panel]
+    clock: Clock
+    title: str = ""
+    x_label: str = ""
+    unit_of_rows: str = "frame"
+    is_absolute: bool = False
+    is_step: bool = False
+    style: str | None = None
+
+    @property
+    def has_instants(self) -> bool:
+        """Whether the axis shows a time of day."""
+        return self.is_absolute and self.clock.origin is not None and self.clock.origin >= EPOCH_NS
+
+    @property
+    def offset(self) -> float:
+        """What is added to places on the axis to have what its ticks show, where those are seconds."""
+        if self.is_absolute and self.clock.origin is not None and not self.has_instants:
+            return self.clock.origin / 1e9
+        return 0.0
+
+    @property
+    def caption(self) -> str:
+        """What the horizontal axis says."""
+        if self.x_label:
+            return self.x_label
+        if self.clock.origin is None:
+            return self.unit_of_rows
+        if self.has_instants:
+            return f"UTC, from {instant(self.clock.origin):%Y-%m-%d}"
+        return "time in s"
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Where the axis begins and ends."""
+        ends = [(line.x[0], line.x[-1]) for panel in self.panels for line in panel.lines if len(line.x)]
+        low, high = min(low for low, _ in ends), max(high for _, high in ends)
+        if not high > low:
+            low, high = low - 0.5, high + 0.5
+        return float(low), float(high)
+
+
+def instant(ns: int) -> datetime.datetime:
+    """An instant as a date; the last second of the calendar for what lies behind it."""
+    try:
+        return datetime.datetime.fromtimestamp(ns / 1e9, datetime.UTC)
+    except (OverflowError, ValueError, OSError):
+        return datetime.datetime.max.replace(tzinfo=datetime.UTC)
+
+
+def panels_of(
+    groups: Sequence[Sequence[Sequence[Pattern]]],
+    series: Sequence[Series],
+    *,
+    longest_gap: float | None = None,
+    by_unit: bool = False,
+) -> list[Panel]:
+    """The panels of subplots × axes × patterns. `by_unit` gives each unit its own.
+
+    Raises `CallerError` when there are too many lines.
+    """
+    asked = {name for group in groups for axis in group for pattern in axis for name, _ in pattern.where}
+    names = Names(series, asked)
+    panels: list[Panel] = []
+    for group in groups:
+        found: dict[Any, Panel] = {}
+        for place, patterns in enumerate(group):
+            for one, pattern in _lines_of(patterns, series):
+                if one.others:
+                    continue
+                x, y = one.points()
+                if longest_gap is not None:
+                    x, y = broken(x, y, longest_gap)
+                kind = one.signal.kind
+                if (one.signal.bit is not None or kind.names is not None) and not pattern.format.marker:
+                    x, y = changes(x, y)
+                line = Line(one, pattern.format, x, y)
+                if one.signal.bit is not None:
+                    panel = found.setdefault("flags", Panel("flags", [[]]))
+                    panel.axes[0].append(line)
+                elif kind.names is not None and _is_enumeration(y, kind.names):
+                    panel = found.setdefault((one.signal, one.key), Panel("names", [[line]]))
+                else:
+                    panel = found.setdefault((line.unit if by_unit else "numbers",), Panel("numbers", []))
+                    while len(panel.axes) <= place:
+                        panel.axes.append([])
+                    panel.axes[place].append(line)
+        for panel in found.values():
+            panel.axes = [axis for axis in panel.axes if axis]
+            panels.append(panel)
+    if sum(len(panel.lines) for panel in panels) > MOST_LINES:
+        raise too_many(panels[0].lines[0].series)
+    for panel in panels:
+        _label(panel, names)
+        if panel.sort == "names":
+            _categorise(panel)
+    return panels
+
+
+def _lines_of(patterns: Iterable[Pattern], series: Sequence[Series]) -> list[tuple[Series, Pattern]]:
+    found: dict[tuple[Signal, Key], tuple[Series, Pattern]] = {}
+    for pattern in patterns:
+        for one in matching(pattern, series):
+            found.setdefault((one.signal, one.key), (one, pattern))
+    return list(found.values())
+
+
+class Names:
+    """The names of lines: with those device fields of which there are several values, or that were asked for."""
+
+    def __init__(
+        self, series: Sequence[Series], asked: Collection[str] = (), *, always: bool = False
+    ) -> None:
+        values: dict[tuple[tuple[str, str], str], set[str]] = {}
+        for one in series:
+            for name, value in one.key:
+                values.setdefault((one.signal.owner, name), set()).add(value)
+        self._telling = {
+            place
+            for place, some in values.items()
+            if len(some) > 1 or place[1] in asked or (always and place[1] != CHANNEL)
+        }
+        # Where each device speaks on one bus only, its number says enough.
+        seen: dict[tuple[Signal, Key], int] = {}
+        for one in series:
+            device = one.signal, tuple(part for part in one.key if part[0] != CHANNEL)
+            seen[device] = seen.get(device, 0) + 1
+        for owner in {one.signal.owner for one in series} if CHANNEL not in asked else ():
+            if all(count == 1 for (signal, _), count in seen.items() if signal.owner == owner):
+                self._telling.discard((owner, CHANNEL))
+
+    def key(self, one: Series) -> str:
+        """`[board=3]`, or nothing."""
+        owner = one.signal.owner
+        parts = [f"{name}={value}" for name, value in one.key if (owner, name) in self._telling]
+        return f"[{','.join(parts)}]" if parts else ""
+
+    def full(self, one: Series) -> str:
+        """`Encoder[board=3].position.0`."""
+        return f"{one.signal.message}{self.key(one)}.{one.signal.path}"
+
+
+def _label(panel: Panel, names: Names) -> None:
+    lines = panel.lines
+    messages = {line.series.signal.owner for line in lines}
+    keys = {names.key(line.series) for line in lines}
+    paths = {line.series.signal.path for line in lines}
+    first = lines[0].series
+    if len(messages) == 1 and len(keys) == 1:
+        is_one = len(lines) == 1
+        panel.title = names.full(first) if is_one else f"{first.signal.message}{names.key(first)}"
+        for line in lines:
+            line.label = line.series.signal.path
+    elif len(messages) == 1 and len(paths) == 1:
+        panel.title = first.signal.name
+        for line in lines:
+            line.label = names.key(line.series).strip("[]")
+    elif len(messages) == 1:
+        panel.title = first.signal.message
+        for line in lines:
+            line.label = f"{names.key(line.series)}.{line.series.signal.path}".lstrip(".")
+    else:
+        for line in lines:
+            line.label = names.full(line.series)
+    panel.limits = [(None, None)] * len(panel.axes)
+    for axis in panel.axes:
+        units = list(dict.fromkeys(line.unit for line in axis))
+        panel.units.append(", ".join(unit for unit in units if unit))
+        panel.captions.append("")
+        if len(units) > 1:
+            for line in axis:
+                line.label += f" ({line.unit})" if line.unit else ""
+
+
+def _is_enumeration(y: Array, names: Mapping[Any, str]) -> bool:
+    """Whether values are mostly names; else they are numbers of which some have a name, such as "error" for 255."""
+    numbers = np.unique(y[~np.isnan(y)]).tolist()
+    named = sum(number in names for number in numbers)
+    return len(numbers) <= MOST_CATEGORIES and 2 * named >= len(numbers)
+
+
+def _categorise(panel: Panel) -> None:
+    """The values that occur become 0, 1, 2, …: far numbers would leave no room for near ones."""
+    lines = panel.lines
+    present = [line.y[~np.isnan(line.y)] for line in lines]
+    numbers = np.unique(np.concatenate(present))
+    known = lines[0].series.signal.kind.names or {}
+    panel.categories = [known.get(number, f"{number:g}") for number in numbers.tolist()]
+    for line in lines:
+        gone = np.isnan(line.y)
+        line.y = np.searchsorted(numbers, line.y).astype(np.float64)
+        line.y[gone] = np.nan
+
+
+def changes(x: Array, y: Array) -> tuple[Array, Array]:
+    """Without the samples that say again what the last one said and the next one says: of steps, nothing is lost."""
+    gone = np.isnan(y)
+    same = (y[1:] == y[:-1]) | (gone[1:] & gone[:-1])
+    kept = np.ones(len(y), bool)
+    kept[1:-1] = ~(same[1:] & same[:-1])
+    return x[kept], y[kept]
+
+
+def steps(x: Array, y: Array) -> tuple[Array, Array]:
+    """With a corner at each sample: a value holds until the next one comes."""
+    if len(x) < 2:
+        return x, y
+    out_x, out_y = np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
+    return out_x, out_y
+
+
+def lone(y: Array) -> Array:
+    """Which samples have a gap on both sides: a line would not show them."""
+    there = ~np.isnan(y)
+    before = np.concatenate(([False], there[:-1]))
+    after = np.concatenate((there[1:], [False]))
+    out: Array = there & ~before & ~after
+    return out
+
+
+def values_range(lines: Sequence[Line], limits: Limits) -> tuple[float, float]:
+    """From where to where a vertical axis goes: all values with a margin, or what the caller said."""
+    values = [line.y[~np.isnan(line.y)] for line in lines]
+    some = np.concatenate(values) if values else np.empty(0)
+    if any(line.format.is_stem for line in lines):
+        some = np.append(some, 0.0)
+    low, high = (float(some.min()), float(some.max())) if len(some) else (0.0, 1.0)
+    margin = (high - low) * 0.05
+    if not margin > 0:
+        margin = max(abs(low) * 0.05, 0.5)
+    given_low, given_high = limits
+    bottom = low - margin if given_low is None else given_low
+    top = high + margin if given_high is None else given_high
+    if not top > bottom:
+        top = bottom + 1 if given_high is None else top
+        bottom = top - 1 if given_low is None else bottom
+    return bottom, top

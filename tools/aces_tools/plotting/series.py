@@ -1,0 +1,322 @@
+"""Values over time, out of tables, in memory that does not grow with the capture.
+
+1. Every point kept is a sample of the capture: nothing is averaged or invented.
+2. However long a capture, the highest and lowest sample of each of `BUCKETS` stretches of time is kept, and the first
+   and last: a spike of one frame in an hour is drawn. (Jugel et al., "M4: A Visualization-Oriented Time Series Data
+   Aggregation", VLDB 2014: with a bucket a pixel, the picture is the same.)
+3. A value that is absent, NaN or infinite is a gap; a value that other messages of its kind carry instead is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from aces_bus.errors import CallerError
+from aces_bus.frame_table import NO_TIME
+from aces_bus.protocol.scan.message_table import Column, MessageTable
+
+from ..window import Window
+from .select import CHANNEL, Pattern, Signal, Wanted
+
+Array = npt.NDArray[Any]
+Key = tuple[tuple[str, str], ...]
+
+#: Stretches of time that a long series is divided in: some for each pixel of a wide screen.
+BUCKETS = 8192
+#: Points a series may hold before it is thinned.
+MOST_POINTS = 1 << 17
+#: Lines in one picture: more cannot be told apart, nor listed beside it.
+MOST_LINES = 64
+#: Lines in a list of signals.
+MOST_SERIES = 4096
+
+
+def thin(x: Array, y: Array, buckets: int) -> tuple[Array, Array]:
+    """Of each of `buckets` equal stretches of `x` the first, last, lowest and highest point, and one gap; in order of x.
+
+    `x` and `y` are float64 of one length, `y` NaN in gaps. What comes back has at most 5 × `buckets` points.
+    """
+    if len(x) > 1 and (x[1:] < x[:-1]).any():
+        order = np.argsort(x, kind="stable")
+        x, y = x[order], y[order]
+    if len(x) <= 5 * buckets:
+        return x, y
+    span = x[-1] - x[0]
+    if not span > 0:
+        number = np.zeros(len(x), np.int64)
+    else:
+        number = np.minimum(((x - x[0]) * (buckets / span)).astype(np.int64), buckets - 1)
+    starts = np.flatnonzero(np.concatenate(([True], number[1:] != number[:-1])))
+    ends = np.append(starts[1:], len(x)) - 1
+    gone = np.isnan(y)
+    kept = np.zeros(len(x), bool)
+    kept[starts] = kept[ends] = True
+    sizes = np.diff(np.append(starts, len(x)))
+    group = np.repeat(np.arange(len(starts)), sizes)
+    for fill, best in ((np.inf, np.minimum), (-np.inf, np.maximum)):
+        filled = np.where(gone, fill, y)
+        extreme = best.reduceat(filled, starts)
+        at = np.flatnonzero((filled == np.repeat(extreme, sizes)) & ~gone)
+        _, first = np.unique(group[at], return_index=True)
+        kept[at[first]] = True
+    at = np.flatnonzero(gone)
+    _, first = np.unique(group[at], return_index=True)
+    kept[at[first]] = True
+    return x[kept], y[kept]
+
+
+@dataclass
+class Series:
+    """One line: a signal of one device. `count`, `low` and `high` are of all values, thinned or not."""
+
+    signal: Signal
+    key: Key
+    count: int = 0
+    low: float | int | None = None
+    high: float | int | None = None
+    #: Types of values that are no numbers: "bytes", "str".
+    others: str = ""
+    _x: list[Array] = field(default_factory=list)
+    _y: list[Array] = field(default_factory=list)
+    _held: int = 0
+
+    def note(self, values: Array) -> None:
+        """Count values that are there; NaN has no place between the lowest and the highest."""
+        self.count += len(values)
+        if values.dtype.kind == "f":
+            values = values[~np.isnan(values)]
+        if len(values):
+            low, high = values.min().item(), values.max().item()
+            self.low = low if self.low is None else min(self.low, low)
+            self.high = high if self.high is None else max(self.high, high)
+
+    def extend(self, x: Array, y: Array) -> None:
+        """More points, `y` NaN in gaps."""
+        self._x.append(x)
+        self._y.append(y)
+        self._held += len(x)
+        if self._held > MOST_POINTS:
+            self.points()
+
+    def points(self) -> tuple[Array, Array]:
+        """What is kept, in order of time."""
+        if not self._x:
+            return np.empty(0), np.empty(0)
+        x, y = np.concatenate(self._x), np.concatenate(self._y)
+        x, y = thin(x, y, BUCKETS if self._held > MOST_POINTS else self._held)
+        self._x, self._y, self._held = [x], [y], len(x)
+        return x, y
+
+
+def broken(x: Array, y: Array, longest: float) -> tuple[Array, Array]:
+    """With a gap wherever more than `longest` lies between two points."""
+    at = np.flatnonzero(np.diff(x) > longest) + 1
+    return (np.insert(x, at, x[at - 1]), np.insert(y, at, np.nan)) if len(at) else (x, y)
+
+
+@dataclass
+class Clock:
+    """The horizontal axis. `origin` is the instant of zero in ns, None where the captures have no times: then frames
+    (or bytes) are counted.
+    """
+
+    origin: int | None = None
+    is_set: bool = False
+    #: Messages left out because they have no time while others do.
+    timeless: int = 0
+
+    def see(self, times: Array) -> None:
+        """Take zero from the first instant of the first capture."""
+        if not self.is_set and len(times):
+            known = times[times != NO_TIME]
+            self.origin = int(known[0]) if len(known) else None
+            self.is_set = True
+
+    def place(self, table: MessageTable) -> Array:
+        """Where on the axis each message stands, NaN where nobody knows."""
+        self.see(table.time)
+        if self.origin is None:
+            return table.row.astype(np.float64)
+        x: Array = (table.time - self.origin) / 1e9
+        unknown = table.time == NO_TIME
+        if unknown.any():
+            self.timeless += int(unknown.sum())
+            x[unknown] = np.nan
+        return x
+
+
+class Collector:
+    """Collects the wanted signals out of tables. With `keeps_points` False it only counts.
+
+    Raises `CallerError` as soon as there are more lines than a picture can show: nobody waits for the end to be told.
+    """
+
+    def __init__(
+        self,
+        wanted: Mapping[tuple[str, str], Wanted],
+        clock: Clock,
+        window: Window | None = None,
+        *,
+        keeps_points: bool = True,
+    ) -> None:
+        self.wanted = wanted
+        self.clock = clock
+        self.window = window
+        self.keeps_points = keeps_points
+        self.series: dict[tuple[Signal, Key], Series] = {}
+        #: Lines that there was no room for.
+        self.left_out = 0
+
+    def add(self, table: MessageTable) -> None:
+        """Take what is wanted from a table."""
+        wanted = self.wanted.get((table.protocol, table.message))
+        if wanted is None or not len(table):
+            return
+        x = self.clock.place(table)
+        kept = ~np.isnan(x)
+        if self.window is not None:
+            kept &= self.window.inside(table.time)
+        rows = None if kept.all() else np.flatnonzero(kept)
+        groups = list(_by_key(table, wanted.keys, rows))
+        for signal, patterns in wanted.signals:
+            takers = [
+                (key, at)
+                for key, at in groups
+                if not patterns or any(pattern.holds(key) for pattern in patterns)
+            ]
+            if not takers:
+                continue
+            column = table[signal.column]
+            values, floats = _numbers(column, signal)
+            for key, at in takers:
+                if floats is None:
+                    self._strange(signal, key, column, at)
+                else:
+                    self._take(signal, key, x[at], values[at], floats[at], column, at)
+
+    def _of(self, signal: Signal, key: Key, *, there: bool) -> Series | None:
+        if signal.column in dict(key):  # a device's number, drawn itself: one line
+            key = tuple(part for part in key if part[0] != signal.column)
+        found = self.series.get((signal, key))
+        if found is None and there:
+            if self.keeps_points and len(self.series) >= MOST_LINES:
+                raise too_many(next(iter(self.series.values())))
+            if len(self.series) >= MOST_SERIES:
+                self.left_out += 1
+                return None
+            found = self.series[signal, key] = Series(signal, key)
+        return found
+
+    def _take(
+        self, signal: Signal, key: Key, x: Array, values: Array, y: Array, column: Column, at: Any
+    ) -> None:
+        if column.absent is not None:
+            there = ~column.absent[at]
+            values = values[there]
+            if signal.conditional:
+                x, y = x[there], y[there]
+        series = self._of(signal, key, there=bool(len(values)))
+        if series is None:
+            return
+        series.note(values)
+        if self.keeps_points:
+            series.extend(x, y)
+
+    def _strange(self, signal: Signal, key: Key, column: Column, at: Any) -> None:
+        values = [value for value in column.values[at].tolist() if value is not None]
+        series = self._of(signal, key, there=bool(values))
+        if series is not None and values:
+            series.count += len(values)
+            series.others = type(values[0]).__name__
+
+
+def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> list[tuple[Key, Any]]:
+    """The rows of each device on each channel."""
+    columns: list[tuple[str, Array, Callable[[Any], str]]] = []
+    channels = table.channels.names
+    columns.append((CHANNEL, table.channel, lambda number: str(channels[number])))
+    for name in names:
+        column = table[name]
+        listed = column.to_list() if column.kind.is_object or column.absent is not None else None
+        if listed is not None:
+            texts, numbers = np.unique([str(value) for value in listed], return_inverse=True)
+            columns.append((name, numbers, lambda number, texts=texts: str(texts[number])))  # type: ignore[misc]
+        else:
+            shown = column.kind.names or {}
+            columns.append((name, column.values, lambda value, shown=shown: str(shown.get(value, value))))  # type: ignore[misc]
+    code: Array | None = None
+    values: list[Array] = []
+    for _, numbers, _ in columns:
+        some = numbers if rows is None else numbers[rows]
+        if len(some) and (some == some[0]).all():
+            distinct, inverse = some[:1], None
+        else:
+            distinct, inverse = np.unique(some, return_inverse=True)
+        if inverse is None:
+            values.append(some)
+            continue
+        values.append(some)
+        code = inverse if code is None else np.unique(code * len(distinct) + inverse, return_inverse=True)[1]
+    size = len(table) if rows is None else len(rows)
+    if not size:
+        return []
+    if code is None:
+        firsts, parts = [0], [slice(None) if rows is None else rows]
+    else:
+        order = np.argsort(code, kind="stable")
+        bounds = np.flatnonzero(np.diff(code[order])) + 1
+        pieces = np.split(order, bounds)
+        firsts = [int(piece[0]) for piece in pieces]
+        parts = [piece if rows is None else rows[piece] for piece in pieces]
+    out: list[tuple[Key, Any]] = []
+    for first, part in zip(firsts, parts, strict=True):
+        key = tuple(
+            (name, show(some[first].item())) for (name, _, show), some in zip(columns, values, strict=True)
+        )
+        out.append((key, part))
+    return out
+
+
+def _numbers(column: Column, signal: Signal) -> tuple[Array, Array | None]:
+    """The values as they are, and as float64 with NaN in gaps; None instead when they are no numbers."""
+    if signal.bit is not None:
+        bit = signal.bit
+        if column.kind.is_object:
+            values: Array = np.array(
+                [0 if v is None else int(v) >> bit & 1 for v in column.values.tolist()], np.uint8
+            )
+        else:
+            values = (column.values.astype(np.int64) >> bit & 1).astype(np.uint8)
+        floats = values.astype(np.float64)
+        if column.absent is not None:
+            floats[column.absent] = np.nan
+        return values, floats
+    try:
+        floats = column.to_float()
+    except (TypeError, ValueError, OverflowError):
+        return column.values, None
+    values = floats if column.kind.is_object else column.values
+    infinite = np.isinf(floats)
+    if infinite.any():
+        floats = np.where(infinite, np.nan, floats)
+    return values, floats
+
+
+def matching(pattern: Pattern, series: Sequence[Series]) -> list[Series]:
+    """The series that a pattern means, in declared order."""
+    return [one for one in series if pattern.takes(one.signal) and pattern.holds(one.key)]
+
+
+def too_many(one: Series) -> CallerError:
+    """What is said of more lines than a picture can show."""
+    where = ",".join(f"{name}={value}" for name, value in one.key if name != CHANNEL)
+    example = f"{one.signal.message}{f'[{where}]' if where else ''}.{one.signal.path}"
+    return CallerError(
+        f"more than {MOST_LINES} lines are too many for one picture: name fewer signals or one device,"
+        f" such as '{example}'; --list shows all"
+    )

@@ -1,0 +1,174 @@
+"""`aces sniff --record FILE`: everything that is heard, on disk within half a second.
+
+1. Lines are only ever appended, and handed to the system every `STEP_S`: a program that is killed loses less than half a
+   second, and a machine that loses its power (`SYNC_S`) little more.
+2. Nothing else in the program holds it up: it has a queue and a thread of its own. What its queue drops is counted.
+3. A file that is there is never written over.
+
+CAN frames go into a candump log, bytes of a line into our serial log: formats whose lines are whole by themselves. For a
+format that has to be finished (BLF, MF4, a packed file …) a log is kept beside it, named FILE.log or FILE.slog; it is
+converted when the sniffing ends, and removed when that went well. After a kill it is what there is.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from aces_bus.capture import Chunk, open_capture
+from aces_bus.capture.base import Direction, Link
+from aces_bus.capture.serial_log import SerialLogWriter
+from aces_bus.capture.write import FORMATS, format_of, open_writer
+from aces_bus.capture.write.candump import CandumpWriter
+from aces_bus.errors import AcesError, CallerError
+from aces_bus.frame_table import FrameTable
+
+from .live import heard_frame
+
+if TYPE_CHECKING:
+    from aces_bus.hardware import CanGate, DatagramGate, SerialGate
+
+#: Seconds between two times at which what has come is written.
+STEP_S = 0.25
+#: Seconds between two times at which the disk is told to keep it.
+SYNC_S = 1.0
+#: Frames or pieces of bytes that may wait to be written: half a minute of a full 1 Mbit/s bus.
+WAITING = 1 << 18
+#: What a recording of a link is kept as, and its suffix.
+KEPT = {"can": ("candump", ".log"), "serial": ("slog", ".slog")}
+
+
+class Recorder:
+    """A recording in the making. Raises `CallerError` when the file cannot be written, or is there already."""
+
+    def __init__(self, path: str, link: Link) -> None:
+        self.path, self.link = path, link
+        if path == "-":
+            raise CallerError("--record - : standard output is for the lines; name a file")
+        kept, suffix = KEPT[link]
+        form = kept if not os.path.splitext(os.path.basename(path))[1] else self._format(path)
+        is_packed = path.lower().endswith((".gz", ".zst"))
+        #: The log that is written now, and what it becomes at the end.
+        self.journal = path if form == kept and not is_packed else path + suffix
+        self.final = None if self.journal == path else form
+        self._check()
+        try:
+            self._file: BinaryIO = open(self.journal, "wb")  # noqa: SIM115 - closed by `stop`
+        except (OSError, ValueError) as error:
+            said = error.strerror if isinstance(error, OSError) else None
+            raise CallerError(f"--record {path}: cannot be written: {said or error}") from error
+        self._writer: Any = (CandumpWriter if link == "can" else SerialLogWriter)(self._file, self.journal)
+        #: Frames, or bytes, that were recorded; and what stopped it.
+        self.recorded = 0
+        self.failure: str | None = None
+        self._stopping = threading.Event()
+        self._inbox: Any = None
+        self._thread: threading.Thread | None = None
+
+    def _format(self, path: str) -> str:
+        form = format_of(path, self.link)
+        if form.link != self.link:
+            known = " ".join(f.suffixes[0] for f in FORMATS.values() if f.link == self.link)
+            what = "CAN frames" if self.link == "can" else "bytes of a serial line"
+            raise CallerError(f"--record {path}: {form.what} does not hold {what}; there are {known}")
+        return form.name
+
+    def _check(self) -> None:
+        for path in {self.path, self.journal}:
+            if os.path.isfile(path) and os.path.getsize(path):
+                if path == self.journal != self.path:
+                    raise CallerError(
+                        f"--record {self.path}: {path} is there, of a recording that was cut short; convert it first"
+                        f" (aces convert {path} …), or take it away"
+                    )
+                raise CallerError(f"--record {path}: there is such a file already; choose another name")
+
+    # ------------------------------------------------------------------ recording
+
+    def start(
+        self,
+        gate: CanGate | SerialGate | DatagramGate,
+        name: str,
+        epoch_ns: int,
+        direction: Direction | None = None,
+    ) -> None:
+        """Record what the gate hears from now on."""
+        self._inbox = gate.subscribe(limit=WAITING)
+        self._prepared: Callable[[Sequence[Any]], None]
+        if self.link == "can":
+
+            def frames(items: Sequence[Any]) -> None:
+                self._writer.write(FrameTable.from_frames([heard_frame(i, name, epoch_ns) for i in items]))
+                self.recorded += len(items)
+
+            self._prepared = frames
+        else:
+
+            def chunks(items: Sequence[Any]) -> None:
+                for item in items:
+                    self._writer.write(Chunk(item.data, (item.host_ns + epoch_ns) / 1e9, direction))
+                    self.recorded += len(item.data)
+
+            self._prepared = chunks
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """What came faster than the disk took it."""
+        return 0 if self._inbox is None else int(self._inbox.dropped)
+
+    def _run(self) -> None:
+        synced, is_dirty = time.monotonic(), False
+        try:
+            while True:
+                is_last = self._stopping.wait(STEP_S)
+                items = self._inbox.get(0)
+                if items:
+                    self._prepared(items)
+                    self._file.flush()
+                    is_dirty = True
+                now = time.monotonic()
+                if is_dirty and (is_last or now - synced >= SYNC_S):
+                    with suppress(OSError):  # a pipe or a device has no disk
+                        os.fsync(self._file.fileno())
+                    synced, is_dirty = now, False
+                if is_last and not items:
+                    return
+        except (OSError, AcesError) as error:
+            self.failure = (isinstance(error, OSError) and error.strerror) or str(error)
+
+    def stop(self) -> None:
+        """Write what is still queued, and finish the file. Raises `CallerError` when it is not whole."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._inbox.close()
+        try:
+            self._file.close()
+        except OSError as error:
+            self.failure = self.failure or error.strerror or str(error)
+        if self.failure is not None:
+            raise CallerError(f"--record {self.path}: recording stopped: {self.failure}; {self.journal} has the rest")
+        if self.final is not None:
+            self._convert(self.final)
+
+    def _convert(self, form: str) -> None:
+        """Make the log that was kept what was asked for."""
+        try:
+            with (
+                open_capture(self.journal, link=self.link) as capture,
+                open_writer(self.path, form, link=self.link) as writer,
+            ):
+                for piece in capture.tables() if capture.link == "can" else capture:  # type: ignore[union-attr]
+                    writer.write(piece)
+        except AcesError as error:
+            raise CallerError(f"{error}; the recording is {self.journal}") from error
+        os.unlink(self.journal)
+
+
+__all__ = ["Recorder"]

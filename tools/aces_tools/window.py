@@ -1,0 +1,99 @@
+"""`--from` and `--to`: a piece of a recording by time.
+
+1. From the first instant on, up to and without the last: windows that touch share nothing.
+2. Instants are compared as integer nanoseconds, as the digits of the recording and of the option say.
+
+A time below 1e8 counts in seconds from the first frame of each file that has a time; a larger one is absolute, in seconds
+since 1970.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from typing import Any
+
+import numpy as np
+
+from aces_bus.errors import CallerError
+from aces_bus.frame_table import NO_TIME
+
+#: Seconds from which on a time is absolute: 3 March 1973.
+ABSOLUTE_S = 10**8
+
+
+@dataclass
+class Window:
+    """The piece that is wanted; `start` and `stop` in ns as given, None open."""
+
+    start: int | None
+    stop: int | None
+    #: Items without a time, which are never inside.
+    untimed: int = 0
+    _first: int | None = None
+
+    @classmethod
+    def parse(cls, start: str | None, stop: str | None) -> Window | None:
+        """The window of two options, None when neither is given; raises `CallerError` for what is no time."""
+        if start is None and stop is None:
+            return None
+        window = cls(_ns("--from", start), _ns("--to", stop))
+        if (
+            window.start is not None
+            and window.stop is not None
+            and window.stop <= window.start
+            and _is_absolute(window.start) == _is_absolute(window.stop)
+        ):
+            raise CallerError(f"--to {stop} is not later than --from {start}")
+        return window
+
+    @property
+    def first(self) -> int | None:
+        """The first instant of the file, once one has come."""
+        return self._first
+
+    def begin(self) -> None:
+        """Another file, with a first frame of its own."""
+        self._first = None
+
+    def inside(self, time: Any) -> Any:
+        """Which instants of an array (int64, ns) are inside: a boolean array."""
+        known = time != NO_TIME
+        if self._first is None and known.any():
+            self._first = int(time[known][0])
+        kept = known
+        start, stop = self._bound(self.start), self._bound(self.stop)
+        if start is not None:
+            kept = kept & (time >= start)
+        if stop is not None:
+            kept = kept & (time < stop)
+        self.untimed += int(np.count_nonzero(~known))
+        return kept
+
+    def see(self, time: int) -> None:
+        """The first instant of a file may have come."""
+        if self._first is None and time != NO_TIME:
+            self._first = time
+
+    def _bound(self, given: int | None) -> int | None:
+        if given is None or _is_absolute(given) or self._first is None:
+            return given
+        return self._first + given
+
+
+def _is_absolute(ns: int) -> bool:
+    return ns >= ABSOLUTE_S * 10**9
+
+
+def _ns(option: str, text: str | None) -> int | None:
+    if text is None:
+        return None
+    try:
+        number = Decimal(text)
+        if not number.is_finite() or not 0 <= number < 9_000_000_000:
+            raise InvalidOperation
+    except InvalidOperation:
+        raise CallerError(
+            f"{option} {text!r} is not a time; write seconds from the first frame (12.5) or since 1970 (1436509052.25)"
+        ) from None
+    return int(number.scaleb(9))
