@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/language.md"]
+PAGES = ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/captures.md", "docs/language.md"]
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from aces_bus.capture import CanCapture, Capture, SerialCapture
+from aces_bus.capture.serial import RawCapture
 from aces_bus.errors import CallerError
 from aces_bus.export.open import FORMATS, format_of
 from aces_bus.frame import Frame
@@ -29,7 +30,7 @@ from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 
 from .console import Output, Patience, terminal_width, wants_colour
-from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Totals, utf8
+from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Requests, Totals, utf8
 from .output import Writer
 from .where import Where
 
@@ -319,11 +320,17 @@ class LiveDecoding(Decoding):
 
     def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, Scanner] = {}
+        requests = Requests(self.variants["serial"])
+
+        def gap() -> float:
+            return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
+
+        chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
         try:
-            for chunk in patience.each(with_silence(capture, self.gap)):
-                if not chunk.data:
+            for chunk in patience.each(chunks):
+                if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
                     for scanner in used.values():
-                        self._emit(self._inside(scanner.idle(chunk.time), totals, is_can=False), totals, is_can=False)
+                        self._emit(self._inside(scanner.idle(), totals, is_can=False), totals, is_can=False)
                     self._after_batch(capture)
                     continue
                 direction: Direction | None = self.direction or chunk.direction
@@ -331,6 +338,12 @@ class LiveDecoding(Decoding):
                     scanner: Any = self._scanner("serial", direction)
                     scanner.reset()
                     used[direction] = scanner
+                if direction == "to device" and self.direction is None:
+                    if "from device" not in used:
+                        used["from device"] = other = self._scanner("serial", "from device")
+                        other.reset()
+                    for packet, time in requests.of(chunk.data, chunk.time):
+                        used["from device"].sent(packet, time)
                 if self.window is not None:
                     self.window.see(to_ns(chunk.time))
                 feed: Any = used[direction].feed

@@ -26,7 +26,7 @@ from aces_bus.protocol.scan.gather import kinds_of
 from aces_bus.protocol.scan.message_table import MessageTable
 
 from .console import Patience, say
-from .decoding import Decoding, Direction, Totals, utf8
+from .decoding import Decoding, Direction, Requests, Totals, utf8
 from .progress import Progress
 from .where_columns import Rows, WhereColumns
 
@@ -174,11 +174,18 @@ class ColumnDecoding(Decoding):
 
     def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, ColumnScanner] = {}
+        requests = Requests(self.variants["serial"])
         try:
             for chunk in patience.each(capture):
                 direction: Direction | None = self.direction or chunk.direction
                 if direction not in used:
                     used[direction] = self._scanner(direction, "serial")
+                if direction == "to device" and self.direction is None:
+                    if "from device" not in used:
+                        used["from device"] = self._scanner("from device", "serial")
+                    other: Any = used["from device"]
+                    for packet, time in requests.of(chunk.data, chunk.time):
+                        self._take(self._inside(other.sent(packet, time), totals), totals)
                 if self.window is not None:
                     self.window.see(to_ns(chunk.time))
                 self._take(self._inside(feed(used[direction], chunk.data, chunk.time), totals), totals)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import argparse
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from aces_bus.capture import CanCapture, CanFilter, Capture, SerialCapture, open_capture, parse_filter
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.protocol import Counts, Variant
+from aces_bus.protocol import Counts, Variant, make_scanner
 
 from .console import Patience, abandon_stdout, say
 from .output.shape import plans_of
@@ -77,6 +77,27 @@ class Totals:
         if self.lines_unreadable:
             found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")
         return found
+
+
+class Requests:
+    """What went to the device, for whoever reads what came from it: where a capture says which way bytes went, each way is
+    a stream of its own, and a reply may hang on a request of the other."""
+
+    def __init__(self, variants: Sequence[Variant]) -> None:
+        self._scanner: Any = None
+        if any(map(has_requests, variants)):
+            self._scanner = make_scanner(variants, direction="to device")
+
+    def of(self, data: bytes, time: float | None) -> list[tuple[bytes, float | None]]:
+        """The packets that these bytes complete, with their times."""
+        if self._scanner is None:
+            return []
+        return [(record.meta.raw, record.meta.time) for record in self._scanner.feed(data, time)]
+
+
+def has_requests(variant: Variant) -> bool:
+    """Whether some message of the protocol hangs on another."""
+    return any(message.reply_to or message.after for message in variant.messages.values())
 
 
 class Decoding(ABC):
@@ -270,14 +291,18 @@ class Decoding(ABC):
                 say(f"the recorder says that it lost {total.dropped} frames")
             if total.missed:
                 say(f"rolling counters say that {total.missed} messages are missing")
-            if total["total"] and not total["decoded"] and not total["filtered"]:
+            if self.plans and total["total"] and not total["decoded"] and not total["filtered"]:
                 say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
         faults = [fault for total in totals.values() for fault in total.faults]
         if self.arguments.strict and faults:
             say(f"--strict: {', '.join(faults)}")
             self.status = self.status or 1
         for link, total in totals.items():
-            say(total.line(link), who="")
+            say(self._summary(link, total), who="")
+
+    def _summary(self, link: Link, total: Totals) -> str:
+        """The last line of a kind of link."""
+        return total.line(link)
 
 
 def utf8(name: str) -> str:
