@@ -50,7 +50,7 @@ from ._rows import (
     one_less,
 )
 from ._source import Source
-from ._words import Mask, Word, Words, channel_numbers
+from ._words import Ints, Mask, Word, Words, channel_numbers
 from .base import printable
 
 _STAMP = rb"[0-9]{1,9}\.[0-9]{1,9}"
@@ -281,17 +281,18 @@ class AscCapture(LineCapture):
         tables: list[FrameTable] = []
         for lines, columns in ((~is_fd, self._classic_columns), (is_fd, self._fd_columns)):
             if lines.any():
-                good, table = columns(words.take(lines))
+                good, bus, table = columns(words.take(lines))
+                channel = channel_numbers(bus[good], self.channels, one_less)
                 places.append(np.flatnonzero(lines)[good])
-                tables.append(table.take(good))
+                tables.append(replace(table.take(good), channel=channel))
                 usual[places[-1]] = True
         if not tables:
             return usual, FrameTable.empty(self.channels)
         return usual, FrameTable.concat(tables).take(np.argsort(np.concatenate(places), kind="stable"))
 
-    def _classic_columns(self, words: Words) -> tuple[Mask, FrameTable]:
+    def _classic_columns(self, words: Words) -> tuple[Mask, Ints, FrameTable]:
         word = words.word
-        good, table = self._common(words, 1, 2, 3)
+        good, channel, table = self._common(words, 1, 2, 3)
         good &= (words.count >= 6) & words.one_of(word(4), b"d")[1]
         code, is_code = words.one_of(word(5), b"012345678")
         length = (code - 0x30) * is_code
@@ -309,11 +310,11 @@ class AscCapture(LineCapture):
                 if text is not None:
                     agrees &= words.is_text(word(behind + place), text)
             good &= (rest == 0) | agrees
-        return good, replace(table, length=length, data=data)
+        return good, channel, replace(table, length=length, data=data)
 
-    def _fd_columns(self, words: Words) -> tuple[Mask, FrameTable]:
+    def _fd_columns(self, words: Words) -> tuple[Mask, Ints, FrameTable]:
         word = words.word
-        good, table = self._common(words, 2, 4, 3)
+        good, channel, table = self._common(words, 2, 4, 3)
         begin = 6 - words.one_of(word(5), b"01")[1].astype(np.intp)  # there may be a symbolic name
         switched, is_switch = words.one_of(word(begin), b"01")
         state, is_state = words.one_of(word(begin + 1), b"01")
@@ -325,10 +326,14 @@ class AscCapture(LineCapture):
         flags, _, is_flags = words.number(word(begin + 6 + length), 16, 1, 8)
         good &= is_data & is_flags & (flags & 0x1010 == 0x1000) & (words.count >= begin + 7 + length)
         bits = (switched == ord("1")) * np.uint8(BITRATE_SWITCH) | (state == ord("1")) * np.uint8(ERROR_STATE)
-        return good, replace(table, length=length, data=data, flags=table.flags | np.uint8(FD) | bits)
+        return (
+            good,
+            channel,
+            replace(table, length=length, data=data, flags=table.flags | np.uint8(FD) | bits),
+        )
 
-    def _common(self, words: Words, channel: int, identifier: int, way: int) -> tuple[Mask, FrameTable]:
-        """Time, channel, identifier and direction, of which the last three stand at these words."""
+    def _common(self, words: Words, channel: int, identifier: int, way: int) -> tuple[Mask, Ints, FrameTable]:
+        """Channel, and a table of time, identifier and direction; all but the time stand at these words."""
         word = words.word
         time, good = words.time(word(0), 9)
         bus, _, is_bus = words.number(word(channel), 10, 1, 5)
@@ -337,14 +342,18 @@ class AscCapture(LineCapture):
         received = words.is_text(word(way), b"Rx")
         good &= words.fits & is_bus & is_number & (number <= np.where(extended, 0x1FFF_FFFF, 0x7FF))
         good &= received | words.is_text(word(way), b"Tx")
-        return good, FrameTable(
-            time + self._origin,
-            channel_numbers(np.where(good, bus, bus[good][0] if good.any() else 1), self.channels, one_less),
-            number.astype(np.uint32),
-            extended * np.uint8(EXTENDED) | np.where(received, np.uint8(RX), np.uint8(TX)),
-            np.zeros(len(time), np.uint8),
-            np.zeros((len(time), 8), np.uint8),
-            self.channels,
+        return (
+            good,
+            bus,
+            FrameTable(
+                time + self._origin,
+                np.zeros(len(time), np.uint16),
+                number.astype(np.uint32),
+                extended * np.uint8(EXTENDED) | np.where(received, np.uint8(RX), np.uint8(TX)),
+                np.zeros(len(time), np.uint8),
+                np.zeros((len(time), 8), np.uint8),
+                self.channels,
+            ),
         )
 
 

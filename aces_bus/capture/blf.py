@@ -23,7 +23,6 @@ import datetime
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from ._heap import keep_freed_memory
 from ._in_order import merged
 from ._unpack import up_to_damage
 from .base import CanCapture
-from .blf_objects import LOG_CONTAINER, decode, is_can
+from .blf_objects import LOG_CONTAINER, Decoded, decode, is_can
 
 SIGNATURE = b"LOGG"
 _OBJECT = b"LOBJ"
@@ -50,8 +49,8 @@ LARGE = 1 << 20
 TABLE_ROWS = 1 << 16
 #: Behind the last object, so that whole objects may be gathered.
 _SLACK = bytes(256)
-#: Objects that are worth the calls of finding them all at once.
-_FEW = 64
+#: Objects that are worth the calls of finding them all at once, and how many are found one by one where they are fewer.
+_FEW, _STEPS = 64, 1024
 #: The next object begins within so many bytes behind one.
 _PADDING = 8
 
@@ -105,7 +104,7 @@ class BlfCapture(CanCapture):
                 continue
             file.drop(at)
             _, _, _, size, kind = _BASE.unpack_from(file.data)
-            if not (32 if kind == LOG_CONTAINER else 16) <= size <= _CONTAINER:
+            if not self._can_be(size, kind):
                 yield None
                 self._resync(file, 4, f"an object of {size:,} bytes; ")
                 continue
@@ -115,8 +114,8 @@ class BlfCapture(CanCapture):
             else:
                 yield file.first(size)
             if not whole:
-                self._damaged(f"the file ends within the object at offset {file.offset:,}", b"")
                 yield None
+                self._damaged(f"the file ends within the object at offset {file.offset:,}", b"")
             file.drop(size)
 
     def _header(self, file: _File) -> int:
@@ -135,8 +134,8 @@ class BlfCapture(CanCapture):
             yield container[32:]
             return
         if method != 2:
-            self._damaged(f"container at offset {offset:,}: packing method {method} is not known", container)
             yield None
+            self._damaged(f"container at offset {offset:,}: packing method {method} is not known", container)
             return
         claimed = int.from_bytes(container[24:28], "little")
         if (
@@ -168,39 +167,54 @@ class BlfCapture(CanCapture):
             elif piece:
                 yield piece
         if damage:
+            yield None
             self._damaged(
                 f"container at offset {offset:,} is damaged after {total:,} bytes: {damage}", container
             )
-            yield None
+
+    @staticmethod
+    def _can_be(size: int, kind: int) -> bool:
+        return 32 <= size <= _CONTAINER if kind == LOG_CONTAINER else _BASE.size <= size <= _limit(kind)
 
     def _resync(self, file: _File, step: int, why: str) -> None:
         """Drop everything up to the next object."""
-        offset, first = file.offset, bytes(file.data[:32])
-        file.drop(step)
-        while (at := file.data.find(_OBJECT)) < 0:
-            file.drop(max(len(file.data) - 3, 0))
-            if not file.want(len(file.data) + 1):
-                file.drop(len(file.data))
+        offset, first, place = file.offset, bytes(file.data[:32]), step
+        while True:
+            at = file.data.find(_OBJECT, place)
+            if at < 0:
+                file.drop(max(len(file.data) - 3, place))
+                place = 0
+                if not file.want(len(file.data) + 1):
+                    file.drop(len(file.data))
+                    break
+            elif not file.want(at + _BASE.size) or self._can_be(*_BASE.unpack_from(file.data, at)[3:]):
+                file.drop(at)
                 break
-        else:
-            file.drop(at)
+            else:
+                place = at + 4
         self._damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
 
     def _damaged(self, reason: str, excerpt: bytes) -> None:
         self.lines += 1
         self._unreadable(self.lines, reason, excerpt[:24].hex(" ").encode())
 
-    def _decoded(self, data: Ints, begins: Ints, sizes: Ints, start_ns: int) -> FrameTable:
-        """The frames of these objects; counts everything."""
-        found = decode(data, begins, sizes, start_ns, self.channels)
-        for place, reason in sorted(found.unreadable):
-            begin = int(begins[place])
-            self._unreadable(
-                self.lines + place + 1, reason, data[begin : begin + 24].tobytes().hex(" ").encode()
-            )
+    def _decoded(
+        self, data: Ints, begins: Ints, sizes: Ints, damages: list[tuple[int, str]], start_ns: int
+    ) -> FrameTable:
+        """The frames of these objects; counts everything. Of `damages` each stands before one of the objects."""
+        found = decode(data, begins, sizes, start_ns, self.channels) if len(begins) else Decoded([], [], {})
+        problems = sorted(
+            [(place, 0, reason) for place, reason in damages] + [(p, 1, r) for p, r in found.unreadable]
+        )
+        before = 0  # damages so far, each of which is counted like an object
+        for place, is_object, reason in problems:
+            begin = int(begins[place]) if is_object else 0
+            excerpt = data[begin : begin + 24].tobytes().hex(" ") if is_object else ""
+            self._unreadable(self.lines + place + before + 1, reason, excerpt.encode())
+            before += not is_object
         for kind, count in found.others.items():
             self._other_kind(kind, count)
-        self.lines += len(begins)
+        self.lines += len(begins) + before
         if not found.frames:
             return FrameTable.empty(self.channels)
         table = merged(
@@ -237,15 +251,6 @@ class _File:
         self.offset += size
 
 
-class _Walk(NamedTuple):
-    """Objects found one behind the other, where reading goes on, and where damage begins (None: more is needed)."""
-
-    begins: Ints
-    sizes: Ints
-    place: int
-    damage: int | None
-
-
 class _Stream:
     """The unpacked bytes: keeps what waits for more, walks from object to object, goes on after damage."""
 
@@ -262,10 +267,11 @@ class _Stream:
         if piece is not None:
             self._waiting.append(piece)
             self._size += len(piece)
-        if piece is None or flush or self._size >= LARGE:
+        if self._size and (piece is None or flush or self._size >= LARGE):
             yield from self._read()
         if piece is None and self._size:  # nothing continues what is left
-            self._lose(self._offset)
+            if self._lost is None:
+                self._lost = self._offset
             self._offset += self._size
             self._waiting, self._size = [], 0
 
@@ -274,7 +280,7 @@ class _Stream:
         tables = list(self._read(final=True))
         left = b"".join(self._waiting)
         if self._lost is not None:
-            self._found(self._offset + len(left))
+            self._capture._damaged(self._found(self._offset + len(left)), b"")
         elif left.strip(b"\0"):
             self._capture._damaged(
                 f"the log ends within the object at unpacked offset {self._offset:,}", left
@@ -283,40 +289,74 @@ class _Stream:
         return tables
 
     def _read(self, final: bool = False) -> Iterator[FrameTable]:
+        """The frames of all objects that are whole."""
         size, place = self._size, 0
         data = b"".join((*self._waiting, _SLACK))
         view = np.frombuffer(data, np.uint8)
+        begins: list[Ints] = []
+        sizes: list[Ints] = []
+        one: list[int] = []  # begins and sizes that were found one by one; the last may yet turn out wrong
+        each: list[int] = []
+        count = 0  # objects before these
+        damages: list[tuple[int, str]] = []
+        steps = 0  # to go before many are looked for at once
         while True:
             if self._lost is not None:
                 place, found = _next_object(data, place, size, final)
                 if not found:
                     break
-                self._found(self._offset + place)
-            walk = _walk(data, view, size, place)
-            place = walk.place
-            if len(walk.begins):
-                table = self._capture._decoded(view, walk.begins, walk.sizes, self.start_ns)
-                if len(table):
-                    yield table
-            if walk.damage is not None:
-                self._lose(self._offset + walk.damage)
-            elif final and data.find(_OBJECT, place + 4, size) >= 0:
-                self._lose(self._offset + place)  # it does not end, but there is another one within it
-                place += 4
-            else:
+                damages.append((count + len(one), self._found(self._offset + place)))
+                steps = _STEPS  # damage seldom comes alone
+            at = data.find(_OBJECT, place, min(place + _PADDING + 3, size))
+            if at < 0:
+                if size - place < _PADDING + 3:
+                    break
+                wrong = place
+                if one and (inner := data.find(_OBJECT, one[-1] + 4, place)) >= 0:
+                    wrong, place = one.pop(), inner  # its size was wrong: it swallowed another object
+                    each.pop()
+                self._lost = self._offset + wrong
+                continue
+            if at + _BASE.size > size:
                 break
+            _, _, _, length, kind = _BASE.unpack_from(data, at)
+            if not _BASE.size <= length <= _limit(kind):
+                self._lost, place = self._offset + at, at + 4
+            elif at + length > size:
+                if not final or data.find(_OBJECT, at + 4, size) < 0:
+                    break
+                self._lost, place = (
+                    self._offset + at,
+                    at + 4,
+                )  # it does not end, but there is another one within it
+            elif steps > 0:
+                steps -= 1
+                one.append(at)
+                each.append(length)
+                place = at + length
+            else:
+                begin, long = _run(view, size, at)
+                begins += [np.array(one, np.int64), begin[:-1]]
+                sizes += [np.array(each, np.int64), long[:-1]]
+                count += len(one) + len(begin) - 1
+                one, each = [int(begin[-1])], [int(long[-1])]
+                place = one[0] + each[0]
+                steps = _STEPS if len(begin) < _FEW else 0
+        begins.append(np.array(one, np.int64))
+        sizes.append(np.array(each, np.int64))
+        table = self._capture._decoded(
+            view, np.concatenate(begins), np.concatenate(sizes), damages, self.start_ns
+        )
+        if len(table):
+            yield table
         self._offset += place
         self._waiting, self._size = [data[place:size]], size - place
 
-    def _lose(self, offset: int) -> None:
-        if self._lost is None:
-            self._lost = offset
-
-    def _found(self, offset: int) -> None:
+    def _found(self, offset: int) -> str:
+        """The end of the damage, in words."""
         assert self._lost is not None
         lost, self._lost = self._lost, None
-        if offset > lost:
-            self._capture._damaged(f"{offset - lost:,} bytes at unpacked offset {lost:,} are no object", b"")
+        return f"{offset - lost:,} bytes at unpacked offset {lost:,} are no object"
 
 
 def _next_object(data: bytes, place: int, size: int, final: bool) -> tuple[int, bool]:
@@ -333,54 +373,6 @@ def _next_object(data: bytes, place: int, size: int, final: bool) -> tuple[int, 
 
 def _limit(kind: int) -> int:
     return _LARGEST_CAN if is_can(kind) else _LARGEST
-
-
-def _walk(data: bytes, view: Ints, size: int, place: int) -> _Walk:
-    """The objects from `place` on. All at once where each ends where the next begins, otherwise step by step."""
-    begins: list[Ints] = []
-    sizes: list[Ints] = []
-    steps = 0  # to go before all at once is tried again
-    one: list[int] = []  # begins found step by step
-    each: list[int] = []
-    damage: int | None = None
-    while True:
-        at = data.find(_OBJECT, place, min(place + _PADDING + 3, size))
-        if at < 0:
-            if size - place < _PADDING + 3:
-                break
-            damage = place
-            if one and (inner := data.find(_OBJECT, one[-1] + 4, place)) >= 0:
-                damage, place = one.pop(), inner  # its size was wrong: it swallowed another object
-                each.pop()
-            break
-        if at + _BASE.size > size:
-            break
-        _, _, _, length, kind = _BASE.unpack_from(data, at)
-        if not _BASE.size <= length <= _limit(kind):
-            damage, place = at, at + 4
-            break
-        if at + length > size:
-            break
-        if steps > 0:
-            steps -= 1
-            one.append(at)
-            each.append(length)
-            place = at + length
-            continue
-        begin, long = _run(view, size, at)
-        if one:
-            begins.append(np.array(one))
-            sizes.append(np.array(each))
-        # The last of a run may yet turn out wrong, like those found step by step.
-        begins.append(begin[:-1])
-        sizes.append(long[:-1])
-        one, each = [int(begin[-1])], [int(long[-1])]
-        place = one[0] + each[0]
-        if len(begin) < _FEW:
-            steps = 1024
-    begins.append(np.array(one, np.int64))
-    sizes.append(np.array(each, np.int64))
-    return _Walk(np.concatenate(begins), np.concatenate(sizes), place, damage)
 
 
 def _run(view: Ints, size: int, place: int) -> tuple[Ints, Ints]:

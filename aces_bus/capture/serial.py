@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import select
+from collections.abc import Callable, Iterator
 
 from .base import Chunk, SerialCapture
 
@@ -16,3 +17,18 @@ class RawCapture(SerialCapture):
         for data in self._source.blocks():
             self.bytes += len(data)
             yield Chunk(data)
+
+    def with_silence(self, gap: Callable[[], float]) -> Iterator[Chunk]:
+        """The chunks, and an empty one each time that a live source falls silent for `gap()` seconds (0: never)."""
+        for chunk in self:
+            yield chunk
+            if self.live and (seconds := gap()) and self._is_silent(seconds):
+                yield Chunk(b"")
+
+    def _is_silent(self, seconds: float) -> bool:
+        if self._source.packing:
+            return False  # more may be there that is not unpacked yet
+        try:
+            return not select.select([self._source.fileno()], [], [], seconds)[0]
+        except (OSError, ValueError):  # nothing that the system can wait for
+            return False

@@ -64,7 +64,6 @@ _DATA = {
     b"BI": FD | BITRATE_SWITCH | ERROR_STATE,
 }
 _OTHERS = {b"ST": "hardware states", b"EC": "error counters", b"EV": "events"}
-_WAYS = {b"Rx": RX, b"Tx": TX}
 _OLD_TYPES = (b"Rx", b"Tx", b"Warng", b"Error")
 _OLD_LINE = re.compile(rb"[0-9]{1,12}\)\s")
 _NEW_LINE = re.compile(rb"[0-9]{1,12}\s")
@@ -302,11 +301,11 @@ class TrcCapture(LineCapture):
             good &= is_size & np.where(is_fd, _IS_FD_SIZE[size & 0xFF], size <= 8)
         data, is_data = words.data(found["D"], size * good)
         good &= is_data & (words.count == len(columns) - 1 + size)
-        channel = np.full(int(good.sum()), self.channels.number(None) if "B" not in found else 0, np.uint16)
+        bus = np.zeros(n, np.int64)  # which is none
         if "B" in found:
             bus, _, is_bus = words.number(found["B"], 10, 1, 5)
             good &= is_bus
-            channel = channel_numbers(bus[good], self.channels, one_less)
+        channel = channel_numbers(bus[good], self.channels, one_less)
         return good, FrameTable(
             time[good] + self._origin,
             channel,

@@ -323,7 +323,7 @@ class AcesBus(BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
-        from .served.remote import served_channels
+        from .served.stream import served_channels
 
         with _media_lock:
             names = list(_media) or ["can0"]

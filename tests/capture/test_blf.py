@@ -355,6 +355,12 @@ def test_a_damaged_container_costs_itself() -> None:
     found = [number for number in numbers(frames) if number < 300 or number >= 600]
     assert found == [*range(300), *range(600, 900)]
     assert capture.lines_unreadable >= 1
+    checksum = bytearray(parts[1])
+    checksum[int.from_bytes(parts[1][8:12], "little") - 1] ^= 1
+    frames, capture = read(header() + parts[0] + bytes(checksum) + parts[2])
+    assert numbers(frames) == list(range(900))
+    assert capture.lines_unreadable == 1
+    assert capture.problems[0].line == 601
     assert f"container at offset {144 + len(parts[0]):,} is damaged" in capture.problems[0].reason
 
 
@@ -420,6 +426,18 @@ def test_a_bomb_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     frames, capture = read(header() + container(good[0]) + bomb + container(b"".join(good[1:])))
     assert numbers(frames) == [0, 1, 2]
     assert any("more than 4,194,304 bytes" in problem.reason for problem in capture.problems)
+
+
+def test_much_damage_takes_no_more_time_a_byte() -> None:
+    """A good object and an impossible one by turns, sizes that swallow the next: a fraction of a second, all counted."""
+    good = thing(65, b"")
+    impossible = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 1 << 31, 65)
+    _, capture = read(log(*[good + impossible] * 30_000))
+    assert (capture.others, capture.lines_unreadable) == ({"texts": 30_000}, 30_000)
+    _, capture = read(log(*[thing(65, b"abcd", size=1000)] * 30_000))
+    assert capture.lines_unreadable > 29_000
+    _, capture = read(header() + impossible * 30_000 + container(good))
+    assert (capture.others, capture.lines_unreadable) == ({"texts": 1}, 1)
 
 
 def test_wrong_containers_are_counted() -> None:

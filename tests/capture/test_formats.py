@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 from pathlib import Path
 from typing import Any
@@ -122,6 +123,7 @@ def test_frames_and_tables_are_the_same(sample: Sample) -> None:
     tables = list(columns.tables())
     assert [frame for table in tables for frame in table] == found
     assert all(table.channels is columns.channels for table in tables)
+    assert set(columns.channels.names) == {frame.channel for frame in found}
     assert items(pieces) == found
     for other in (columns, pieces):
         assert (other.lines, other.others, other.problems) == (
@@ -129,6 +131,15 @@ def test_frames_and_tables_are_the_same(sample: Sample) -> None:
             capture.others,
             capture.problems,
         )
+
+
+@every
+def test_a_packed_recording_is_told_by_what_is_in_it(sample: Sample) -> None:
+    """gzip around any format: the same frames and counters."""
+    capture, packed = opened(sample.content), opened(gzip.compress(sample.content))
+    assert type(packed) is type(capture)
+    assert items(packed) == items(capture)
+    assert (packed.lines, packed.others) == (capture.lines, capture.others)
 
 
 @every_text

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: Seconds after which a waiting command looks at other things than its bus.
 STEP_S = 0.1
+#: Seconds that a bus stays open after the last frame was handed over: an adapter may still hold it.
+LINGER_S = 0.05
 #: Events of one kind that are printed within `PAUSE_S`.
 FEW, PAUSE_S = 3, 1.0
 #: What nobody needs to be told: it was asked for.
@@ -140,4 +142,43 @@ def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
     )
 
 
-__all__ = ["LivePatience", "Told", "heard_frame", "losses", "parse_duration"]
+class Outgoing:
+    """What goes out through a gate: in the order given, never more than it takes, all of it accounted for.
+
+    `pending` counts in the gate's own unit: frames, bytes or datagrams.
+    """
+
+    def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
+        self.gate = gate
+        self.items = 0
+        self._queued = 0
+
+    def send(self, word: Any) -> None:
+        """Queue a frame or bytes, behind all that were queued before. Raises `CallerError` where the gate refuses."""
+        if isinstance(word, Frame):
+            self.gate.send(word, priority=0)  # type: ignore[call-arg, arg-type]
+            self._queued += 1
+        else:
+            self.gate.send(word)  # type: ignore[arg-type]
+            self._queued += len(word) if self.gate.items == "pieces" else 1
+        self.items += 1
+
+    @property
+    def pending(self) -> int:
+        """What was queued and has neither left nor failed."""
+        counters = self.gate.counters
+        return self._queued - counters.sent - counters.send_failed
+
+    def drain(self, patience: LivePatience, most: int = 0, seconds: float = 2.0) -> bool:
+        """Wait until no more than `most` is pending; False when nothing has left for so long, or on Ctrl-C."""
+        before, until = self.pending, time.monotonic() + seconds
+        while (left := self.pending) > most:
+            now = time.monotonic()
+            if left != before:
+                before, until = left, now + seconds
+            if now > until or not patience.wait_until(time.monotonic_ns() + 500_000):
+                return False
+        return True
+
+
+__all__ = ["LINGER_S", "LivePatience", "Outgoing", "STEP_S", "Told", "heard_frame", "losses", "parse_duration"]

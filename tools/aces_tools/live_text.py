@@ -119,4 +119,17 @@ class CandumpLines:
         return f"{self._stamp(chunk.time)}  {printable(name)} {arrow}  [{len(chunk.data)}]  {chunk.data.hex(' ').upper()}"
 
 
-__all__ = ["TIME_MODES", "CandumpLines", "LiveText", "Times"]
+def notation(frame: Frame) -> str:
+    """A frame as cansend takes it: `123#DEADBEEF`, `12345678#`, `123##1AABB` (FD), `123#R8`.
+
+    >>> notation(Frame(0x123, b"\\xde\\xad"))
+    '123#DEAD'
+    """
+    identifier = f"{frame.arbitration_id:0{8 if frame.is_extended_id else 3}X}"
+    if frame.is_remote_frame:
+        return f"{identifier}#R{frame.length or ''}"
+    flags = f"#{frame.bitrate_switch + 2 * frame.error_state_indicator}" if frame.is_fd else ""
+    return f"{identifier}#{flags}{frame.data.hex().upper()}"
+
+
+__all__ = ["TIME_MODES", "CandumpLines", "LiveText", "Times", "notation"]

@@ -142,6 +142,21 @@ class Recorder:
         except (OSError, AcesError) as error:
             self.failure = (isinstance(error, OSError) and error.strerror) or str(error)
 
+    def abandon(self) -> None:
+        """There is nothing to record after all: leave no file behind."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._inbox.close()
+        self._file.close()
+        if os.path.isfile(self.journal):
+            os.unlink(self.journal)
+
+    @property
+    def written(self) -> str:
+        """The file that has the recording."""
+        return self.path if self.final is None or not os.path.exists(self.journal) else self.journal
+
     def stop(self) -> None:
         """Write what is still queued, and finish the file. Raises `CallerError` when it is not whole."""
         self._stopping.set()

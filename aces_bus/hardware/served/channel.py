@@ -10,7 +10,6 @@ physics a member is a node of the `Wire`. Without, a frame is everybody's as soo
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
@@ -25,6 +24,8 @@ from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, OWN, REMOTE, fra
 MAILBOXES = 1024
 #: Frames that wait for a member who does not read: eight seconds of a full 1 Mbit/s bus.
 QUEUE = 65_536
+#: How long a member's last frames may take after it has left.
+LINGER_NS = 1_000_000_000
 _FLAGS = EXTENDED | REMOTE | FD | BITRATE_SWITCH | ERROR_STATE
 
 
@@ -44,6 +45,8 @@ class Member:
     def __init__(self, channel: ServedChannel, name: str, connection: Connection, *, fd: bool, own: bool) -> None:
         self.channel, self.name, self.connection = channel, name, connection
         self.fd, self.own = fd, own
+        #: Whether it talks to others of its kind without the server (`shortcut`).
+        self.is_direct = False
         self.node: Node | None = None
         self.queue: deque[bytes] = deque()
         self.is_woken = False
@@ -121,9 +124,7 @@ class ServedChannel:
         """Begin at the clock's time; `epoch_ns` added to an instant is the time since 1970."""
         self._clock, self._epoch_ns = clock, epoch_ns
         self._since = clock.now()
-        self.wire = Wire(
-            clock, bitrate=self.bitrate, data_bitrate=self.data_bitrate, faults=self.faults
-        )  # fmt: skip
+        self.wire = Wire(clock, bitrate=self.bitrate, data_bitrate=self.data_bitrate, faults=self.faults)
 
     # ------------------------------------------------------------------ members
 
@@ -154,11 +155,22 @@ class ServedChannel:
         return member
 
     def leave(self, member: Member) -> None:
-        """Take a member off the bus."""
+        """Take a member off the bus. What it has given to the bus is still sent, if that takes no longer than `LINGER_NS`."""
         if member in self.members:
             self.members.remove(member)
-        if member.node is not None:
-            self.wire.detach(member.node)
+        node = member.node
+        if node is None:
+            return
+        node.received = None
+        if not node.pending or node.state == "bus-off":
+            self.wire.detach(node)
+            return
+        node.happened = partial(self._left, node)
+        self._clock.call_in(LINGER_NS, partial(self.wire.detach, node))
+
+    def _left(self, node: Node, event: WireEvent) -> None:
+        if not node.pending:
+            self.wire.detach(node)
 
     # ------------------------------------------------------------------ frames
 
@@ -174,15 +186,22 @@ class ServedChannel:
                 member.rejected += 1
                 return False
             return True
-        one = record(self._clock.now() + self._epoch_ns, identifier, flags, length, data)
-        member.sent += 1
-        self.frames += 1
+        now = self._clock.now() + self._epoch_ns
+        one = record(now, identifier, flags, length, data)
+        is_direct = member.is_direct
         for other in self.members:
-            if other is not member and (other.fd or not flags & FD):
+            if other is not member and (other.fd or not flags & FD) and not (is_direct and other.is_direct):
                 other.deliver(one)
-        if member.own:
-            member.deliver(record(self._clock.now() + self._epoch_ns, identifier, flags | OWN, length, data))
+        if not is_direct:
+            self.counted(member, member.sent + 1)
+            if member.own:
+                member.deliver(record(now, identifier, flags | OWN, length, data))
         return True
+
+    def counted(self, member: Member, sent: int) -> None:
+        """A member has sent so many frames, without physics."""
+        self.frames += max(0, sent - member.sent)
+        member.sent = sent
 
     def _heard(self, member: Member, frame: Frame, instant: int) -> None:
         last, when, one = self._last
@@ -216,6 +235,3 @@ class ServedChannel:
             "since_ns": self._since,
             "members": [member.status() for member in self.members],
         }
-
-
-Say = Callable[[str], None]

@@ -91,6 +91,9 @@ class Link:
             self.member.is_woken = False
         send = self.stream.send
         while True:
+            if not self._rest and not self._hand_over():
+                self.block(True)
+                return
             data = self._rest or self.output()
             if not data:
                 break
@@ -103,6 +106,10 @@ class Link:
                 self.block(True)
                 return
         self.block(False)
+
+    def _hand_over(self) -> bool:
+        """Send what goes before all else; False when the socket is full."""
+        return True
 
     def block(self, is_blocked: bool) -> None:
         """Remember whether the socket is full."""
@@ -125,6 +132,8 @@ class PacketLink(Link):
         self._buffer = b""
         self._aside: deque[bytes] = deque(maxlen=_ASIDE)
         self._looks = False
+        #: Sockets to hand over, each with its packet.
+        self.passing: deque[tuple[bytes, socket.socket]] = deque()
         self._taken = self._told_taken = self._told_dropped = self._told_rejected = 0
         self._last: tuple[str, Any] = ("", None)
 
@@ -154,9 +163,15 @@ class PacketLink(Link):
         elif kind == packets.QUERY:
             if not self._looks and self.member is None:
                 raise PacketError("a question before an introduction")
-            self._put(_status(self.server.status()))
+            self.put(_status(self.server.status()))
         elif self.member is None:
             raise PacketError(f"a packet of kind {kind} before an introduction")
+        elif kind == packets.COUNT:
+            sent, received, dropped = packets.read_report(body)
+            if self.member.is_direct:
+                self.member.channel.counted(self.member, sent)
+                self.member.received, self.member.dropped = received, dropped
+                self._told_dropped = dropped
         elif kind == packets.RESTART:
             if self.member.node is not None:
                 self.member.node.restart()
@@ -171,7 +186,6 @@ class PacketLink(Link):
         if self.member is not None or self._looks:
             raise PacketError("a second introduction")
         channel = self.server.find(hello.channel or self._only)
-        physics = packets.PHYSICS if channel.physics else 0
         data_bitrate = channel.data_bitrate or 0
         if not hello.flags & packets.LOOKS:
             for what, theirs, ours in (
@@ -192,10 +206,16 @@ class PacketLink(Link):
                 if hello.restart_ms == packets.NO_RESTART
                 else hello.restart_ms * 1_000_000,
             )
+            self.member.is_direct = bool(
+                hello.flags & packets.DIRECT and self.kind == "unix" and not channel.physics
+            )
         self._looks = bool(hello.flags & packets.LOOKS)
         self.server.introduced(self)
-        self._put(
-            packets.Welcome(channel.name, physics, MAILBOXES, channel.bitrate, data_bitrate).packet()
+        flags = packets.PHYSICS if channel.physics else 0
+        if self.member is not None and self.member.is_direct:
+            flags |= packets.DIRECT
+        self.put(
+            packets.Welcome(channel.name, flags, MAILBOXES, channel.bitrate, data_bitrate).packet()
         )
 
     def refuse(self, why: str) -> None:
@@ -213,15 +233,27 @@ class PacketLink(Link):
                 self._report()
         elif (event.kind, event.frame) != self._last:  # the same thing again and again is told once
             self._last = (event.kind, event.frame)
-            self._put(packets.event(event.kind, event.instant + self.server.epoch_ns, event.frame))
+            self.put(packets.event(event.kind, event.instant + self.server.epoch_ns, event.frame))
 
     def _report(self) -> None:
         assert self.member is not None
         self._told_taken, self._told_dropped = self._taken, self.member.dropped
         self._told_rejected = self.member.rejected
-        self._put(packets.report(self._taken, self.member.rejected, self.member.dropped))
+        self.put(packets.report(self._taken, self.member.rejected, self.member.dropped))
 
-    def _put(self, packet: bytes) -> None:
+    def _hand_over(self) -> bool:
+        while self.passing:
+            packet, sock = self.passing[0]
+            try:
+                socket.send_fds(self.stream, [packet], [sock.fileno()])
+            except BlockingIOError:
+                return False
+            self.passing.popleft()
+            sock.close()
+        return True
+
+    def put(self, packet: bytes) -> None:
+        """Send a packet besides frames."""
         self._aside.append(packet)
         if self.member is None:
             self.woken()

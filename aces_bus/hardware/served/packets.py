@@ -8,6 +8,7 @@ records of frames one behind another, of 24 and 80 bytes: so many frames cost on
 
 A client says `HELLO`; the server answers `WELCOME`, or `REFUSED` with the reason as text, and closes. Then frames go both
 ways. `REPORT` tells a client how many of its frames the bus has taken, so that it can stop when its mailboxes are full.
+`NEIGHBOUR`, `AUDIENCE` and `COUNT` are of `shortcut`.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ MAGIC = b"ACES"
 MOST = 0xFFFF
 
 HELLO, WELCOME, REFUSED, CLASSIC, LONG, REPORT, EVENT, RESTART, ABORT, QUERY, STATUS = range(1, 12)
+NEIGHBOUR, AUDIENCE, COUNT = range(12, 15)
+_LAST = COUNT
 
 HEAD = Struct("<HBx")
 #: Time (ns since 1970), identifier, flags, length, data.
@@ -38,9 +41,9 @@ LONG_PACKET = Struct("<HBxqIBB2x64s")
 
 EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, OWN = 1, 2, 4, 8, 16, 32, 64
 
-#: Of a client: does not send; takes FD; wants its own frames back; is no node and only asks.
-LISTEN_ONLY, TAKES_FD, HEARS_OWN, LOOKS = 1, 2, 4, 8
-#: Of a server: the bus has bit rates and arbitration.
+#: Of a client: does not send; takes FD; wants its own frames back; is no node and only asks; can talk to others directly.
+LISTEN_ONLY, TAKES_FD, HEARS_OWN, LOOKS, DIRECT = 1, 2, 4, 8, 16
+#: Of a server: the bus has bit rates and arbitration. `DIRECT` is said by it too.
 PHYSICS = 1
 
 _HELLO = Struct("<4sBBxxIII")
@@ -78,7 +81,7 @@ def split(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
     at, end = 0, len(data)
     while end - at >= 4:
         size, kind = HEAD.unpack_from(data, at)
-        if not 1 <= kind <= STATUS:
+        if not 1 <= kind <= _LAST:
             raise PacketError(f"a packet of kind {kind}, which does not exist")
         if end - at - 4 < size:
             break
@@ -180,14 +183,14 @@ def packed(many: Iterable[bytes]) -> Iterator[bytes]:
         yield HEAD.pack(total, CLASSIC if size == CLASSIC_RECORD.size else LONG) + b"".join(run)
 
 
-def message_packet(message: Message) -> bytes:
+def message_packet(message: Message, time_ns: int = 0) -> bytes:
     """A message as a packet of its own. Raises `CallerError` when it cannot exist on a bus."""
     data = message.data
     identifier, length = message.arbitration_id, message.dlc
     flags = EXTENDED if message.is_extended_id else 0
     if not (message.is_fd or message.is_remote_frame or message.is_error_frame):
         if len(data) == length <= 8 and 0 <= identifier <= (0x1FFF_FFFF if flags else 0x7FF):
-            return CLASSIC_PACKET.pack(24, CLASSIC, 0, identifier, flags, length, data)
+            return CLASSIC_PACKET.pack(24, CLASSIC, time_ns, identifier, flags, length, data)
     if message.is_error_frame:
         raise CallerError("an error frame is not sent but made by faults")
     frame = Frame(  # says what is wrong
@@ -202,7 +205,7 @@ def message_packet(message: Message) -> bytes:
     )
     if not 0 <= frame.length <= (64 if frame.is_fd else 8):
         raise CallerError(f"a frame of {frame.length} bytes cannot be sent")
-    one = frame_record(frame, 0)
+    one = frame_record(frame, time_ns)
     return HEAD.pack(len(one), CLASSIC if len(one) == CLASSIC_RECORD.size else LONG) + one
 
 
@@ -272,8 +275,13 @@ def report(taken: int, rejected: int, dropped: int) -> bytes:
     return packet(REPORT, _REPORT.pack(taken, rejected, dropped))
 
 
+def count(sent: int, received: int, dropped: int) -> bytes:
+    """How many frames a client has sent to, received from and lost to its neighbours, since it joined."""
+    return packet(COUNT, _REPORT.pack(sent, received, dropped))
+
+
 def read_report(body: bytes) -> tuple[int, int, int]:
-    """(taken, rejected, dropped), since the client joined."""
+    """The three numbers of a report or a count."""
     if len(body) != _REPORT.size:
         raise PacketError(f"a report of {len(body)} bytes")
     taken, rejected, dropped = _REPORT.unpack(body)

@@ -11,8 +11,6 @@ is told so, as with a controller in hardware.
 
 from __future__ import annotations
 
-import json
-import select
 import socket
 import threading
 import time
@@ -25,15 +23,15 @@ from can import BusABC, BusState, CanInitializationError, CanOperationError, Can
 from ...errors import AcesError, CallerError
 from ..wire import WireEvent
 from . import packets
-from .address import Address, notes, parse_address
+from .address import parse_address
 from .packets import BITRATE_SWITCH, CLASSIC, ERROR_STATE, EXTENDED, FD, LONG, OWN, REMOTE, PacketError
+from .shortcut import Neighbour
+from .stream import ANSWER_S, Stream, read_status, wait
 
-#: Seconds that a server may take to answer an introduction or a question.
-ANSWER_S = 5.0
 #: Messages that may lie unread; after that the oldest is dropped and counted.
 QUEUE = 65_536
-#: Bytes that are read at once.
-_READ = 65_536
+#: Seconds between the numbers that a client tells a server of what did not pass through it.
+_COUNT_S = 0.25
 _STATES = {
     "error-passive": BusState.PASSIVE,
     "error-active": BusState.ACTIVE,
@@ -73,6 +71,7 @@ class ServedBus(BusABC):
             (packets.LISTEN_ONLY if listen_only else 0)
             | (packets.TAKES_FD if fd else 0)
             | (packets.HEARS_OWN if receive_own_messages else 0)
+            | (packets.DIRECT if hasattr(socket, "recv_fds") else 0)
         )
         restart = packets.NO_RESTART if restart_ms is None else max(0, round(restart_ms))
         try:
@@ -107,10 +106,19 @@ class ServedBus(BusABC):
         self.on_event: Callable[[WireEvent], None] | None = None
         self._status: list[dict[str, Any]] = []
         self._why: str | None = None
+        self._receive_own = bool(receive_own_messages)
+        self._near: dict[int, Neighbour] = {}
+        self._numbers: tuple[int, ...] = (self._stream.number,)
+        self._has_audience = False
+        self._direct_received = self._direct_dropped = 0
+        self._counted_at = 0.0
         self._is_open = True
         self._reading = threading.Lock()
         self._sending = threading.Lock()
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
+        self._is_direct = bool(welcome.flags & packets.DIRECT)
+        for kind, body in self._stream.early:
+            self._understand(kind, body)
         super().__init__(channel, can_filters, **more)
 
     # ------------------------------------------------------------------ receiving
@@ -130,7 +138,8 @@ class ServedBus(BusABC):
                     break
                 if self._filters is None or self._matches_filters(message):
                     return message
-            if not self._pump(until) and until is not None and time.monotonic() >= until:
+            self._pump(until)
+            if not queue and until is not None and time.monotonic() >= until:
                 return None
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
@@ -139,30 +148,55 @@ class ServedBus(BusABC):
     def _apply_filters(self, filters: Any) -> None:
         """Filters are applied on reading."""
 
-    def _pump(self, until: float | None) -> bool:
-        """Read what has come, or wait for it until then; whether anything came. One thread at a time."""
-        left = -1.0 if until is None else max(0.0, until - time.monotonic())
-        if not self._reading.acquire(timeout=left):
-            return False
+    def _pump(self, until: float | None) -> None:
+        """Read what has come, or wait for it until then. One thread at a time."""
+        if not self._reading.acquire(False):
+            left = -1.0 if until is None else max(0.0, until - time.monotonic())
+            if not self._reading.acquire(timeout=left):
+                return
         try:
-            if self._queue:  # another thread has read while we waited for it
-                return True
-            self._check_open()
-            left_now = None if until is None else max(0.0, until - time.monotonic())
-            found = self._stream.read(left_now)
-            for kind, body in found:
-                self._understand(kind, body)
-            return bool(found)
+            if not self._queue:  # else another thread has read while we waited for it
+                self._check_open()
+                self._read(wait(self._numbers, None if until is None else max(0.0, until - time.monotonic())))
         except (OSError, EOFError, PacketError, ValueError) as error:
             raise self._lost(error) from error
         finally:
             self._reading.release()
 
+    def _read(self, numbers: list[int]) -> None:
+        """Read these sockets, which have something; the lock is held."""
+        for number in numbers:
+            near = self._near.get(number)
+            if near is None:
+                for kind, body in self._stream.read():
+                    self._understand(kind, body)
+            else:
+                self._read_neighbour(number, near)
+
+    def _read_neighbour(self, number: int, near: Neighbour) -> None:
+        try:
+            for kind, body in near.read():
+                if kind == CLASSIC or kind == LONG:
+                    self._direct_received += self._keep_all(kind, body)
+                elif kind == packets.REPORT:
+                    lost = packets.read_report(body)[2]
+                    self.dropped += lost
+                    self._direct_dropped += lost
+                else:
+                    raise PacketError(f"a packet of kind {kind} from a neighbour")
+        except (OSError, EOFError, PacketError):
+            self._part(number)
+
+    def _part(self, number: int) -> None:
+        """A neighbour has gone, or is not to be understood."""
+        near = self._near.pop(number, None)
+        self._numbers = (self._stream.number, *self._near)
+        if near is not None:
+            near.close()
+
     def _understand(self, kind: int, body: bytes) -> None:
         if kind == CLASSIC or kind == LONG:
-            keep = self._keep
-            for found in packets.records(kind, body):
-                keep(to_message(found, self.channel))
+            self._keep_all(kind, body)
         elif kind == packets.REPORT:
             self._taken, self.rejected, dropped = packets.read_report(body)
             self.dropped += dropped - self._dropped_there
@@ -175,19 +209,28 @@ class ServedBus(BusABC):
             self.events.append(event)
             if self.on_event is not None:
                 self.on_event(event)
+        elif kind == packets.NEIGHBOUR and self._stream.files:
+            near = Neighbour(self._stream.files.popleft(), body)
+            self._near[near.number] = near
+            self._numbers = (self._stream.number, *self._near)
+        elif kind == packets.AUDIENCE:
+            self._has_audience = True
         elif kind == packets.STATUS:
-            self._status.append(json.loads(body))
+            self._status.append(read_status(body))
         elif kind == packets.REFUSED:
             raise EOFError(body.decode("utf-8", "replace"))
         else:
             raise PacketError(f"a packet of kind {kind}, which only a client sends")
 
-    def _keep(self, message: Message) -> None:
-        queue = self._queue
-        if len(queue) >= self._most:
+    def _keep_all(self, kind: int, body: bytes) -> int:
+        queue, channel, count = self._queue, self.channel, 0
+        for found in packets.records(kind, body):
+            queue.append(to_message(found, channel))
+            count += 1
+        while len(queue) > self._most:
             queue.popleft()
             self.dropped += 1
-        queue.append(message)
+        return count
 
     def _lost(self, error: BaseException) -> CanOperationError:
         if self._why is None and self._is_open:
@@ -218,32 +261,65 @@ class ServedBus(BusABC):
         if self._state == "bus-off":
             raise CanOperationError(f"{self.channel_info} is bus-off")
         try:
-            packet = packets.message_packet(msg)
+            packet = packets.message_packet(msg, time.time_ns())
         except CallerError as error:
             raise CanOperationError(str(error)) from error
-        self._put(packet, timeout)
+        if self._is_direct:
+            self._send_direct(msg, packet, timeout)
+        else:
+            self._put(packet, timeout)
+            self._sent += 1
+
+    def _send_direct(self, msg: Message, packet: bytes, timeout: float | None) -> None:
+        self._look()  # for neighbours who have come
+        if self._has_audience:
+            self._put(packet, timeout)
+        with self._sending:
+            for number, near in list(self._near.items()):
+                if msg.is_fd and not near.takes_fd:
+                    continue
+                try:
+                    near.write(packet)
+                except OSError:  # gone; its reader's side says so too, and closes it
+                    continue
+            self._sent += 1
+        if self._receive_own:
+            (kind, body), *_ = packets.split(packet)[0]
+            for time_ns, identifier, flags, length, data in packets.records(kind, body):
+                self._queue.append(to_message((time_ns, identifier, flags | OWN, length, data), self.channel))
+        now = time.monotonic()
+        if now - self._counted_at >= _COUNT_S:
+            self._counted_at = now
+            self._tell_count()
+
+    def _tell_count(self) -> None:
+        """What has not passed through the server, for its status."""
+        self._put(packets.count(self._sent, self._direct_received, self._direct_dropped))
 
     def _wait_for_mailbox(self, timeout: float | None) -> None:
         """Read how far the bus has come; wait when all mailboxes are full."""
         until = time.monotonic() + (timeout or 0)
         self._look()
         while self._sent - self._taken >= self._window and self._state != "bus-off":
-            if time.monotonic() >= until:
+            if (left := until - time.monotonic()) <= 0:
                 raise CanOperationError(f"{self.channel_info} has no free mailbox; nobody acknowledges?")
-            self._look(until)
+            self._look(left)
 
-    def _look(self, until: float = 0.0) -> None:
-        """Read even though messages lie in the queue."""
-        left = max(0.0, until - time.monotonic())
-        if not self._reading.acquire(timeout=left):
-            return
+    def _look(self, timeout: float = 0.0) -> None:
+        """Read what the server says, whatever lies in the queue. Another thread that reads does it for us."""
+        only = (self._stream.number,)
         try:
-            for kind, body in self._stream.read(max(0.0, until - time.monotonic())):
-                self._understand(kind, body)
+            while wait(only, timeout):
+                if self._reading.acquire(timeout=0.001):
+                    try:
+                        self._check_open()
+                        if wait(only, 0):
+                            self._read([self._stream.number])
+                    finally:
+                        self._reading.release()
+                timeout = 0.0
         except (OSError, EOFError, PacketError, ValueError) as error:
             raise self._lost(error) from error
-        finally:
-            self._reading.release()
 
     def _put(self, packet: bytes, timeout: float | None = None) -> None:
         with self._sending:
@@ -253,38 +329,37 @@ class ServedBus(BusABC):
                 raise CanTimeoutError(f"{self.channel_info} does not take the frame") from error
             except OSError as error:
                 raise self._lost(error) from error
-            self._sent += 1
 
     def flush_tx_buffer(self) -> None:
         """Drop what waits to be sent."""
-        self._command(packets.ABORT)
+        self._check_open()
+        self._put(packets.packet(packets.ABORT))
 
     def restart(self) -> None:
         """Come back from bus-off, after 128 times 11 recessive bits."""
-        self._command(packets.RESTART)
-
-    def _command(self, kind: int) -> None:
         self._check_open()
-        self._put(packets.packet(kind))
-        self._sent -= 1  # no frame
+        self._put(packets.packet(packets.RESTART))
 
     # ------------------------------------------------------------------ the rest
 
     @property  # type: ignore[misc]  # python-can's can be set; this one is what the bus makes of the node
     def state(self) -> BusState:
         """Error active, passive or bus-off, as last heard."""
-        if self._is_open and self._why is None and not self._queue:
+        if self._is_open and self._why is None:
             self._look()
         return _STATES[self._state]
 
     def status(self) -> dict[str, Any]:
-        """What the server knows about itself and its channels."""
-        self._command(packets.QUERY)
+        """What the server knows about itself and its channels. Raises `CanOperationError` when it does not answer."""
+        self._check_open()
+        if self._is_direct:
+            self._tell_count()
+        self._put(packets.packet(packets.QUERY))
         until = time.monotonic() + ANSWER_S
         while not self._status:
-            if time.monotonic() >= until:
+            if (left := until - time.monotonic()) <= 0:
                 raise CanTimeoutError(f"{self.channel_info}: the server does not answer")
-            self._look(until)
+            self._look(left)
         return self._status.pop(0)
 
     def take_dropped(self) -> int:
@@ -297,122 +372,20 @@ class ServedBus(BusABC):
         super().shutdown()
         if not self._is_open:
             return
+        if self._is_direct and self._why is None:
+            try:
+                self._tell_count()
+            except CanOperationError:
+                pass
         self._is_open = False
         self._stream.hang_up()  # wakes who waits; only then may the file's number become another's
-        if self._reading.acquire(timeout=1):
+        is_ours = self._reading.acquire(timeout=1)
+        with self._sending:
+            for number in list(self._near):
+                self._part(number)
+        if is_ours:
             self._reading.release()
         self._stream.close()
-
-
-class Stream:
-    """A connection to a server, introduced."""
-
-    def __init__(self, address: Address, hello: packets.Hello, timeout: float = ANSWER_S) -> None:
-        self._socket = address.connect(timeout)
-        self._buffer = b""
-        self._rest = b""
-        try:
-            self._socket.setblocking(False)
-            self._number = self._socket.fileno()
-            self.write(hello.packet(), timeout)
-            kind, body = self._answer(time.monotonic() + timeout)
-            if kind == packets.REFUSED:
-                raise PacketError(body.decode("utf-8", "replace"))
-            if kind != packets.WELCOME:
-                raise PacketError("what answers is no server of a bus")
-            self.welcome = packets.read_welcome(body)
-        except EOFError as error:
-            self._socket.close()
-            raise PacketError("the server has closed the connection") from error
-        except BaseException:
-            self._socket.close()
-            raise
-
-    def _answer(self, until: float) -> tuple[int, bytes]:
-        """The first packet; what follows it stays in the buffer."""
-        while True:
-            if len(self._buffer) >= 4:
-                size, kind = packets.HEAD.unpack_from(self._buffer)
-                if not 1 <= kind <= packets.STATUS:
-                    raise PacketError("what answers is no server of a bus")
-                if len(self._buffer) >= 4 + size:
-                    body, self._buffer = self._buffer[4 : 4 + size], self._buffer[4 + size :]
-                    return kind, body
-            left = until - time.monotonic()
-            if left <= 0 or not self._wait(left, False):
-                raise TimeoutError("no answer in time")
-            self._receive()
-
-    def _receive(self) -> None:
-        data = self._socket.recv(_READ)
-        if not data:
-            raise EOFError("the server has closed the connection")
-        self._buffer = self._buffer + data if self._buffer else data
-
-    def _wait(self, timeout: float | None, writing: bool) -> bool:
-        """Whether the socket is ready within so many seconds."""
-        number = self._number
-        if number < 1000:
-            one = (number,)
-            found = select.select((), one, (), timeout) if writing else select.select(one, (), (), timeout)
-            return bool(found[1] if writing else found[0])
-        poll = select.poll()
-        poll.register(number, select.POLLOUT if writing else select.POLLIN)
-        return bool(poll.poll(None if timeout is None else timeout * 1000))
-
-    def read(self, timeout: float | None) -> list[tuple[int, bytes]]:
-        """The packets that have come, after up to `timeout` seconds (None: for ever). Raises `EOFError` at the end."""
-        if len(self._buffer) < 4:
-            if not self._wait(timeout, False):
-                return []
-        elif (found := packets.split(self._buffer))[0]:
-            self._buffer = found[1]
-            return found[0]
-        elif not self._wait(timeout, False):
-            return []
-        try:
-            self._receive()
-        except BlockingIOError:
-            return []
-        found, self._buffer = packets.split(self._buffer)
-        return found
-
-    def write(self, packet: bytes, timeout: float | None = None) -> None:
-        """Send a packet, all of it. Raises `TimeoutError` when the socket takes nothing for so long (None: for ever)."""
-        if self._rest:  # of a packet that was cut short: first
-            self._push(timeout)
-        try:
-            count = self._socket.send(packet)
-        except BlockingIOError:
-            count = 0
-        if count == len(packet):
-            return
-        if not count:
-            if not self._wait(timeout, True):
-                raise TimeoutError
-            return self.write(packet, timeout)
-        self._rest = packet[count:]
-        self._push(None)
-
-    def _push(self, timeout: float | None) -> None:
-        while self._rest:
-            if not self._wait(timeout, True):
-                raise TimeoutError
-            try:
-                self._rest = self._rest[self._socket.send(self._rest) :]
-            except BlockingIOError:
-                continue
-
-    def hang_up(self) -> None:
-        """End the connection; whoever waits for it is woken."""
-        try:
-            self._socket.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass
-
-    def close(self) -> None:
-        """Give the socket back."""
-        self._socket.close()
 
 
 def to_message(found: tuple[int, int, int, int, bytes], channel: str) -> Message:
@@ -432,75 +405,3 @@ def to_message(found: tuple[int, int, int, int, bytes], channel: str) -> Message
     message.bitrate_switch = flags & BITRATE_SWITCH != 0
     message.error_state_indicator = flags & ERROR_STATE != 0
     return message
-
-
-# ---------------------------------------------------------------------- finding servers
-
-
-def ask(address: Address, timeout: float = 1.0) -> dict[str, Any]:
-    """A server's status, without joining a bus. Raises `OSError` or `PacketError`."""
-    stream = Stream(address, packets.Hello(address.channel, packets.LOOKS), timeout)
-    try:
-        stream.write(packets.packet(packets.QUERY), timeout)
-        until = time.monotonic() + timeout
-        while (left := until - time.monotonic()) > 0:
-            for kind, body in stream.read(left):
-                if kind == packets.STATUS:
-                    found = json.loads(body)
-                    if isinstance(found, dict):
-                        return found
-        raise TimeoutError("no answer in time")
-    except (EOFError, ValueError) as error:
-        raise PacketError(f"no status: {error}") from error
-    finally:
-        stream.close()
-
-
-def servers(timeout: float = 0.5) -> list[dict[str, Any]]:
-    """The status of each server of this user on this machine. The notes of dead ones are removed."""
-    found = []
-    for path, content in notes():
-        addresses = content.get("addresses")
-        texts = [
-            text
-            for some in (addresses.values() if isinstance(addresses, dict) else ())
-            if isinstance(some, list)
-            for text in some
-            if isinstance(text, str)
-        ]
-        status = None
-        for text in texts:
-            try:
-                status = ask(parse_address(text), timeout)
-                break
-            except (OSError, AcesError):
-                continue
-        if status is not None:
-            found.append(status)
-        elif texts and not _lives(content.get("pid")):
-            path.unlink(missing_ok=True)
-    return found
-
-
-def _lives(pid: object) -> bool:
-    import os
-
-    if not isinstance(pid, int) or pid <= 0 or os.name != "posix":
-        return True  # who knows
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def served_channels() -> list[str]:
-    """One address of each channel that is served on this machine by this user."""
-    return [
-        channel["addresses"][0]
-        for status in servers()
-        for channel in status.get("channels", ())
-        if channel.get("addresses")
-    ]

@@ -93,8 +93,10 @@ class _Builder:
                 self.problems.append(Problem(line, f"message {clean(message.name)}: {reason}: left out"))
             except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
                 # A database that contradicts itself in a way that cantools lets pass.
-                reason = _LeftOut(f"it cannot be used ({clean(str(error))})")
-                self.problems.append(Problem(line, f"message {clean(str(message.name))}: {reason}: left out"))
+                said = (
+                    f"message {clean(str(message.name))}: it cannot be used ({clean(str(error))}): left out"
+                )
+                self.problems.append(Problem(line, said))
         return self.protocol, self.problems
 
     def _note(self, line: int, text: str) -> None:

@@ -428,13 +428,13 @@ class _Batch:
         self.numbers = numbers
         self._row = numbers[order]
         self._data = _gathered(table.data, order)
-        self._lengths = table.length[order]
+        self._lengths = _sorted(table.length, order)
         if int(np.bitwise_or.reduce(table.flags)) & REMOTE_FLAG:
             # A remote frame's number is what it asks for; data it has none.
             self._lengths = np.where(table.flags[order] & REMOTE_FLAG, 0, self._lengths)
         self._keys = table.key[order]
         self._time = table.time[order]
-        self._channel = table.channel[order]
+        self._channel = _sorted(table.channel, order)
         flags = table.flags
         ways = int(np.bitwise_or.reduce(flags)) & (RX | TX)
         self._rx = np.full(len(table), 2, np.uint8) if not ways else _way(flags)[order]
@@ -472,6 +472,15 @@ class _Batch:
             make,
             message.doc,
         )
+
+
+def _sorted(column: Array, order: Array) -> Array:
+    """A column in another order; one that is the same throughout, as most are, costs nothing."""
+    first = column[0]
+    if first == column[-1] and (column == first).all():
+        return np.broadcast_to(first, column.shape)
+    found: Array = column[order]
+    return found
 
 
 def _gathered(data: Array, order: Array) -> Array:

@@ -439,12 +439,14 @@ def _scaled(value: Array, step: p.Scale, dtype: Any) -> Array:
             return value * int(scale) + int(offset) if scale != 1 else value + int(offset)
     elif value.dtype == object:
         return _exact(value, scale, offset)
-    if scale != 1:
-        out = np.multiply(value, scale, dtype=np.float64)
-        if offset:
-            out += offset
-        return out
-    return np.add(value, offset, dtype=np.float64)
+    # Floats of the wire may be infinite, signalling, or too large when scaled: so are they in records.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if scale != 1:
+            out = np.multiply(value, scale, dtype=np.float64)
+            if offset:
+                out += offset
+            return out
+        return np.add(value, offset, dtype=np.float64)
 
 
 def _exact(value: Array, scale: float, offset: float) -> Array:

@@ -1,0 +1,217 @@
+"""A client's connection to a server of buses, and how servers are found.
+
+1. Every wait has an end, and costs nothing until then.
+2. A packet is sent whole or not at all, as far as the next one is concerned: the rest of one goes before another.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import socket
+import time
+from collections import deque
+from typing import Any
+
+from ...errors import AcesError
+from . import packets
+from .address import Address, notes, parse_address
+from .packets import PacketError
+
+#: Seconds that a server may take to answer an introduction or a question.
+ANSWER_S = 5.0
+#: Bytes that are read at once, and files that may come with them.
+_READ = 65_536
+_FILES = 16
+
+
+def wait(numbers: tuple[int, ...], timeout: float | None) -> list[int]:
+    """Which of these sockets have something to read, after up to `timeout` seconds (None: for ever)."""
+    if max(numbers) < 1000:
+        return select.select(numbers, (), (), timeout)[0]
+    poll = select.poll()  # takes any number, and rounds up to milliseconds
+    for number in numbers:
+        poll.register(number, select.POLLIN)
+    return [number for number, _ in poll.poll(None if timeout is None else timeout * 1000)]
+
+
+def wait_to_write(number: int, timeout: float | None) -> bool:
+    """Whether a socket takes something within `timeout` seconds (None: for ever)."""
+    if number < 1000:
+        return bool(select.select((), (number,), (), timeout)[1])
+    poll = select.poll()
+    poll.register(number, select.POLLOUT)
+    return bool(poll.poll(None if timeout is None else timeout * 1000))
+
+
+class Stream:
+    """A connection to a server, introduced. `early` are packets that came with the answer.
+
+    Raises `OSError` when nobody answers, and `PacketError` with the server's reason when it refuses.
+    """
+
+    def __init__(self, address: Address, hello: packets.Hello, timeout: float = ANSWER_S) -> None:
+        self._socket = address.connect(timeout)
+        self._buffer = self._rest = b""
+        #: Files that came, for the packets that speak of them.
+        self.files: deque[int] = deque()
+        self.early: list[tuple[int, bytes]] = []
+        self._takes_files = bool(address.path) and bool(hello.flags & packets.DIRECT)
+        try:
+            self._socket.setblocking(False)
+            self.number = self._socket.fileno()
+            self.write(hello.packet(), timeout)
+            self.welcome = self._answer(time.monotonic() + timeout)
+        except EOFError as error:
+            self.close()
+            raise PacketError("the server has closed the connection") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _answer(self, until: float) -> packets.Welcome:
+        welcome = None
+        while welcome is None:
+            left = until - time.monotonic()
+            if left <= 0 or not wait((self.number,), left):
+                raise TimeoutError("no answer in time")
+            for kind, body in self.read():
+                if kind == packets.REFUSED:
+                    raise PacketError(body.decode("utf-8", "replace"))
+                if kind == packets.WELCOME:
+                    welcome = packets.read_welcome(body)
+                else:
+                    self.early.append((kind, body))
+        return welcome
+
+    def read(self) -> list[tuple[int, bytes]]:
+        """The packets that have come. Raises `EOFError` at the end."""
+        try:
+            if self._takes_files:
+                data, files, _, _ = socket.recv_fds(self._socket, _READ, _FILES)
+                self.files.extend(files)
+            else:
+                data = self._socket.recv(_READ)
+        except BlockingIOError:
+            return []
+        if not data:
+            raise EOFError("the server has closed the connection")
+        found, self._buffer = packets.split(self._buffer + data if self._buffer else data)
+        return found
+
+    def write(self, packet: bytes, timeout: float | None = None) -> None:
+        """Send a packet. Raises `TimeoutError` when the socket takes nothing for so long (None: for ever)."""
+        if self._rest:
+            self._push(timeout)
+        while True:
+            try:
+                count = self._socket.send(packet)
+                break
+            except BlockingIOError:
+                if not wait_to_write(self.number, timeout):
+                    raise TimeoutError("the server takes nothing") from None
+        if count < len(packet):
+            self._rest = packet[count:]
+            self._push(None)
+
+    def _push(self, timeout: float | None) -> None:
+        while self._rest:
+            if not wait_to_write(self.number, timeout):
+                raise TimeoutError("the server takes nothing")
+            try:
+                self._rest = self._rest[self._socket.send(self._rest) :]
+            except BlockingIOError:
+                continue
+
+    def hang_up(self) -> None:
+        """End the connection; whoever waits for it is woken."""
+        try:
+            self._socket.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            pass
+
+    def close(self) -> None:
+        """Give the socket back."""
+        self._socket.close()
+        while self.files:
+            os.close(self.files.popleft())
+
+
+# ---------------------------------------------------------------------- finding servers
+
+
+def ask(address: Address, timeout: float = 1.0) -> dict[str, Any]:
+    """A server's status, without joining a bus. Raises `OSError` or `PacketError`."""
+    stream = Stream(address, packets.Hello(address.channel, packets.LOOKS), timeout)
+    try:
+        stream.write(packets.packet(packets.QUERY), timeout)
+        until = time.monotonic() + timeout
+        while (left := until - time.monotonic()) > 0 and wait((stream.number,), left):
+            for kind, body in stream.read():
+                if kind == packets.STATUS:
+                    return read_status(body)
+        raise TimeoutError("no answer in time")
+    except EOFError as error:
+        raise PacketError("the server has closed the connection") from error
+    finally:
+        stream.close()
+
+
+def read_status(body: bytes) -> dict[str, Any]:
+    """What a server says about itself."""
+    try:
+        found = json.loads(body)
+    except ValueError as error:
+        raise PacketError(f"no status: {error}") from error
+    if not isinstance(found, dict) or not isinstance(found.get("channels"), list):
+        raise PacketError("no status")
+    return found
+
+
+def servers(timeout: float = 0.5) -> list[dict[str, Any]]:
+    """The status of each server of this user on this machine. The notes of dead ones are removed."""
+    found = []
+    for path, content in notes():
+        listed = content.get("addresses")
+        texts = [
+            text
+            for some in (listed.values() if isinstance(listed, dict) else ())
+            if isinstance(some, list)
+            for text in some
+            if isinstance(text, str)
+        ]
+        status = None
+        for text in texts:
+            try:
+                status = ask(parse_address(text), timeout)
+                break
+            except (OSError, AcesError):
+                continue
+        if status is not None:
+            found.append(status)
+        elif not _lives(content.get("pid")):
+            path.unlink(missing_ok=True)
+    return found
+
+
+def _lives(pid: object) -> bool:
+    if not isinstance(pid, int) or pid <= 0 or os.name != "posix":
+        return True  # who knows
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def served_channels() -> list[str]:
+    """One address of each channel that is served on this machine by this user."""
+    return [
+        channel["addresses"][0]
+        for status in servers()
+        for channel in status["channels"]
+        if channel.get("addresses")
+    ]

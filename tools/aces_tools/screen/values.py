@@ -1,0 +1,147 @@
+"""Decoded values as the live screen tells them: a short line for the table, every single value for the details.
+
+1. What can be known of a message without its records is found once: names, units, places, its page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+from aces_bus.protocol import Record, Variant, draw
+from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.codegen.load import records_of
+from aces_bus.protocol.spec.message import Message
+
+from ..output.shape import Leaf, getter, leaves, unit_of
+from ..output.text import show
+
+#: Levels of a curve.
+BLOCKS = "▁▂▃▄▅▆▇█"
+
+
+class Value(NamedTuple):
+    """One value of a record. `place` is where it stands in the message, `curve` how it went."""
+
+    path: str
+    text: str
+    unit: str
+    place: str
+    doc: str
+    curve: str
+
+
+class Token(NamedTuple):
+    """One field for the table: `name=` `text` ` unit`."""
+
+    name: str
+    text: str
+    unit: str
+
+
+class Fields:
+    """How one message's records are told."""
+
+    def __init__(self, variant: Variant, message: Message) -> None:
+        self.protocol, self.name = variant.name, message.name
+        self.label = variant.label
+        self.direction = message.direction
+        self._message = message
+        plan = self._plan = flatten(message)
+        self.doc = plan.doc
+        self.names = tuple(one.name for one in plan.fields)
+        decide = dict.fromkeys([head.name for head in message.heads] + [name for name, _ in plan.selectors])
+        #: The fields that say what the rest means, or whom it is about.
+        self.page = tuple(name for name in decide if name in self.names)
+        self._short: list[tuple[p.PlanField, Callable[[Any], Any], Callable[[Any], str], str]] = [
+            (one, getter((one.name,)), show(one.node), unit_of(one.node)) for one in plan.fields
+        ]
+        self._leaves: list[tuple[Leaf, Callable[[Any], str], str]] | None = None
+        self._rows: dict[str, draw.FieldRow] = {}
+        self._picture: list[str] | None = None
+
+    @classmethod
+    def of_all(cls, variants: Iterable[Variant]) -> dict[type, Fields]:
+        """By the type of the records."""
+        return {
+            kind: cls(variant, variant.messages[name])
+            for variant in variants
+            for name, kind in records_of(variant).items()
+        }
+
+    def page_of(self, record: Record) -> list[tuple[str, Any]]:
+        """The page's names and values."""
+        return [(name, getattr(record, name)) for name in self.page]
+
+    def tokens(self, record: Record) -> Iterator[Token]:
+        """The fields, each as a whole; those that are not there are left out."""
+        for one, get, shown, unit in self._short:
+            value = get(record)
+            if value is None:
+                if one.when is None and not isinstance(one.node, p.FromRequest):
+                    yield Token(one.name, "unknown", "")
+            elif value or not _is_dull(one.node):
+                yield Token(one.name, shown(value), unit)
+
+    def values(self, record: Record, history: Sequence[Record] = (), width: int = 24) -> list[Value]:
+        """Every single value, lists and nested records taken apart, with its curve over `history`."""
+        if self._leaves is None:
+            self._leaves = [(leaf, show(leaf.node), unit_of(leaf.node)) for leaf in leaves(self._plan)]
+            captured = draw.captured_values(self._message)
+            self._rows = {row.name: row for row in draw.table(self._plan, captured)}
+        found: list[Value] = []
+        for leaf, shown, unit in self._leaves:
+            value = leaf.get(record)
+            if value is None and leaf.conditional:
+                continue
+            row = self._rows.get(leaf.path)
+            curve = ""
+            if isinstance(value, (int, float)) and len(history) > 1:
+                curve = sparkline([leaf.get(one) for one in history][-width:])
+            found.append(
+                Value(
+                    leaf.path,
+                    "unknown" if value is None else shown(value),
+                    unit if value is not None else "",
+                    row.place if row is not None else "",
+                    row.doc if row is not None else "",
+                    curve,
+                )
+            )
+        return found
+
+    @property
+    def picture(self) -> list[str]:
+        """The message's layout, bit by bit, 79 columns wide."""
+        if self._picture is None:
+            self._picture = draw.picture(self._message)
+        return self._picture
+
+
+def _is_dull(node: p.Node) -> bool:
+    """Whether zero or nothing need not be told: bits without a field, bytes up to the end of the packet."""
+    return isinstance(node, p.Rest) or (isinstance(node, p.Scalar) and node.size is None)
+
+
+def sparkline(values: Sequence[Any]) -> str:
+    """A curve of blocks, from the least value to the greatest; nothing where nothing varies.
+
+    >>> sparkline([0, 1, 2, 3, None, 7])
+    '▁▂▃▄ █'
+    """
+    numbers = [value for value in values if _is_number(value)]
+    if not numbers:
+        return ""
+    least, most = min(numbers), max(numbers)
+    if not most > least:
+        return ""
+    scale = (len(BLOCKS) - 1) / (most - least)
+    return "".join(BLOCKS[round((v - least) * scale)] if _is_number(v) else " " for v in values)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and -1e300 < value < 1e300
+
+
+__all__ = ["Fields", "Token", "Value", "sparkline"]

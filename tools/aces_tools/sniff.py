@@ -1,0 +1,367 @@
+"""Listen to a bus: decoded lines as they come. It cannot send.
+
+  aces sniff -i socketcan -c can0 -p hubo
+  aces sniff -i aces -c unix:can0 -p hubo --message Encoder --where board=3
+  aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t d --filter 060:7F0
+  aces sniff -i socketcan -c can0 --record walk.log -q
+  aces sniff --serial /dev/ttyUSB0 -p robotis --direction both
+  aces sniff --udp 14550 -p my_spec.py --format jsonl
+
+Without -p frames are shown as candump shows them, and bytes as they came.
+Ctrl-C ends it with the summary.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.capture import CanFilter, Chunk, parse_filter
+from aces_bus.errors import CallerError
+from aces_bus.frame import Frame
+from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
+from aces_bus.protocol.scan.counts import Counts
+
+from .bus_arg import ChosenBus, add_bus_arguments, chosen_bus
+from .console import abandon_stdout, say, terminal_width, wants_colour
+from .decode import SUFFIXES, LiveDecoding
+from .decoding import Direction, Link, Totals, utf8
+from .live import STEP_S, LivePatience, Told, heard_frame, losses, parse_duration
+from .live_text import TIME_MODES, CandumpLines, LiveText, Times
+from .output import Writer
+from .protocols_arg import parse_protocols
+
+if TYPE_CHECKING:
+    from .recorder import Recorder
+
+#: Where frames come close behind each other, they are shown together, so often: less work, and nobody sees it.
+TOGETHER_S = 0.01
+#: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
+LEAST_SILENCE_S = 0.02
+#: The silence after which nothing goes on, where no protocol declares a gap.
+SILENCE_S = 1.0
+
+EPILOG = """\
+times (-t, candump's): a absolute, d since the line before, z since the first,
+A date and local time. With jsonl they are always absolute.
+
+recording (--record FILE, by its suffix; without one a candump log or, of
+serial lines and datagrams, our serial log .slog):
+  Everything heard is recorded, whatever is shown. It is on disk within half a
+  second: after kill -9 all but that is there. Formats that have to be finished
+  (.blf .mf4 .asc .gz …) are kept as FILE.log until the end. A file that is
+  there already is never written over.
+
+summary (last on stderr): as of 'aces decode', and then what was lost:
+  dropped         came faster than it was shown
+  kernel_dropped  of which the system says that it dropped it
+  bad_input       what the adapter said and nobody understood
+  reopened        how often the bus was lost and came back
+What happens to the bus (lost, reopened, bus-off …) is said when it happens.
+
+exit status: 0, also after Ctrl-C; 2 a wrong call, a bus that cannot be
+opened, or a recording that is not whole
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = EPILOG
+    add = parser.add_argument
+    add("-p", "--protocol", action="append", default=[], metavar="PROTOCOL", help="as of 'aces decode'")
+    add(
+        "--direction",
+        choices=["to", "from", "both"],
+        help="only messages to or from the device; both pairs requests and replies",
+    )
+    add(
+        "--filter",
+        action="append",
+        default=[],
+        metavar="FILTER",
+        help="CAN: candump's filters, such as 060:7F0 or can0,150~7FF",
+    )
+    add("--message", action="append", default=[], metavar="NAME", help="only these messages")
+    add("--where", action="append", default=[], metavar="CONDITION", help="only records such as field=value")
+    add("--unknown", choices=["show", "hide", "only"], help="print what is not decoded, as of 'aces decode'")
+    add("-t", "--time", dest="time_mode", choices=list(TIME_MODES), default="z", help="times (default: z)")
+    add("-n", "--count", type=int, metavar="N", help="end after so many lines")
+    add("--for", dest="duration", metavar="DURATION", help="end after so long: 10s, 500ms, 2min")
+    add("--format", choices=["text", "jsonl", "csv"], help="default: by the suffix of --output, else text")
+    add("--output", "-o", metavar="FILE", help="write there instead of standard output")
+    add("-q", "--quiet", action="store_true", help="print no lines, only the summary")
+    add("--record", metavar="FILE", help="write all that is heard there; see below")
+    add(
+        "--color",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="colour, also where the output is no terminal; or never",
+    )
+    add_bus_arguments(parser)
+    parser.set_defaults(files=[], start=None, stop=None, strict=False, time="relative")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    return Sniffing(arguments).run()
+
+
+class Sniffing(LiveDecoding):
+    """One run of `aces sniff`. A wrong call raises before anything is opened."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self.bus: ChosenBus = chosen_bus(arguments, parse_protocols(arguments.protocol))
+        self.link: Link = self.bus.link
+        self.count: int | None = arguments.count
+        if self.count is not None and self.count < 1:
+            raise CallerError(f"--count {self.count}: at least one line")
+        self.duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
+        for option in ("message", "where"):
+            if getattr(arguments, option) and not arguments.protocol:
+                raise CallerError(f"--{option} needs to know the messages; name a protocol: -p NAME")
+        self.times = Times(arguments.time_mode)
+        #: Where no protocol is named: candump's lines.
+        self.lines: CandumpLines | None = None
+        #: How many lines were shown.
+        self.printed = 0
+        super().__init__(arguments)
+        self.name = utf8(self.bus.name)
+        self.scanner: Any = self._own_scanner()
+        self.scanner.reset()
+        self.total = self.totals.setdefault(self.link, Totals())
+        self.gap_ns = round(max(getattr(self.scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S) * 1e9)
+        #: When bytes were heard last, and whether the silence since then was told to the scanner.
+        self.heard_at, self.is_settled = 0, True
+        self.epoch_ns = time.time_ns() - time.monotonic_ns()
+        self.lost = ""
+
+    def _filter(self, texts: list[str]) -> CanFilter | None:
+        if texts and self.bus.kind != "can":
+            raise CallerError("--filter is for CAN frames, and this is no CAN bus")
+        return parse_filter(*texts) if texts else None
+
+    def _own_scanner(self) -> Scanner | Nameless:
+        if self.variants[self.link]:
+            return self._scanner(self.link, self.direction)
+        return CanScanner((), everything=True) if self.link == "can" else Nameless()
+
+    def _writer(self, arguments: argparse.Namespace) -> Writer:
+        path: str = arguments.output or ""
+        form: str = arguments.format or SUFFIXES.get(os.path.splitext(path)[1].lower(), "text")
+        if form != "text":
+            return super()._writer(arguments)
+        from .output.text import make_paint, no_paint
+
+        is_terminal = self.output.is_terminal
+        paint = make_paint() if wants_colour(arguments.color, is_terminal) else no_paint
+        if not self.plans:
+            self.lines = CandumpLines(self.times, paint=paint, encoding=self.output.encoding)
+        return LiveText(
+            self.plans,
+            self.direction if self.direction != "both" else None,
+            times=self.times,
+            paint=paint,
+            width=terminal_width() if is_terminal else None,
+            encoding=self.output.encoding,
+        )
+
+    # ------------------------------------------------------------------ running
+
+    @property
+    def is_done(self) -> bool:
+        """Whether `--count` lines have been shown."""
+        return self.count is not None and self.printed >= self.count
+
+    def run(self) -> int:
+        gate = self.bus.gate(listen_only=True)
+        told, inbox = Told(gate), gate.subscribe()
+        recorder = self._recorder()
+        with LivePatience() as patience:
+            try:
+                if recorder is not None:
+                    recorder.start(gate, self.name, self.epoch_ns, self._stated)
+                self.bus.start(gate)
+            except BaseException:
+                if recorder is not None:
+                    recorder.abandon()
+                raise
+            if self.lines is None:
+                self.pending = (self.name, self.link)
+            try:
+                self._listen(inbox, patience, told, recorder)
+                gate.stop()
+                if not self.is_done:
+                    self._hear(inbox.get(0))
+                    self._end()
+                self.output.close()
+            except BrokenPipeError:
+                abandon_stdout()
+            except KeyboardInterrupt:
+                patience.is_over = True
+            except CallerError as error:
+                self._complain(str(error))
+            finally:
+                gate.stop()
+            told.tell(last=True)
+            self._close(recorder)
+            self.total.count(self.scanner.counts)
+            self.lost = losses(gate, inbox.dropped)
+            self._summarise()
+        return self.status
+
+    def _recorder(self) -> Recorder | None:
+        if self.arguments.record is None:
+            return None
+        from .recorder import Recorder
+
+        return Recorder(self.arguments.record, self.link)
+
+    @property
+    def _stated(self) -> Any:
+        """Which way bytes went, as far as it was said."""
+        return self.direction if self.direction != "both" else None
+
+    def _listen(self, inbox: Any, patience: LivePatience, told: Told, recorder: Recorder | None) -> None:
+        until = None if self.duration is None else time.monotonic_ns() + self.duration
+        before = 0.0
+        while not patience.is_over and not self.is_done:
+            wait = STEP_S if self.is_settled else min(STEP_S, self.gap_ns / 1e9)
+            if until is not None:
+                left = (until - time.monotonic_ns()) / 1e9
+                if left <= 0:
+                    return
+                wait = min(wait, left)
+            items = inbox.get(wait)
+            if told.tell():
+                self._flush()
+            if items:
+                self._hear(items)
+                self.output.flush()
+                if time.monotonic() - before < 2 * TOGETHER_S:
+                    time.sleep(TOGETHER_S)
+                before = time.monotonic()
+            else:
+                self._silence()
+                if inbox.is_closed:
+                    return
+            if recorder is not None and recorder.failure is not None:
+                return
+
+    def _hear(self, items: Sequence[Any]) -> None:
+        """Show what was heard, up to the last line that is asked for."""
+        if not items:
+            return
+        if self.bus.kind != "can":
+            for item in items:
+                if not self.is_done:
+                    self._bytes(item)
+            return
+        frames = [heard_frame(item, self.name, self.epoch_ns) for item in items]
+        pieces = [frames] if self.count is None else [[frame] for frame in frames]
+        for piece in pieces:
+            if self.is_done:
+                return
+            if self.lines is not None:
+                self._plain(piece, self.lines)
+            else:
+                self._frames(self.scanner, piece, self.total)
+
+    def _plain(self, frames: list[Frame], lines: CandumpLines) -> None:
+        """Frames without a protocol."""
+        items = self.scanner.feed(frames)
+        if self.times.start is None:
+            self.times.start = frames[0].timestamp
+        if self.absent:
+            self._seen({str(frame.channel) for frame in frames})
+        kept = []
+        for frame, item in zip(frames, items, strict=True):
+            if self.filter is None or self.filter.matches(frame):
+                kept.append(frame)
+            else:
+                self._reject(item, 1, self.total)
+        if kept and self.shows_losses:
+            self.output.write(lines.frames(kept))
+            self.printed += len(kept)
+
+    def _bytes(self, item: Any) -> None:
+        """Bytes of a serial line, or a datagram."""
+        seconds = (item.host_ns + self.epoch_ns) / 1e9
+        if self.lines is not None:
+            self.scanner.feed(item.data, seconds)
+            if self.times.start is None:
+                self.times.start = seconds
+            if self.shows_losses:
+                self.output.write(self.lines.chunks([Chunk(item.data, seconds, self._stated)], self.name))
+                self.printed += 1
+            return
+        if self.bus.kind == "datagram":
+            self._emit(self.scanner.datagram(item.data, seconds), self.total, is_can=False)
+            return
+        if not self.is_settled and item.host_ns - self.heard_at > self.gap_ns:
+            self._emit(self.scanner.idle(seconds), self.total, is_can=False)
+        self._emit(self.scanner.feed(item.data, seconds), self.total, is_can=False)
+        self.heard_at, self.is_settled = item.host_ns, False
+
+    def _silence(self) -> None:
+        """Nothing came: after the protocol's gap, what is incomplete never will be whole."""
+        now = time.monotonic_ns()
+        if self.is_settled or now - self.heard_at <= self.gap_ns:
+            return
+        self.is_settled = True
+        self._emit(self.scanner.idle((now + self.epoch_ns) / 1e9), self.total, is_can=False)
+        self.output.flush()
+
+    def _end(self) -> None:
+        self._begin(None)
+        if self.link == "serial" and not self.is_done:
+            self._emit(self.scanner.close(), self.total, is_can=False)
+
+    def _show(self, items: list[Any]) -> None:
+        if self.count is not None:
+            items = items[: self.count - self.printed]
+        self.printed += len(items)
+        super()._show(items)
+
+    def _close(self, recorder: Recorder | None) -> None:
+        if recorder is None:
+            return
+        try:
+            recorder.stop()
+        except CallerError as error:
+            self._complain(str(error))
+        unit = "frames" if self.link == "can" else "bytes"
+        lost = f", {recorder.dropped} came faster than they could be written" if recorder.dropped else ""
+        say(f"recorded {recorder.recorded} {unit} in {recorder.written}{lost}")
+
+    def _summary(self, link: Link, total: Totals) -> str:
+        return f"{super()._summary(link, total)} {self.lost}"
+
+
+class Nameless:
+    """The scanner of bytes where no protocol is named: all of them are unknown."""
+
+    gap = 0.0
+
+    def __init__(self) -> None:
+        self.counts = Counts()
+
+    def feed(self, data: bytes, time: float | None = None) -> list[Any]:
+        offset = self.counts.total
+        self.counts.total += len(data)
+        self.counts.lose(len(data), "unknown")
+        return [Unknown("unknown", Meta(None, None, time, None, None, data, offset=offset, size=len(data)))]
+
+    datagram = feed
+
+    def idle(self, time: float | None = None) -> list[Any]:
+        return []
+
+    def close(self) -> list[Any]:
+        return []
+
+    def reset(self) -> None:
+        self.counts = Counts()
+
+
+__all__ = ["Direction", "Sniffing", "add_arguments", "run"]

@@ -1,0 +1,225 @@
+"""`field=value` on the command line: what `aces send` fills a message with.
+
+    board=3                       a number: 0x1F, 1e3 and -2.5 too, in the sheet's unit
+    mode=torque                   an enumeration's name, or its number
+    error=hot|cold                flags; error=0 for none
+    position=[120,-4]             a list; or position.0=120 position.1=-4
+    servos=[{id=1,goal=512}]      nested records; or servos.0.id=1 servos.0.goal=512
+    data=0a00                     bytes, in hexadecimal (where the spec leaves the kind open: hex:0a00)
+    name="left arm"               a text
+    temperature=none              no value
+
+1. Nothing here decides whether a value fits: the encoder does, and says what would.
+2. What cannot be read raises `CallerError` with the field, the text and what could be written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.spec.message import Message
+
+_ASSIGNMENT = re.compile(r"\s*([A-Za-z_]\w*(?:\.\w+)*)\s*=(.*)", re.DOTALL)
+_OPENING, _CLOSING = "[{(", "]})"
+#: How deep lists and records may stand in each other.
+DEEPEST = 16
+
+
+def is_assignment(text: str) -> bool:
+    """Whether an argument is a `field=value`."""
+    return _ASSIGNMENT.fullmatch(text) is not None
+
+
+def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
+    """The values of `field=value` arguments, as the encoder takes them.
+
+    Raises `CallerError` for what cannot be read, is given twice or is half a list, and `UnknownNameError` for a field that
+    the message has not.
+    """
+    nodes = {field.name: field.node for field in flatten(message).fields}
+    tree: dict[str | int, Any] = {}
+    for text in texts:
+        found = _ASSIGNMENT.fullmatch(text)
+        if found is None:
+            raise CallerError(f"{text!r} is not a value of {message.name}; write field=value")
+        path = tuple(int(part) if part.isdecimal() else part for part in found[1].split("."))
+        if path[0] not in message.fields:
+            raise UnknownNameError(f"field of {message.name}", str(path[0]), message.fields)
+        node = _node_of(nodes.get(str(path[0])), path[1:])
+        _put(tree, path, parse_value(found[2].strip(), node, found[1]), found[1])
+    return {str(name): _whole(value, str(name)) for name, value in tree.items()}
+
+
+def _node_of(node: p.Node | None, path: Sequence[str | int]) -> p.Node | None:
+    """The node at the end of a path; None where the spec leaves the shape open."""
+    for step in path:
+        if isinstance(node, p.Many) and isinstance(step, int):
+            node = node.items[step] if step < len(node.items) else None
+        elif isinstance(node, p.Group):
+            node = next((field.node for field in node.fields if field.name == step), None)
+        else:
+            return None
+    return node
+
+
+class _Given(dict[str | int, Any]):
+    """Values given one by one, under their names or places."""
+
+
+def _put(tree: dict[str | int, Any], path: Sequence[str | int], value: Any, name: str) -> None:
+    for step in path[:-1]:
+        inner = tree.setdefault(step, _Given())
+        if not isinstance(inner, _Given):
+            raise CallerError(f"{name} is given twice: as a whole, and a part of it")
+        tree = inner
+    if path[-1] in tree:
+        raise CallerError(f"{name} is given twice")
+    tree[path[-1]] = value
+
+
+def _whole(value: Any, name: str) -> Any:
+    """Lists and records out of what was given one by one."""
+    if not isinstance(value, _Given):
+        return value
+    if any(isinstance(step, str) for step in value):
+        return {str(step): _whole(inner, f"{name}.{step}") for step, inner in value.items()}
+    places = {int(step): inner for step, inner in value.items()}
+    for place in range(len(places)):
+        if place not in places:
+            raise CallerError(f"{name}.{place} is not given, and {name}.{max(places)} is")
+    return [_whole(places[place], f"{name}.{place}") for place in range(len(places))]
+
+
+# ---------------------------------------------------------------------- single values
+
+
+def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> Any:
+    """A value from its text; `node` says what is expected, None leaves it to the text."""
+    if depth > DEEPEST:
+        raise CallerError(f"{name}: lists in lists deeper than {DEEPEST}")
+    if isinstance(node, p.Scalar) and node.kind == "text":
+        return _unquoted(text)
+    if isinstance(node, p.Cell) and node.conversion == "text":
+        return _unquoted(text)
+    if text == "none":
+        return None
+    if isinstance(node, p.Many):
+        return _list(text, list(node.items), name, depth)
+    if isinstance(node, p.Group):
+        return _record(text, {field.name: field.node for field in node.fields}, name, depth)
+    if isinstance(node, p.Scalar) and node.kind == "bytes":
+        return _bytes(text.removeprefix("hex:"), name)
+    if isinstance(node, (p.Scalar, p.FromIdentifier, p.Cell)):
+        return _of_number(text, node, name)
+    return _open(text, name, depth)
+
+
+def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.Cell, name: str) -> Any:
+    steps: Sequence[p.Step] = getattr(node, "steps", ())
+    flags = next((step for step in steps if isinstance(step, p.FlagBits)), None)
+    number = _number(text)
+    if flags is not None and number is None:
+        inside = text[1:-1] if text[:1] + text[-1:] in ("{}", "[]") else text
+        return [part.strip() for part in re.split(r"[|,]", inside) if part.strip()]
+    if number is not None:
+        return number
+    named = [name for step in steps if isinstance(step, p.Names) for _, name in step.values]
+    named += [name for step in steps if isinstance(step, p.Scale) for _, name in step.names]
+    if isinstance(node, p.Cell):
+        named += [name for _, name in node.names]
+    if named:
+        if text not in named:
+            raise UnknownNameError(f"value of {name}", text, named)
+        return text
+    unit = f" in {node.unit}" if getattr(node, "unit", "") else ""
+    raise CallerError(f"{name}={text}: {text!r} is not a number; write one{unit}, such as 12, 0x1F or -2.5")
+
+
+def _open(text: str, name: str, depth: int) -> Any:
+    """A value whose kind only its text tells."""
+    if text[:1] == "[":
+        return _list(text, [], name, depth)
+    if text[:1] == "{":
+        return _record(text, {}, name, depth)
+    if text.startswith("hex:"):
+        return _bytes(text[4:], name)
+    number = _number(text)
+    return _unquoted(text) if number is None else number
+
+
+def _number(text: str) -> int | float | None:
+    try:
+        return int(text, 0)
+    except ValueError:
+        pass
+    try:
+        return int(text) if text.lstrip("+-").isdecimal() else float(text)
+    except ValueError:
+        return None
+
+
+def _bytes(text: str, name: str) -> bytes:
+    try:
+        return bytes.fromhex(text.removeprefix("0x"))
+    except ValueError:
+        raise CallerError(
+            f"{name}={text}: bytes are written as hexadecimal digits, two a byte: {name}=0a00"
+        ) from None
+
+
+def _unquoted(text: str) -> str:
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'" else text
+
+
+def _list(text: str, nodes: Sequence[p.Node], name: str, depth: int) -> list[Any]:
+    if text[:1] + text[-1:] != "[]":
+        raise CallerError(f"{name}={text}: this is a list; write {name}=[1,2], or {name}.0=1 {name}.1=2")
+    return [
+        parse_value(part, nodes[place] if place < len(nodes) else None, f"{name}.{place}", depth + 1)
+        for place, part in enumerate(_parts(text[1:-1], name))
+    ]
+
+
+def _record(text: str, nodes: Mapping[str, p.Node], name: str, depth: int) -> dict[str, Any]:
+    if text[:1] + text[-1:] != "{}":
+        raise CallerError(
+            f"{name}={text}: this is a record of several values; write {name}={{a=1,b=2}}, or {name}.a=1 {name}.b=2"
+        )
+    found: dict[str, Any] = {}
+    for part in _parts(text[1:-1], name):
+        key, sign, value = part.partition("=")
+        key = key.strip()
+        if not sign:
+            raise CallerError(f"{name}: {part!r} is not name=value")
+        found[key] = parse_value(value.strip(), nodes.get(key), f"{name}.{key}", depth + 1)
+    return found
+
+
+def _parts(text: str, name: str) -> list[str]:
+    """What stands between commas that are in no bracket and no quotes."""
+    parts, start, quote = [], 0, ""
+    open_ = 0
+    for place, letter in enumerate(text):
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in "\"'":
+            quote = letter
+        elif letter in _OPENING:
+            open_ += 1
+        elif letter in _CLOSING:
+            open_ -= 1
+        elif letter == "," and not open_:
+            parts.append(text[start:place].strip())
+            start = place + 1
+    if quote or open_:
+        raise CallerError(f"{name}: a bracket or a quote is not closed in {text!r}")
+    last = text[start:].strip()
+    return [*parts, last] if last or parts else []
+
+
+__all__ = ["is_assignment", "parse_fields", "parse_value"]
