@@ -5,27 +5,28 @@
 
 from __future__ import annotations
 
-import os
-
 from ._source import Source, split_lines
 from .base import CanCapture
 from .candump import CandumpCapture
 from .open import open_capture
 
+#: Bytes of a part that are worth another process.
+LEAST = 1 << 16
 #: First byte, and the one behind the last.
 Span = tuple[int, int]
 
 
-def split_capture(path: str, size: int) -> list[Span] | None:
-    """Parts of about `size` bytes; None for what can only be read from its start: packed files, pipes, other formats.
+def split_capture(path: str, pieces: int) -> list[Span] | None:
+    """That many parts of about the same size, none smaller than `LEAST`.
+
+    None for what can only be read from its start: packed files, pipes, other formats.
 
     Raises `CaptureError` when the file cannot be opened or is no CAN capture.
     """
     with open_capture(path, link="can") as capture:
         if capture.live or not isinstance(capture, CandumpCapture):
             return None
-    pieces = max(1, os.path.getsize(path) // size)
-    spans = split_lines(path, pieces, min(size, 1 << 20))
+    spans = split_lines(path, pieces, LEAST)
     return spans if len(spans) > 1 else None
 
 

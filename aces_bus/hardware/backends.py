@@ -7,8 +7,8 @@
 
 from __future__ import annotations
 
+import select
 import socket
-import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -27,11 +27,11 @@ BY_STATE = frozenset({"pcan"})
 #: Backends that give back what was sent through them, whether asked or not.
 ECHOES = frozenset({"udp_multicast"})
 
-#: The receive buffer that SocketCAN is asked for; the usual one holds some 278 frames.
-RECEIVE_BUFFER = 8 << 20
-_SO_RCVBUFFORCE = 33
-_SO_RXQ_OVFL = 40
-_ANCILLARY = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4) if hasattr(socket, "CMSG_SPACE") else 0
+#: Backends that say with a `CanError`, too, that they did not understand one datagram.
+DATAGRAMS = frozenset({"udp_multicast"})
+
+#: Seconds in which a socketcand server must greet.
+GREETING_S = 3.0
 
 
 def quiet_options(interface: str) -> Mapping[str, Any]:
@@ -47,56 +47,69 @@ def silence(bus: Any) -> None:
         bus.state = BusState.PASSIVE
 
 
+def check_server(options: Mapping[str, Any]) -> None:
+    """Raise `OSError` when a socketcand server is not there, at once.
+
+    python-can's client would knock 10 s long without a pause, and wait for ever for a greeting.
+    """
+    if options.get("interface") == "socketcand" and "host" in options and "port" in options:
+        address = (str(options["host"]), int(options["port"]))
+        with socket.create_connection(address, GREETING_S) as probe:
+            if not probe.recv(64).startswith(b"< hi"):
+                raise OSError(f"no socketcand server answers on {address[0]}:{address[1]}")
+
+
+def forget_line(bus: Any) -> None:
+    """Make a text backend drop the line that it cannot read: it would come upon it for ever.
+
+    Its own `flush` also throws away the good lines that wait behind.
+    """
+    line = getattr(bus, "_buffer", None)
+    flush = getattr(bus, "flush", None)
+    if isinstance(line, bytearray):
+        line.clear()
+    elif callable(flush):
+        flush()
+
+
 Read = Callable[[float], Any]
 
 
 def reader_of(bus: Any) -> Read:
-    """A function that gives the next message within some seconds, or None.
+    """A function that gives the next message, or frame, within some seconds; or None.
 
-    Of SocketCAN it reads the socket itself: with a large buffer, and with the kernel's count of what it dropped.
+    It may have `take_dropped` (how many frames the system dropped since the last call), `state` (the controller's) and
+    `overflows` (how often the adapter said that it lost frames).
     """
     sock = getattr(bus, "socket", None)
     if isinstance(sock, socket.socket) and sock.family == getattr(socket, "AF_CAN", -1):
+        from .socketcan import SocketcanReader
+
         return SocketcanReader(bus, sock)
+    sock = getattr(bus, "_SocketCanDaemonBus__socket", None)
+    if isinstance(sock, socket.socket):
+        return SocketcandReader(bus, sock)
     read: Read = bus.recv
     return read
 
 
-class SocketcanReader:
-    """`recv` of a SocketCAN bus that knows how many frames the kernel has dropped."""
+class SocketcandReader:
+    """`recv` of python-can's socketcand client that knows when the server is gone.
+
+    Its own then returns nothing, without a pause, for ever.
+    """
 
     def __init__(self, bus: Any, sock: socket.socket) -> None:
-        self._bus, self._socket = bus, sock
-        self._seen = self._dropped = 0
-        for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):  # the first takes a privilege, and knows no limit
-            try:
-                sock.setsockopt(socket.SOL_SOCKET, option, RECEIVE_BUFFER)
-                break
-            except OSError:
-                continue
-        try:
-            sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-        except OSError:
-            pass
+        self._recv, self._socket = bus.recv, sock
 
     def __call__(self, timeout: float) -> Any:
-        """The next message that passes the bus's filters."""
-        self._look()
-        return self._bus.recv(timeout)
-
-    def _look(self) -> None:
-        """The kernel's count rides beside a frame: peek at the next one's."""
-        try:
-            _, ancillary, _, _ = self._socket.recvmsg(1, _ANCILLARY, socket.MSG_PEEK | socket.MSG_DONTWAIT)
-        except (OSError, AttributeError):
-            return
-        for level, kind, data in ancillary:
-            if level == socket.SOL_SOCKET and kind == _SO_RXQ_OVFL and len(data) >= 4:
-                (count,) = struct.unpack_from("=I", data)
-                self._dropped += (count - self._seen) & 0xFFFF_FFFF
-                self._seen = count
-
-    def take_dropped(self) -> int:
-        """How many frames the kernel has dropped since the last call."""
-        found, self._dropped = self._dropped, 0
-        return found
+        """The next message within some seconds. Raises `EOFError` when the server has hung up."""
+        message = self._recv(0)
+        if message is not None or not timeout:
+            return message
+        ready, _, _ = select.select([self._socket], [], [], timeout)
+        if not ready:
+            return None
+        if not self._socket.recv(1, socket.MSG_PEEK):
+            raise EOFError("the socketcand server has closed the connection")
+        return self._recv(0)

@@ -20,7 +20,15 @@ from ..capture.filters import CanFilter
 from ..errors import CallerError
 from ..frame import Frame
 from ..runtime import Clock
-from .backends import ECHOES, quiet_options, reader_of, silence
+from .backends import (
+    DATAGRAMS,
+    ECHOES,
+    check_server,
+    forget_line,
+    quiet_options,
+    reader_of,
+    silence,
+)
 from .gate import POLL_S, Gate
 from .inbox import LIMIT, Inbox, Listener
 from .wire import arbitration
@@ -92,12 +100,19 @@ class CanGate(Gate[Received]):
 
     def _opened(self) -> Any:
         bus = self._open()
-        if self.listen_only:
-            silence(bus)
-        self._read = reader_of(bus)
+        try:
+            if self.listen_only:
+                silence(bus)
+            self._read = reader_of(bus)
+        except Exception:
+            self._close(bus)
+            raise
+        self._overflows = 0
         self._last_stamp = None
         self._controller = "error-active"
-        self._is_echoing = self._interface in ECHOES or type(bus).__module__.split(".")[-1] in ECHOES
+        kinds = {self._interface, *type(bus).__module__.split(".")}
+        self._is_echoing = not kinds.isdisjoint(ECHOES)
+        self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
         return bus
 
     def _shut(self, bus: Any) -> None:
@@ -135,7 +150,7 @@ class CanGate(Gate[Received]):
                 error = self._hand_over(message)
             if error is not None:
                 strange += 1
-                if not _is_end(error) and strange < STRANGE:
+                if not self._is_end(error) and strange < STRANGE:
                     self._misunderstood(error)
                     continue
                 strange = 0
@@ -168,6 +183,8 @@ class CanGate(Gate[Received]):
                 break
         self.counters.received += len(batch)
         self._put(batch)
+        if any(item.frame.is_error_frame for item in batch):
+            self._look_at_state()
         lost = getattr(self._read, "take_dropped", None)
         if lost is not None and (count := lost()):
             self.counters.kernel_dropped += count
@@ -175,24 +192,14 @@ class CanGate(Gate[Received]):
         return failed
 
     def _frame(self, message: Any) -> Frame | None:
-        try:
-            frame = Frame(
-                message.arbitration_id,
-                bytes(message.data),
-                message.timestamp,
-                message.channel if message.channel is None else str(message.channel),
-                message.is_extended_id,
-                message.is_remote_frame,
-                message.is_error_frame,
-                message.is_fd,
-                message.bitrate_switch,
-                message.error_state_indicator,
-                message.is_rx,
-                message.dlc if message.is_remote_frame else None,
-            )
-        except (CallerError, AttributeError, TypeError) as error:
-            self._misunderstood(error)
-            return None
+        if isinstance(message, Frame):
+            frame = message
+        else:
+            try:
+                frame = _frame_of(message)
+            except Exception as error:  # whatever a backend's message may be
+                self._misunderstood(error)
+                return None
         if self._is_echoing and self._is_echo(frame):
             self.counters.echoes += 1
             return None
@@ -213,23 +220,40 @@ class CanGate(Gate[Received]):
 
     def _misunderstood(self, error: BaseException) -> None:
         self.counters.bad_input += 1
-        self._tell("bad input", f"{type(error).__name__}: {error}")
-        flush = getattr(self._bus, "flush", None)
-        if callable(flush) and isinstance(error, (UnicodeError, ValueError, IndexError)):
+        said = error if error.__cause__ is None else error.__cause__
+        self._tell("bad input", f"{type(said).__name__}: {said}")
+        if isinstance(error, UnicodeError) or isinstance(error.__cause__, UnicodeError):
             try:
-                flush()  # a text backend keeps the line that it cannot read, and reads nothing else until told so
+                forget_line(self._bus)
             except Exception:
                 pass
 
     def _look_at_state(self) -> None:
-        try:
-            name = str(getattr(self._bus.state, "name", ""))
-        except Exception:  # not every backend has one
-            return
-        state = {"ERROR": "bus-off", "PASSIVE": "error-passive"}.get(name, "error-active")
+        overflows = getattr(self._read, "overflows", 0)
+        if overflows != self._overflows:
+            self._overflows = overflows
+            self._tell("dropped", "the adapter's buffer was full; it does not say how many frames it lost")
+        state = getattr(self._read, "state", None)
+        if state is None:
+            try:
+                name = str(getattr(self._bus.state, "name", ""))
+            except Exception:  # not every backend has one
+                return
+            state = {"ERROR": "bus-off", "PASSIVE": "error-passive"}.get(name, "error-active")
         if state != self._controller and not (self.listen_only and state == "error-passive"):
             self._controller = state
             self._tell(state)  # type: ignore[arg-type]
+
+    def _is_end(self, error: BaseException) -> bool:
+        """Whether an exception says that the bus is gone, and not only that something was not understood."""
+        import can
+
+        cause = error.__cause__  # python-can wraps everything: slcan's reading of a byte that is no text, too
+        if isinstance(cause, UnicodeError):
+            return False
+        if self._is_of_datagrams and isinstance(error, can.CanError):
+            return isinstance(cause, OSError)
+        return isinstance(error, (can.CanError, OSError, EOFError)) or "serial" in type(error).__module__
 
     # ------------------------------------------------------------------ sending
 
@@ -317,14 +341,29 @@ def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:
     def open_bus() -> Any:
         import can
 
+        check_server(options)
         more = quiet_options(str(options.get("interface") or "")) if listen_only else {}
         return can.Bus(**{**options, **more})
 
     return open_bus
 
 
-def _is_end(error: BaseException) -> bool:
-    """Whether an exception says that the bus is gone, and not only that something was not understood."""
-    import can
-
-    return isinstance(error, (can.CanError, OSError, EOFError)) or "serial" in type(error).__module__
+def _frame_of(message: Any) -> Frame:
+    """A python-can message as a frame. Raises `CallerError` or `ValueError` for one that cannot exist."""
+    data = bytes(message.data)
+    if len(data) < message.dlc and not message.is_remote_frame and (message.is_fd or len(data) < 8):
+        raise ValueError(f"{len(data)} data bytes of {message.dlc} arrived")  # slcan: a line cut short
+    return Frame(
+        message.arbitration_id,
+        data,
+        message.timestamp,
+        message.channel if message.channel is None else str(message.channel),
+        message.is_extended_id,
+        message.is_remote_frame,
+        message.is_error_frame,
+        message.is_fd,
+        message.bitrate_switch,
+        message.error_state_indicator,
+        message.is_rx,
+        message.dlc if message.is_remote_frame else None,
+    )

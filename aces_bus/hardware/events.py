@@ -73,5 +73,7 @@ class Events:
         for handler in self._handlers:
             try:
                 handler(event)
-            except Exception:  # whatever a user's handler may raise: rule 2
+            except KeyboardInterrupt:  # the user's, and only on the main thread
+                raise
+            except BaseException:  # whatever a handler may raise, SystemExit too: rule 2
                 self.failures += 1

@@ -105,7 +105,7 @@ class Listener(Generic[Item]):
             if items:
                 try:
                     self._function(items)
-                except Exception as error:  # whatever a user's function may raise
+                except BaseException as error:  # whatever a user's function may raise, SystemExit too
                     self.failures += 1
                     self._failed(error)
             elif self.inbox.is_closed:

@@ -38,7 +38,10 @@ class Pace:
 
     def due(self, frame: Frame) -> int:
         """The instant at which this frame, the next of the capture, is due."""
-        stamp = to_ns(frame.timestamp)
+        return self.due_at(to_ns(frame.timestamp))
+
+    def due_at(self, stamp: int) -> int:
+        """The same for whatever has this time stamp (ns of the capture, or `NO_TIME`)."""
         if stamp == NO_TIME or self.speed is None:
             return self._due
         if self._last is not None:

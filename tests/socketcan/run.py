@@ -24,6 +24,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import threading
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -107,7 +108,9 @@ def kernel_package() -> str:
         return told
     found = re.search(r"Depends: (linux-image-\S+)", run("apt-cache", "depends", "linux-image-amd64"))
     if found is None:
-        raise CannotRun("no kernel package is known; run `apt-get update`, or name one: KERNEL_PKG=linux-image-…")
+        raise CannotRun(
+            "no kernel package is known; run `apt-get update`, or name one: KERNEL_PKG=linux-image-…"
+        )
     return found[1]
 
 
@@ -132,10 +135,14 @@ def bootable(image: Path) -> Path:
     plain = image.with_name("vmlinux")
     if not plain.exists():
         raw = image.read_bytes()
-        offset, length = struct.unpack_from("<II", raw, 0x248)  # x86 boot protocol: payload_offset, payload_length
+        offset, length = struct.unpack_from(
+            "<II", raw, 0x248
+        )  # x86 boot protocol: payload_offset, payload_length
         start = ((raw[0x1F1] or 4) + 1) * 512 + offset
         elf = unpack(raw[start : start + length])
-        if elf is None or not elf.startswith(b"\x7fELF") or b"Xen\0" not in elf:  # QEMU enters at the PVH note
+        if (
+            elf is None or not elf.startswith(b"\x7fELF") or b"Xen\0" not in elf
+        ):  # QEMU enters at the PVH note
             return image
         plain.write_bytes(elf)
     return plain
@@ -212,19 +219,16 @@ def boot(command: Sequence[str], limit: int) -> int:
     accel = os.environ.get("ACCEL", "tcg")
     say(f"booting {kernel.name} ({accel}); at most {limit} s")
     machine = f"-M pc -m 1024 -smp 1 -accel {accel} -cpu {'host' if accel == 'kvm' else 'max'} -nodefaults"
-    machine += " -display none -no-reboot -serial stdio -monitor none"
-    drive = "local,security_model=none,path="
+    machine += " -display none -no-reboot -serial stdio -monitor none -virtfs local,security_model=none,"
+    machine += "path=/,mount_tag=host,readonly=on,multidevs=remap"
+    words = [*machine.split(), "-virtfs", f"local,security_model=none,path={share},mount_tag=share"]
+    words += ["-kernel", str(bootable(image)), "-initrd", str(initrd)]
     process = subprocess.Popen(
-        ["qemu-system-x86_64", *machine.split(), "-kernel", str(bootable(image)), "-initrd", str(initrd)]
-        + ["-virtfs", f"{drive}/,mount_tag=host,readonly=on,multidevs=remap"]
-        + ["-virtfs", f"{drive}{share},mount_tag=share"]
-        + ["-append", "console=ttyS0 quiet panic=-1 mitigations=off audit=0"],
+        ["qemu-system-x86_64", *words, "-append", "console=ttyS0 quiet panic=-1 mitigations=off audit=0"],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
     )
     assert process.stdout is not None
-    import threading
-
     alarm = threading.Timer(limit, process.kill)
     alarm.start()
     for chunk in iter(functools.partial(process.stdout.readline), b""):
@@ -238,21 +242,26 @@ def boot(command: Sequence[str], limit: int) -> int:
         if is_over:
             say(f"not done after {limit} s")
             return 124
-        raise CannotRun(f"the guest did not come up (qemu's status {process.returncode}; its words are above)")
+        raise CannotRun(
+            f"the guest did not come up (qemu's status {process.returncode}; its words are above)"
+        )
     return int(status.read_text())
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Run the SocketCAN tests inside a kernel that QEMU runs.")
-    parser.add_argument("--require", action="store_true", help="fail where this cannot run, instead of skipping")
+    parser.add_argument(
+        "--require", action="store_true", help="fail where this cannot run, instead of skipping"
+    )
     parser.add_argument("--limit", type=int, default=900, metavar="SECONDS", help="at most so long (900)")
     options, rest = parser.parse_known_args()
     if rest[:1] == ["--"]:
         command = rest[1:]
     else:
-        # Quick to start: no plugins, no conftest, no doctests.
-        quick = ["-q", "-p", "no:cacheprovider", "--noconftest", "-rA", "--durations=5"]
-        command = [sys.executable, "-m", "pytest", *quick, TESTS, *rest]
+        # Quick to start: no plugins, no conftest, and not what python-can would import for a format.
+        start = "import sys; sys.modules['asammdf'] = None; import pytest; sys.exit(pytest.main())"
+        quick = ["-v", "-p", "no:cacheprovider", "--noconftest", "--durations=5"]
+        command = [sys.executable, "-c", start, *quick, TESTS, *rest]
     try:
         return boot(command, options.limit)
     except CannotRun as error:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "subject",
-        choices=["live", "columns"],
+        choices=["live", "columns", "bus"],
         help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole captures, beside "
-        "cantools, python-can, polars, asammdf and C",
+        "cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can's",
     )
     parser.add_argument(
         "--quick", action="store_true", help="a few seconds instead of a minute; rougher figures"
@@ -38,6 +38,10 @@ def run(arguments: argparse.Namespace) -> int:
         from .benchmarks import live
 
         rows = live.run(quick=arguments.quick)
+    elif arguments.subject == "bus":
+        from .benchmarks import bus
+
+        rows = bus.run(quick=arguments.quick)
     else:
         from .benchmarks import columns
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 #: python-can's backends that `list` does not ask: ours is asked better, and the other is of one process.
 _NOT_ASKED = frozenset({"aces", "virtual"})
+#: Between two lines of `load`.
+INTERVAL_NS = 1_000_000_000
 #: socketcand's beacon comes every three seconds.
 _BEACON_S = 3.5
 
@@ -41,8 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from can.cli import add_bus_arguments
 
     parser.add_argument("what", choices=["serve", "load", "list"], help="what to do")
-    parser.add_argument("channels", nargs="*", metavar="CHANNEL", help="names (default: can0); load: one, or an address")
+    parser.add_argument(
+        "channels", nargs="*", metavar="CHANNEL", help="names (default: can0); load: one, or an address"
+    )
     add_bus_arguments(parser, group_title="rates of a served bus; the bus to look at (python-can's options)")
+    for action in parser._actions:
+        if action.dest == "interface":
+            action.metavar = "INTERFACE"  # its two dozen choices hide the rest of the help
     group = parser.add_argument_group("serve")
     group.add_argument(
         "--unix",
@@ -57,7 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="speak the socketcand protocol too (default: 127.0.0.1:29536)",
     )
-    group.add_argument("--bind-anywhere", action="store_true", help="let other machines in; whoever comes may send")
+    group.add_argument(
+        "--bind-anywhere", action="store_true", help="let other machines in; whoever comes may send"
+    )
     group.add_argument(
         "--faults",
         metavar="WHAT=CHANCE,…",
@@ -96,7 +105,9 @@ def _serve(arguments: argparse.Namespace) -> int:
 
     for option in ("interface", "channel", "timing", "bus_kwargs"):
         if option in arguments:
-            raise CallerError(f"--{option.replace('_', '-')} names a bus to look at; serve makes one: aces bus serve NAME")
+            raise CallerError(
+                f"--{option.replace('_', '-')} names a bus to look at; serve makes one: aces bus serve NAME"
+            )
     if not hasattr(signal, "SIGHUP") and arguments.tcp is None:
         raise CallerError("this system has no Unix sockets; say --tcp HOST:PORT")
     names = list(dict.fromkeys(arguments.channels or ["can0"]))
@@ -183,8 +194,14 @@ def _list(arguments: argparse.Namespace) -> int:
 
     from aces_bus.hardware.served.stream import servers
 
-    found = [channel | {"socketcand": status.get("socketcand", "")} for status in servers() for channel in status["channels"]]
-    asked = sorted(can.VALID_INTERFACES - _NOT_ASKED - ({"socketcand"} if arguments.wait < _BEACON_S else set()))
+    found = [
+        channel | {"socketcand": status.get("socketcand", "")}
+        for status in servers()
+        for channel in status["channels"]
+    ]
+    asked = sorted(
+        can.VALID_INTERFACES - _NOT_ASKED - ({"socketcand"} if arguments.wait < _BEACON_S else set())
+    )
     log = logging.getLogger("can")
     before = log.level
     log.setLevel(logging.CRITICAL)  # what backends say about drivers that are not there
@@ -201,7 +218,9 @@ def _list(arguments: argparse.Namespace) -> int:
     for channel in found:
         print(_described(channel))
     for config in configs:
-        rest = " ".join(f"{name}={value}" for name, value in config.items() if name not in ("interface", "channel"))
+        rest = " ".join(
+            f"{name}={value}" for name, value in config.items() if name not in ("interface", "channel")
+        )
         print(f"-i {config['interface']} -c {config['channel']}" + (f"  {rest}" if rest else ""))
     if not found and not configs:
         say("no bus is served and none is detected; serve one: aces bus serve")
@@ -213,7 +232,9 @@ def _described(channel: dict[str, Any]) -> str:
     if channel["physics"] and channel["data_bitrate"]:
         rates += f", data {channel['data_bitrate']:,}"
     nodes = len(channel["members"])
-    lines = [f"{channel['channel']}  served: {rates}, {nodes} node{'' if nodes == 1 else 's'}, {channel['frames']:,} frames"]
+    lines = [
+        f"{channel['channel']}  served: {rates}, {nodes} node{'' if nodes == 1 else 's'}, {channel['frames']:,} frames"
+    ]
     lines += [f"  -i aces -c {address}" for address in channel["addresses"]]
     if channel["socketcand"]:
         lines.append(f"  socketcand {channel['socketcand']}")
@@ -286,13 +307,21 @@ def _served_load(text: str) -> Iterator[dict[str, Any]]:
         try:
             status = ask(address)
         except OSError as error:
-            raise CallerError(f"{text}: no server answers ({error.strerror or error}); see: aces bus list") from error
+            raise CallerError(
+                f"{text}: no server answers ({error.strerror or error}); see: aces bus list"
+            ) from error
         except AcesError as error:
             raise CallerError(f"{text}: {error}") from error
         for channel in status["channels"]:
-            if channel["channel"] == address.channel or text in channel["addresses"] or len(status["channels"]) == 1:
+            if (
+                channel["channel"] == address.channel
+                or text in channel["addresses"]
+                or len(status["channels"]) == 1
+            ):
                 return dict(channel)
-        raise CallerError(f"{text}: say which channel: {', '.join(one['channel'] for one in status['channels'])}")
+        raise CallerError(
+            f"{text}: say which channel: {', '.join(one['channel'] for one in status['channels'])}"
+        )
 
     before = look()
     for _ in _seconds():
@@ -345,14 +374,14 @@ def _heard_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> Itera
 
 
 def _seconds() -> Iterator[int]:
-    """One after each second, on absolute deadlines."""
+    """One after each interval, on absolute deadlines."""
     from aces_bus.runtime import RealClock
 
     clock = RealClock()
     due = clock.now()
     number = 0
     while True:
-        due += 1_000_000_000
+        due += INTERVAL_NS
         clock.sleep_until(due)
         number += 1
         yield number
@@ -365,7 +394,9 @@ def _line(measure: dict[str, Any]) -> str:
     text += f"  {measure['errors_per_s']:6,.0f} errors/s"
     if measure["nodes"]:
         text += f"  {len(measure['nodes'])} nodes"
-        bad = [f"{node['name']} {node['state']}" for node in measure["nodes"] if node["state"] != "error-active"]
+        bad = [
+            f"{node['name']} {node['state']}" for node in measure["nodes"] if node["state"] != "error-active"
+        ]
         text += f": {', '.join(bad)}" if bad else ""
     if measure.get("lost"):
         text += f"  {measure['lost']:,} frames lost"

@@ -93,7 +93,9 @@ class ChosenBus:
         """The same kind of CAN bus, another channel of it."""
         return replace(self, name=channel, options={**self.options, "channel": channel})
 
-    def gate(self, *, listen_only: bool, send_rate: float | None = None) -> CanGate | SerialGate | DatagramGate:
+    def gate(
+        self, *, listen_only: bool, send_rate: float | None = None
+    ) -> CanGate | SerialGate | DatagramGate:
         """Its gatekeeper, not yet started. With `listen_only` the gate has no way to send."""
         if self.kind == "can":
             from aces_bus.hardware import CanGate
@@ -108,7 +110,7 @@ class ChosenBus:
         host, port = self.options["address"]
         if listen_only:
             return DatagramGate((host, port), name=self.name, listen_only=True)
-        near = LOOPBACK if host.startswith("127.") or host == "localhost" else "0.0.0.0"  # noqa: S104
+        near = LOOPBACK if host.startswith("127.") or host == "localhost" else "0.0.0.0"
         return DatagramGate((near, 0), peer=(host, port), name=self.name)
 
     def start(self, gate: CanGate | SerialGate | DatagramGate) -> None:

@@ -329,8 +329,8 @@ class LiveDecoding(Decoding):
         try:
             for chunk in patience.each(chunks):
                 if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
-                    for scanner in used.values():
-                        self._emit(self._inside(scanner.idle(), totals, is_can=False), totals, is_can=False)
+                    for one in used.values():
+                        self._emit(self._inside(one.idle(), totals, is_can=False), totals, is_can=False)
                     self._after_batch(capture)
                     continue
                 direction: Direction | None = self.direction or chunk.direction

@@ -31,7 +31,7 @@ from .progress import Progress
 from .where_columns import Rows, WhereColumns
 
 #: Frames that are decoded at once, at least, where they need not be waited for.
-PIECE = 1 << 16
+PIECE = 1 << 18
 
 
 class ColumnDecoding(Decoding):

@@ -42,8 +42,8 @@ from .decode_columns import ColumnDecoding, pieces_of
 from .decoding import SHOWN, Totals
 from .where_columns import Rows
 
-#: Bytes of a log that are one piece.
-PIECE = 24 << 20
+#: Bytes of a log that are one piece, at most; each process gets as many.
+PIECE = 32 << 20
 #: Outputs that are folders of tables, which parts can be put into.
 FORMS = ("parquet", "arrow", "feather")
 
@@ -77,6 +77,7 @@ class JobsDecoding(ColumnDecoding):
         #: Frames of this file that have been put together.
         self._frames = 0
         self._notes: dict[str, None] = {}
+        self._deferring: CanColumns | ChannelColumns | None = None
 
     def _open_export(self, path: str) -> Export:
         return Parts(self, path)  # type: ignore[return-value]  # what this class uses of an export
@@ -127,7 +128,11 @@ class JobsDecoding(ColumnDecoding):
         self.window.untimed = 0
 
     def _tasks(self, capture: CanCapture) -> Iterator[Any]:
-        spans = split_capture(capture.name, PIECE) if os.path.isfile(capture.name) else None
+        spans = None
+        if os.path.isfile(capture.name):
+            jobs = self.arguments.jobs
+            turns = -(-os.path.getsize(capture.name) // (jobs * PIECE))
+            spans = split_capture(capture.name, jobs * max(1, turns))
         first = None if self.window is None else self.window.first
         if spans is not None:
             for span in spans:
@@ -222,7 +227,9 @@ class JobsDecoding(ColumnDecoding):
     def work(self, task: Any, place: str) -> Done:
         """Decode a piece into an export of its own at `place`."""
         kind, name, piece, first = task
-        scanner = self._column_scanner(defer=True)
+        if self._deferring is None:  # made once: `hand_over` leaves it as new
+            self._deferring = self._column_scanner(defer=True)
+        scanner = self._deferring
         totals, channels = Totals(), set[str]()
         contested: int | None = None
         capture: CanCapture | None = None

@@ -152,14 +152,15 @@ class Outgoing:
         self.gate = gate
         self.items = 0
         self._queued = 0
+        self._send: Any = gate.send
 
     def send(self, word: Any) -> None:
         """Queue a frame or bytes, behind all that were queued before. Raises `CallerError` where the gate refuses."""
         if isinstance(word, Frame):
-            self.gate.send(word, priority=0)  # type: ignore[call-arg, arg-type]
+            self._send(word, priority=0)
             self._queued += 1
         else:
-            self.gate.send(word)  # type: ignore[arg-type]
+            self._send(word)
             self._queued += len(word) if self.gate.items == "pieces" else 1
         self.items += 1
 
@@ -181,4 +182,13 @@ class Outgoing:
         return True
 
 
-__all__ = ["LINGER_S", "LivePatience", "Outgoing", "STEP_S", "Told", "heard_frame", "losses", "parse_duration"]
+__all__ = [
+    "LINGER_S",
+    "STEP_S",
+    "LivePatience",
+    "Outgoing",
+    "Told",
+    "heard_frame",
+    "losses",
+    "parse_duration",
+]

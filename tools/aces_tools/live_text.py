@@ -21,7 +21,12 @@ from aces_bus.frame import Frame
 from .output.text import Paint, Text, no_paint, printable
 
 #: `-t`, as candump has it, and what it means.
-TIME_MODES = {"a": "absolute", "d": "delta to the line before", "z": "from the first on", "A": "date and time"}
+TIME_MODES = {
+    "a": "absolute",
+    "d": "delta to the line before",
+    "z": "from the first on",
+    "A": "date and time",
+}
 
 
 class Times:
@@ -112,7 +117,9 @@ class CandumpLines:
         size = f" [{frame.length:02}]" if frame.is_fd else f"  [{frame.length}]"
         data = "  remote request" if frame.is_remote_frame else f"  {frame.data.hex(' ').upper()}"
         mark = self._paint("errors", "   ERRORFRAME") if frame.is_error_frame else ""
-        return f"{self._stamp(frame.timestamp)}  {name:<{self._width}}  {identifier} {size}{data}{mark}".rstrip()
+        return (
+            f"{self._stamp(frame.timestamp)}  {name:<{self._width}}  {identifier} {size}{data}{mark}".rstrip()
+        )
 
     def _chunk(self, chunk: Chunk, name: str) -> str:
         arrow = {"to device": ">", "from device": "<"}.get(chunk.direction or "", "?")

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from aces_bus.capture import Chunk, open_capture
+from aces_bus.capture import CanCapture, Chunk, open_capture
 from aces_bus.capture.base import Direction, Link
 from aces_bus.capture.serial_log import SerialLogWriter
 from aces_bus.capture.write import FORMATS, format_of, open_writer
@@ -168,7 +168,9 @@ class Recorder:
         except OSError as error:
             self.failure = self.failure or error.strerror or str(error)
         if self.failure is not None:
-            raise CallerError(f"--record {self.path}: recording stopped: {self.failure}; {self.journal} has the rest")
+            raise CallerError(
+                f"--record {self.path}: recording stopped: {self.failure}; {self.journal} has the rest"
+            )
         if self.final is not None:
             self._convert(self.final)
 
@@ -179,7 +181,8 @@ class Recorder:
                 open_capture(self.journal, link=self.link) as capture,
                 open_writer(self.path, form, link=self.link) as writer,
             ):
-                for piece in capture.tables() if capture.link == "can" else capture:  # type: ignore[union-attr]
+                pieces: Any = capture.tables() if isinstance(capture, CanCapture) else capture
+                for piece in pieces:
                     writer.write(piece)
         except AcesError as error:
             raise CallerError(f"{error}; the recording is {self.journal}") from error

@@ -19,6 +19,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import msgspec
+
 from aces_bus.capture.candump_line import Unreadable, read_line
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frame import Frame
@@ -70,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--every", metavar="DURATION", help="send again and again: 10ms, 0.5s")
     add("-n", "--count", type=int, metavar="N", help="with --every: so many times")
     add("--for", dest="duration", metavar="DURATION", help="with --every: for so long")
-    add("--rate", type=float, default=RATE, metavar="N", help=f"at most N frames a second (default: {RATE:g})")
+    add(
+        "--rate", type=float, default=RATE, metavar="N", help=f"at most N frames a second (default: {RATE:g})"
+    )
     add(
         "--reply",
         nargs="?",
@@ -138,7 +142,9 @@ class Sending:
             )
         found = [variant for variant in self.variants if name in variant.messages]
         if not found:
-            raise UnknownNameError("message", name, {one for variant in self.variants for one in variant.messages})
+            raise UnknownNameError(
+                "message", name, {one for variant in self.variants for one in variant.messages}
+            )
         self.variant, self.message = found[0], found[0].messages[name]
         self.fields = parse_fields(self.message, texts)
         encoder = self.variant.encoder
@@ -152,7 +158,9 @@ class Sending:
         if arguments.every is None:
             for option, value in (("--count", arguments.count), ("--for", arguments.duration)):
                 if value is not None:
-                    raise CallerError(f"{option} is for what is sent again and again; say how often: --every 10ms")
+                    raise CallerError(
+                        f"{option} is for what is sent again and again; say how often: --every 10ms"
+                    )
             return None, None, None
         every = parse_duration("--every", arguments.every)
         rate = 1e9 * len(self.first) / every
@@ -170,15 +178,17 @@ class Sending:
 
     def show(self) -> int:
         """Print what would be sent, and send nothing."""
-        writer = self._writer()
-        self.output.write(writer.begin(self._where, self._link))
+        writer = self.writer()
+        self.output.write(writer.begin(self._where, self.link))
         lines: list[str] = []
         for word in self.first:
             items = self._decoded(word)
             if self.arguments.format == "jsonl":
                 self.output.write(writer.items(items))
                 continue
-            lines.append(f"{self._where}  {notation(word) if isinstance(word, Frame) else word.hex(' ').upper()}")
+            lines.append(
+                f"{self._where}  {notation(word) if isinstance(word, Frame) else word.hex(' ').upper()}"
+            )
             self.output.write("".join(f"{line}\n" for line in lines).encode())
             lines.clear()
             if self.plans:
@@ -196,7 +206,8 @@ class Sending:
         return self.bus.name if self.bus is not None else "can" if self.is_can else "line"
 
     @property
-    def _link(self) -> str:
+    def link(self) -> str:
+        """What writers call the kind of bus."""
         return "can" if self.is_can else "serial"
 
     def _decoded(self, word: Word) -> list[Any]:
@@ -205,7 +216,9 @@ class Sending:
             from aces_bus.protocol import Meta, Unknown
 
             if isinstance(word, bytes):
-                return [Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))]
+                return [
+                    Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))
+                ]
             from aces_bus.protocol import CanScanner
 
             return CanScanner((), everything=True).feed([word])
@@ -213,7 +226,8 @@ class Sending:
         scanner: Any = make_scanner(self.variants, direction=direction or "both", everything=True)
         return list(scanner.feed([word]) if isinstance(word, Frame) else scanner.datagram(word))
 
-    def _writer(self) -> Any:
+    def writer(self) -> Any:
+        """What prints records."""
         if self.arguments.format == "jsonl":
             from .output.jsonl import JsonLines
 
@@ -273,9 +287,7 @@ class Sending:
                 status = status or 1
         return status
 
-    def _send(
-        self, outgoing: Outgoing, patience: LivePatience, told: Told, replies: _Replies | None
-    ) -> None:
+    def _send(self, outgoing: Outgoing, patience: LivePatience, told: Told, replies: _Replies | None) -> None:
         words = self.first
         due = time.monotonic_ns()
         until = None if self.until is None else due + self.until
@@ -316,7 +328,9 @@ def raw_word(text: str) -> Word:
         try:
             data = bytes.fromhex(text[1:].replace(".", ""))
         except ValueError:
-            raise CallerError(f"{text!r}: bytes are written as hexadecimal digits, two a byte: #FF00") from None
+            raise CallerError(
+                f"{text!r}: bytes are written as hexadecimal digits, two a byte: #FF00"
+            ) from None
         if not data:
             raise CallerError(f"{text!r}: no bytes to send")
         return data
@@ -325,7 +339,9 @@ def raw_word(text: str) -> Word:
     try:
         frame = read_line(b"(0.0) x " + text.encode("utf-8", "replace"))
     except Unreadable as error:
-        raise CallerError(f"{text!r} is not a frame: {error}; write 123#DEADBEEF, 12345678#00 or 123#R8") from None
+        raise CallerError(
+            f"{text!r} is not a frame: {error}; write 123#DEADBEEF, 12345678#00 or 123#R8"
+        ) from None
     if frame.is_error_frame:
         raise CallerError(f"{text!r}: error frames are made by controllers; they cannot be sent")
     return Frame(
@@ -365,25 +381,32 @@ class _Replies:
     """What is heard after sending, decoded."""
 
     def __init__(self, sending: Sending, gate: Any) -> None:
-        self._sending = sending
+        self._sending, self._name = sending, gate.name
         self._inbox = gate.subscribe()
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._scanner: Any = None
         if sending.variants:
             message = sending.message
-            facing: Any = "from device" if message is not None and message.direction == "to device" else "both"
+            facing: Any = (
+                "from device" if message is not None and message.direction == "to device" else "both"
+            )
             self._scanner = make_scanner(sending.variants, direction=facing)
         self._expected = _answers(sending.variant, sending.message)
         self._is_broadcast = _is_broadcast(sending.variant, sending.fields)
-        self._writer: Any = sending._writer() if sending.variants else None
+        self._writer: Any = sending.writer() if sending.variants else None
         self._lines = CandumpLines(Times("z"), encoding=sending.output.encoding)
         self._is_begun = False
 
     def sent(self, word: Word) -> None:
-        """Remember what the reply will be to."""
+        """Remember what the reply will be to; both are told by this machine's clock."""
         self.take(0)
-        if self._scanner is not None:
-            self._scanner.sent(word)
+        if self._scanner is None:
+            return
+        now = (time.monotonic_ns() + self._epoch_ns) / 1e9
+        if isinstance(word, Frame):
+            self._scanner.sent(msgspec.structs.replace(word, timestamp=now, channel=self._name))
+        else:
+            self._scanner.sent(word, now)
 
     def wait(self, patience: LivePatience) -> None:
         """Until the first reply, or until the time is up; of a broadcast all that come in time."""
@@ -403,10 +426,11 @@ class _Replies:
             if self._scanner is None:
                 self._unnamed(item)
                 continue
+            seconds = (item.host_ns + self._epoch_ns) / 1e9
             if sending.is_can:
-                items = self._scanner.feed([heard_frame(item, sending.bus.name, self._epoch_ns)])
+                frame = msgspec.structs.replace(item.frame, timestamp=seconds, channel=self._name)
+                items = self._scanner.feed([frame])
             else:
-                seconds = (item.host_ns + self._epoch_ns) / 1e9
                 is_whole = sending.bus.kind == "datagram"
                 items = (self._scanner.datagram if is_whole else self._scanner.feed)(item.data, seconds)
             wanted = [one for one in items if not self._expected or type(one).__name__ in self._expected]
@@ -414,21 +438,20 @@ class _Replies:
                 if not self._is_begun:
                     self._is_begun = True
                     start = wanted[0].meta.time
-                    sending.output.write(self._writer.begin(sending.bus.name, sending._link, start))
+                    sending.output.write(self._writer.begin(self._name, sending.link, start))
                 sending.output.write(self._writer.items(wanted))
                 sending.output.flush()
                 sending.replies += len(wanted)
 
     def _unnamed(self, item: Any) -> None:
         sending = self._sending
-        assert sending.bus is not None
         if sending.is_can:
-            data = self._lines.frames([heard_frame(item, sending.bus.name, self._epoch_ns)])
+            data = self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
         else:
             from aces_bus.capture import Chunk
 
             chunk = Chunk(item.data, (item.host_ns + self._epoch_ns) / 1e9)
-            data = self._lines.chunks([chunk], sending.bus.name)
+            data = self._lines.chunks([chunk], self._name)
         sending.output.write(data)
         sending.output.flush()
         sending.replies += 1

@@ -4,6 +4,7 @@
   aces sniff -i aces -c unix:can0 -p hubo --message Encoder --where board=3
   aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t d --filter 060:7F0
   aces sniff -i socketcan -c can0 --record walk.log -q
+  aces sniff -i socketcan -c can0 -b 1000000 -p hubo --screen
   aces sniff --serial /dev/ttyUSB0 -p robotis --direction both
   aces sniff --udp 14550 -p my_spec.py --format jsonl
 
@@ -93,6 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", metavar="FILE", help="write there instead of standard output")
     add("-q", "--quiet", action="store_true", help="print no lines, only the summary")
     add("--record", metavar="FILE", help="write all that is heard there; see below")
+    add("--screen", action="store_true", help="a table of all that repeats, live; needs 'aces-bus[screen]'")
     add(
         "--color",
         action=argparse.BooleanOptionalAction,
@@ -174,6 +176,10 @@ class Sniffing(LiveDecoding):
         return self.count is not None and self.printed >= self.count
 
     def run(self) -> int:
+        if self.arguments.screen:
+            from .screen.sniffing import run_on_screen
+
+            return run_on_screen(self)
         gate = self.bus.gate(listen_only=True)
         told, inbox = Told(gate), gate.subscribe()
         recorder = self._recorder()

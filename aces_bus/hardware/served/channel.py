@@ -42,7 +42,9 @@ class Connection(Protocol):
 class Member:
     """Someone on a served bus. Counts: `sent`, `received`, `dropped` (not read in time), `rejected` (refused by the bus)."""
 
-    def __init__(self, channel: ServedChannel, name: str, connection: Connection, *, fd: bool, own: bool) -> None:
+    def __init__(
+        self, channel: ServedChannel, name: str, connection: Connection, *, fd: bool, own: bool
+    ) -> None:
         self.channel, self.name, self.connection = channel, name, connection
         self.fd, self.own = fd, own
         #: Whether it talks to others of its kind without the server (`shortcut`).
@@ -107,7 +109,11 @@ class ServedChannel:
         faults: Faults = NO_FAULTS,
         physics: bool = True,
     ) -> None:
-        if not name or len(name) > 64 or not name.replace("-", "").replace("_", "").replace(".", "").isalnum():
+        if (
+            not name
+            or len(name) > 64
+            or not name.replace("-", "").replace("_", "").replace(".", "").isalnum()
+        ):
             raise CallerError(f"{name!r} is no name of a channel: letters, digits, '-', '_' and '.'")
         if faults != NO_FAULTS and not physics:
             raise CallerError("faults are the wire's, and without physics there is none")

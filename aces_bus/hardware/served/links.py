@@ -202,9 +202,7 @@ class PacketLink(Link):
                 listen_only=bool(hello.flags & packets.LISTEN_ONLY),
                 fd=bool(hello.flags & packets.TAKES_FD),
                 own=bool(hello.flags & packets.HEARS_OWN),
-                restart_ns=None
-                if hello.restart_ms == packets.NO_RESTART
-                else hello.restart_ms * 1_000_000,
+                restart_ns=None if hello.restart_ms == packets.NO_RESTART else hello.restart_ms * 1_000_000,
             )
             self.member.is_direct = bool(
                 hello.flags & packets.DIRECT and self.kind == "unix" and not channel.physics
@@ -214,9 +212,7 @@ class PacketLink(Link):
         flags = packets.PHYSICS if channel.physics else 0
         if self.member is not None and self.member.is_direct:
             flags |= packets.DIRECT
-        self.put(
-            packets.Welcome(channel.name, flags, MAILBOXES, channel.bitrate, data_bitrate).packet()
-        )
+        self.put(packets.Welcome(channel.name, flags, MAILBOXES, channel.bitrate, data_bitrate).packet())
 
     def refuse(self, why: str) -> None:
         """Say why this connection ends; nothing else is sent after it."""

@@ -108,6 +108,18 @@ def records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int, bytes]
         yield found
 
 
+def single(data: bytes) -> tuple[int, int, int, int, bytes] | None:
+    """The only frame in a piece of a stream, when it is a plain one: what comes one by one is read quickly."""
+    if len(data) != CLASSIC_PACKET.size:
+        return None
+    size, kind, time_ns, identifier, flags, length, padded = CLASSIC_PACKET.unpack(data)
+    if size != 24 or kind != CLASSIC or length > 8 or flags > EXTENDED:
+        return None
+    if identifier > (0x1FFF_FFFF if flags else 0x7FF):
+        return None
+    return time_ns, identifier, flags, length, padded
+
+
 def _check(identifier: int, flags: int, length: int, most: int) -> None:
     if flags & ERROR:
         raise PacketError("an error frame; nobody sends those")

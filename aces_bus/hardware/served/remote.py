@@ -18,7 +18,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from can import BusABC, BusState, CanInitializationError, CanOperationError, CanProtocol, CanTimeoutError, Message
+from can import (
+    BusABC,
+    BusState,
+    CanInitializationError,
+    CanOperationError,
+    CanProtocol,
+    CanTimeoutError,
+    Message,
+)
 
 from ...errors import AcesError, CallerError
 from ..wire import WireEvent
@@ -26,7 +34,7 @@ from . import packets
 from .address import parse_address
 from .packets import BITRATE_SWITCH, CLASSIC, ERROR_STATE, EXTENDED, FD, LONG, OWN, REMOTE, PacketError
 from .shortcut import Neighbour
-from .stream import ANSWER_S, Stream, read_status, wait
+from .stream import ANSWER_S, Stream, Waiter, read_status, wait
 
 #: Messages that may lie unread; after that the oldest is dropped and counted.
 QUEUE = 65_536
@@ -76,9 +84,7 @@ class ServedBus(BusABC):
         restart = packets.NO_RESTART if restart_ms is None else max(0, round(restart_ms))
         try:
             address = parse_address(channel)
-            hello = packets.Hello(
-                address.channel, flags, int(bitrate or 0), int(data_bitrate or 0), restart
-            )
+            hello = packets.Hello(address.channel, flags, int(bitrate or 0), int(data_bitrate or 0), restart)
             self._stream = Stream(address, hello, timeout)
         except AcesError as error:
             raise CanInitializationError(f"{channel}: {error}") from error
@@ -108,7 +114,11 @@ class ServedBus(BusABC):
         self._why: str | None = None
         self._receive_own = bool(receive_own_messages)
         self._near: dict[int, Neighbour] = {}
-        self._numbers: tuple[int, ...] = (self._stream.number,)
+        self._nears: tuple[Neighbour, ...] = ()
+        self._waiter = Waiter()
+        self._waiter.watch((self._stream.number,))
+        self._news = Waiter()
+        self._news.watch((self._stream.number,))
         self._has_audience = False
         self._direct_received = self._direct_dropped = 0
         self._counted_at = 0.0
@@ -130,6 +140,7 @@ class ServedBus(BusABC):
         """
         queue = self._queue
         until = None if timeout is None else time.monotonic() + timeout
+        left = timeout
         while True:
             while queue:
                 try:
@@ -138,9 +149,11 @@ class ServedBus(BusABC):
                     break
                 if self._filters is None or self._matches_filters(message):
                     return message
-            self._pump(until)
-            if not queue and until is not None and time.monotonic() >= until:
-                return None
+            self._pump(left)
+            if until is not None:
+                left = until - time.monotonic()
+                if left <= 0 and not queue:
+                    return None
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         return self.recv(timeout), True
@@ -148,34 +161,36 @@ class ServedBus(BusABC):
     def _apply_filters(self, filters: Any) -> None:
         """Filters are applied on reading."""
 
-    def _pump(self, until: float | None) -> None:
-        """Read what has come, or wait for it until then. One thread at a time."""
+    def _pump(self, timeout: float | None) -> None:
+        """Read what has come within so many seconds. One thread at a time; it reads for all."""
         if not self._reading.acquire(False):
-            left = -1.0 if until is None else max(0.0, until - time.monotonic())
-            if not self._reading.acquire(timeout=left):
+            if not self._reading.acquire(timeout=-1 if timeout is None else max(0.0, timeout)):
                 return
         try:
             if not self._queue:  # else another thread has read while we waited for it
                 self._check_open()
-                self._read(wait(self._numbers, None if until is None else max(0.0, until - time.monotonic())))
+                for number in self._waiter.wait(timeout):
+                    self._read(number)
         except (OSError, EOFError, PacketError, ValueError) as error:
             raise self._lost(error) from error
         finally:
             self._reading.release()
 
-    def _read(self, numbers: list[int]) -> None:
-        """Read these sockets, which have something; the lock is held."""
-        for number in numbers:
-            near = self._near.get(number)
-            if near is None:
-                for kind, body in self._stream.read():
-                    self._understand(kind, body)
-            else:
-                self._read_neighbour(number, near)
-
-    def _read_neighbour(self, number: int, near: Neighbour) -> None:
+    def _read(self, number: int) -> None:
+        """Read this socket, which has something; the lock is held."""
+        near = self._near.get(number)
+        if near is None:
+            for kind, body in self._stream.read():
+                self._understand(kind, body)
+            return
         try:
-            for kind, body in near.read():
+            data = near.read()
+            found = packets.single(data)
+            if found is not None and len(self._queue) < self._most:
+                self._queue.append(to_message(found, self.channel))
+                self._direct_received += 1
+                return
+            for kind, body in near.split(data):
                 if kind == CLASSIC or kind == LONG:
                     self._direct_received += self._keep_all(kind, body)
                 elif kind == packets.REPORT:
@@ -190,9 +205,13 @@ class ServedBus(BusABC):
     def _part(self, number: int) -> None:
         """A neighbour has gone, or is not to be understood."""
         near = self._near.pop(number, None)
-        self._numbers = (self._stream.number, *self._near)
+        self._neighbours_changed()
         if near is not None:
             near.close()
+
+    def _neighbours_changed(self) -> None:
+        self._nears = tuple(self._near.values())
+        self._waiter.watch((self._stream.number, *self._near))
 
     def _understand(self, kind: int, body: bytes) -> None:
         if kind == CLASSIC or kind == LONG:
@@ -212,7 +231,7 @@ class ServedBus(BusABC):
         elif kind == packets.NEIGHBOUR and self._stream.files:
             near = Neighbour(self._stream.files.popleft(), body)
             self._near[near.number] = near
-            self._numbers = (self._stream.number, *self._near)
+            self._neighbours_changed()
         elif kind == packets.AUDIENCE:
             self._has_audience = True
         elif kind == packets.STATUS:
@@ -271,12 +290,16 @@ class ServedBus(BusABC):
             self._sent += 1
 
     def _send_direct(self, msg: Message, packet: bytes, timeout: float | None) -> None:
-        self._look()  # for neighbours who have come
+        with self._sending:
+            news = self._news.wait(0)
+        if news:  # neighbours who have come
+            self._look()
         if self._has_audience:
             self._put(packet, timeout)
+        is_fd = msg.is_fd
         with self._sending:
-            for number, near in list(self._near.items()):
-                if msg.is_fd and not near.takes_fd:
+            for near in self._nears:
+                if is_fd and not near.takes_fd:
                     continue
                 try:
                     near.write(packet)
@@ -310,11 +333,11 @@ class ServedBus(BusABC):
         only = (self._stream.number,)
         try:
             while wait(only, timeout):
+                self._check_open()
                 if self._reading.acquire(timeout=0.001):
                     try:
-                        self._check_open()
                         if wait(only, 0):
-                            self._read([self._stream.number])
+                            self._read(self._stream.number)
                     finally:
                         self._reading.release()
                 timeout = 0.0

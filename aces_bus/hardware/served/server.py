@@ -52,8 +52,8 @@ class BusServer:
     for no Unix socket. `tcp` and `socketcand`: (host, port), port 0 for any free one. Hosts that other machines can reach
     are refused unless `bind_anywhere`. `said` gets a line about each client that is cut off.
 
-        with BusServer([ServedChannel("can0")], unix="/tmp/can0.sock"):
-            bus = can.Bus(interface="aces", channel="unix:/tmp/can0.sock")
+        with BusServer([ServedChannel("can0")]):
+            bus = can.Bus(interface="aces", channel="unix:can0")
 
     Raises `CallerError` when an address cannot be had.
     """
@@ -160,7 +160,9 @@ class BusServer:
     # ------------------------------------------------------------------ running
 
     def start(self) -> Self:
-        """Serve on a thread of its own."""
+        """Serve on a thread of its own. Raises `CallerError` when it has been started before."""
+        if self._thread is not None:
+            raise CallerError("this server was started before; make another")
         self._thread = threading.Thread(target=self.serve, name="served bus", daemon=True)
         self._thread.start()
         return self
@@ -307,7 +309,9 @@ class BusServer:
         if channel is None:
             names = ", ".join(self.channels)
             raise PacketError(
-                f"no channel {name!r} is served here; there are: {names}" if name else f"say which channel: {names}"
+                f"no channel {name!r} is served here; there are: {names}"
+                if name
+                else f"say which channel: {names}"
             )
         return channel
 
@@ -320,7 +324,8 @@ class BusServer:
             "refused": self.refused,
             "socketcand": self.socketcand,
             "channels": [
-                {**channel.status(), "addresses": self.addresses[name]} for name, channel in self.channels.items()
+                {**channel.status(), "addresses": self.addresses[name]}
+                for name, channel in self.channels.items()
             ],
         }
 

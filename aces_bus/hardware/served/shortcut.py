@@ -26,7 +26,7 @@ NEIGHBOURS = 16
 PATIENCE_S = 0.05
 #: Bytes that a socket may hold; the system gives less where it must. A frame in it costs some 770.
 _BUFFER = 1 << 22
-_READ = 65_536
+_READ = 16_384
 
 
 def introduce(link: Link, others: Iterable[Link]) -> list[PacketLink]:
@@ -34,9 +34,15 @@ def introduce(link: Link, others: Iterable[Link]) -> list[PacketLink]:
     member = link.member
     assert member is not None
     there = [
-        one for one in others if one.member is not None and one.member.channel is member.channel and not one.is_closed
+        one
+        for one in others
+        if one.member is not None and one.member.channel is member.channel and not one.is_closed
     ]
-    near = [one for one in there if isinstance(one, PacketLink) and one.member is not None and one.member.is_direct]
+    near = [
+        one
+        for one in there
+        if isinstance(one, PacketLink) and one.member is not None and one.member.is_direct
+    ]
     if not isinstance(link, PacketLink) or len(near) >= NEIGHBOURS - 1:
         member.is_direct = False
     if member.is_direct:
@@ -79,20 +85,27 @@ class Neighbour:
         self._socket.setblocking(False)
         self.number = self._socket.fileno()
         self.takes_fd = bool(body[:1] and body[0] & packets.TAKES_FD)
+        self._send, self._recv = self._socket.send, self._socket.recv
         self._buffer = b""
         self._rest = b""
         self._lost = 0
         self._is_slow = False
 
-    def read(self) -> list[tuple[int, bytes]]:
-        """Packets that have come. Raises `EOFError`, `OSError` or `PacketError` when it has gone."""
+    def read(self) -> bytes:
+        """What has come, for `split`. Raises `EOFError` or `OSError` when it has gone."""
         try:
-            data = self._socket.recv(_READ)
+            data = self._recv(_READ)
         except BlockingIOError:
-            return []
+            return b""
         if not data:
             raise EOFError
-        found, self._buffer = packets.split(self._buffer + data if self._buffer else data)
+        if self._buffer:
+            data, self._buffer = self._buffer + data, b""
+        return data
+
+    def split(self, data: bytes) -> list[tuple[int, bytes]]:
+        """The packets in what has come; the rest is kept. Raises `PacketError`."""
+        found, self._buffer = packets.split(data)
         return found
 
     def write(self, packet: bytes) -> None:
@@ -103,7 +116,7 @@ class Neighbour:
                 self._lost += 1
                 return
         try:
-            count = self._socket.send(packet)
+            count = self._send(packet)
         except BlockingIOError:
             count = 0
         if count == len(packet):

@@ -135,7 +135,10 @@ class SocketcandLink(Link):
             else:
                 self.bad += 1
                 self._say(b"< error unknown command >")
-        except (ValueError, IndexError):  # as socketcand does: no answer, which clients would take for a frame
+        except (
+            ValueError,
+            IndexError,
+        ):  # as socketcand does: no answer, which clients would take for a frame
             self.bad += 1
 
     def _send(self, word: str, flags: int, length: int, data: bytes) -> None:

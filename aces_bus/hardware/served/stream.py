@@ -21,8 +21,10 @@ from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
 ANSWER_S = 5.0
+#: Below this many seconds a wait is as long as it is said to be; above, up to a millisecond more.
+_PRECISE_S = 0.05
 #: Bytes that are read at once, and files that may come with them.
-_READ = 65_536
+_READ = 16_384
 _FILES = 16
 
 
@@ -43,6 +45,30 @@ def wait_to_write(number: int, timeout: float | None) -> bool:
     poll = select.poll()
     poll.register(number, select.POLLOUT)
     return bool(poll.poll(None if timeout is None else timeout * 1000))
+
+
+class Waiter:
+    """Waits for the same sockets again and again; one thread at a time. What the system has to know of them is told once."""
+
+    def __init__(self) -> None:
+        self._numbers: tuple[int, ...] = ()
+        self._poll: Any = None
+
+    def watch(self, numbers: tuple[int, ...]) -> None:
+        """Wait for these from now on."""
+        self._numbers = numbers
+        if hasattr(select, "poll"):
+            self._poll = select.poll()
+            for number in numbers:
+                self._poll.register(number, select.POLLIN)
+
+    def wait(self, timeout: float | None) -> list[int]:
+        """Which have something to read, after up to `timeout` seconds (None: for ever)."""
+        if self._poll is None or (timeout is not None and 0 < timeout < _PRECISE_S):
+            return wait(self._numbers, timeout)
+        return [
+            number for number, _ in self._poll.poll(None if timeout is None else max(0.0, timeout) * 1000)
+        ]
 
 
 class Stream:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Sequence
+from itertools import repeat
 from typing import Any, Literal
 
 from construct import ConstructError
@@ -237,33 +238,28 @@ class CanScanner:
 
     def feed_table(self, frames: FrameTable, /) -> list[Any]:
         """The same for frames as columns: what `feed(frames.frames())` gives, without an object a frame in between."""
+        if not len(frames):
+            return []
         table, error, unusual = self._table, struct.error, self._unusual
-        names = frames.channels.names
-        width = frames.data.shape[1]
+        width, length = frames.data.shape[1], frames.length
         raw = frames.data.tobytes()
+        datas: Iterable[bytes]
+        if width == 8 and int(length.min()) == 8:
+            datas = [data for (data,) in struct.iter_unpack("8s", raw)]
+        else:
+            starts = range(0, len(raw), width)
+            datas = [raw[start : start + size] for start, size in zip(starts, length.tolist(), strict=True)]
+        names = frames.channels.names
+        channels = [names[number] for number in frames.channel.tolist()]
+        flags = frames.flags.tolist() if frames.flags.any() else repeat(0, len(frames))
         out: list[Any] = []
-        rows = zip(
-            frames.time.tolist(),
-            frames.channel.tolist(),
-            frames.id.tolist(),
-            frames.flags.tolist(),
-            range(0, len(frames) * width, width),
-            frames.length.tolist(),
-            strict=True,
-        )
-        for number, (time, channel, key, flags, start, length) in enumerate(rows):
+        rows = zip(frames.time.tolist(), channels, frames.id.tolist(), flags, datas, strict=True)
+        for number, (time, channel, key, flag, data) in enumerate(rows):
             record = None
-            if not flags & UNUSUAL:
-                data = raw[start : start + length]
+            if not flag & UNUSUAL:
+                seconds = time / 1_000_000_000 if time != NO_TIME else None
                 try:
-                    record = table[key](
-                        data,
-                        key,
-                        time / 1_000_000_000 if time != NO_TIME else None,
-                        names[channel],
-                        data,
-                        _WAYS[flags >> _WAY],
-                    )
+                    record = table[key](data, key, seconds, channel, data, _WAYS[flag >> _WAY])
                 except (KeyError, error):
                     record = None
             if record is None:

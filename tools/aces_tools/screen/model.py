@@ -64,9 +64,9 @@ class Row:
         "channel",
         "count",
         "data",
+        "frame",
         "fresh",
         "fresh_mask",
-        "frame",
         "history",
         "host_ns",
         "identifier",
@@ -80,6 +80,7 @@ class Row:
         "search",
         "seen_ns",
         "stamp",
+        "wire_bits",
     )
 
     def __init__(self, place: Place, number: int, channel: str, name: str, host_ns: int) -> None:
@@ -96,6 +97,8 @@ class Row:
         #: The host's time of the last one, and up to where rates have been reckoned.
         self.host_ns = self.seen_ns = host_ns
         self.stamp: float | None = None
+        #: Bit times on the bus of the last one, with the intermission (CAN).
+        self.wire_bits = 0.0
         #: The smoothed time between two, in seconds.
         self.period_s = 0.0
         self._variance = 0.0
@@ -355,17 +358,6 @@ class Model:
 
     # ------------------------------------------------------------------ streams
 
-    def feed_bytes(self, pieces: Sequence[Any], *, are_datagrams: bool = False) -> None:
-        """Bytes as a serial gate hands them over (`Heard`), in order, or datagrams."""
-        scanner = self.scanner
-        if not pieces:
-            return
-        if scanner is None:
-            raise CallerError("bytes make rows only where a protocol finds packets in them; name one: -p NAME")
-        feed: Any = getattr(scanner, "datagram" if are_datagrams else "feed")
-        for piece in pieces:
-            self.feed_records(feed(piece.data, piece.host_ns / 1e9), piece.host_ns, 10 * len(piece.data))
-
     def feed_records(self, records: Sequence[Any], host_ns: int, bits: int = 0) -> None:
         """Packets that a scanner found, and the bits on the line that brought them."""
         touched: list[Row] = []
@@ -377,7 +369,7 @@ class Model:
                 data, stamp = record.meta.raw, record.meta.time
             else:
                 page = self._pages.get(kind)
-                place = (kind,) if page is None else (kind, page(record))
+                place = (kind,) if page is None else (kind, page(record))  # type: ignore[assignment]
                 data, stamp = record._raw, record._time
             row = self.rows.get(place)
             if row is None:
@@ -450,7 +442,8 @@ class Model:
             frame = row.frame
             if frame is not None:
                 bits = frame_bits(frame)
-                counts[1] += fresh * (bits.nominal + bits.data * self._data_share + INTERMISSION)
+                row.wire_bits = bits.nominal + bits.data * self._data_share + INTERMISSION
+                counts[1] += fresh * row.wire_bits
             if row.is_lost:
                 if row.name == "error frame":
                     self.errors += fresh
@@ -482,6 +475,11 @@ class Model:
         return self.fields.get(type(row.record))
 
     @property
+    def is_can(self) -> bool:
+        """Whether frames come, and not packets of a stream."""
+        return self.scanner is None or self.scanner.link == "can"
+
+    @property
     def folded(self) -> Others:
         """What was folded away, of all channels."""
         return Others(
@@ -490,4 +488,3 @@ class Model:
 
 
 __all__ = ["Channel", "Model", "Others", "Row", "changed_bits"]
-

@@ -205,9 +205,7 @@ def columns(needs: Needs, width: int) -> list[Column]:
         found.append(Column("rate", "Rate", 5, True))
         if has_period:
             found.append(
-                Column("period", "Period±jitter ms", 11)
-                if has_jitter
-                else Column("short period", "  ms", 5, True)
+                Column("period", "Period ± ms", 11) if has_jitter else Column("short period", "  ms", 5, True)
             )
         if has_length:
             found.append(Column("length", "Len", 3, True))
@@ -264,7 +262,9 @@ def _cell(name: str, row: Row, model: Model, now_ns: int) -> tuple[str, str]:
     if name == "id":
         return row.identifier, "id"
     if name == "message":
-        return row.name, ("bad" if row.name in ("malformed", "error frame") else "lost") if row.is_lost else "message"
+        return row.name, (
+            "bad" if row.name in ("malformed", "error frame") else "lost"
+        ) if row.is_lost else "message"
     if name == "rate":
         return rate(row.rate(now_ns)), "rate"
     if name == "length":
@@ -338,10 +338,8 @@ def hexadecimal(row: Row, shown: bytes, now_ns: int, gap: str, *, is_marking: bo
     return spans
 
 
-def binary(row: Row, number: int, now_ns: int, *, is_marking: bool) -> list[Span]:
-    """One byte as bits, the highest first, each by the age of its change."""
-    byte = row.data[number]
-    marks = row.ages(now_ns, FADE_NS) if is_marking else []
+def binary(byte: int, number: int, marks: Sequence[int]) -> list[Span]:
+    """One byte as bits, the highest first, each by the age of its change; `number` is the byte's, `marks` are `ages`."""
     spans: list[Span] = []
     for bit in range(7, -1, -1):
         style = "data"
@@ -405,4 +403,3 @@ def cut(spans: Sequence[Span], width: int) -> list[Span]:
 
 
 __all__ = ["Column", "Needs", "Span", "bar", "binary", "columns", "cut", "line", "styles", "title"]
-

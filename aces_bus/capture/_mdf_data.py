@@ -1,0 +1,206 @@
+"""The records of an MDF 4 file, as bytes.
+
+1. In memory is what was asked for, and of packed records one block.
+2. Reading stops at the first thing that is wrong; `fault` says what, and everything before it was given.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..frame_table import Ints
+from ._mdf_tree import Segment, Stream
+
+_PIECE = 1 << 22
+#: A run of records of one size is looked for at least so far ahead, and where there is none, so many are taken one by one.
+_AHEAD, _SINGLE = 64, 1024
+
+
+class Bytes:
+    """The bytes of segments, one after the other."""
+
+    def __init__(self, file: BinaryIO, segments: Sequence[Segment], fault: str = "") -> None:
+        self._file, self._segments = file, segments
+        self._behind = fault
+        self._number = self._at = 0
+        self._unpacked = b""
+        self.fault = ""
+
+    def fill(self, view: memoryview) -> int:
+        """Fill it from the start; how many bytes there were, less than asked for only at the end."""
+        done = 0
+        while done < len(view) and self._number < len(self._segments):
+            segment = self._segments[self._number]
+            size = min(len(view) - done, segment.size - self._at)
+            if segment.packing is None:
+                self._file.seek(segment.at + self._at)
+                size = self._read(view[done : done + size])
+            else:
+                if not self._at:
+                    self._unpacked = self._unpack(segment)
+                size = min(size, len(self._unpacked) - self._at)
+                view[done : done + size] = self._unpacked[self._at : self._at + size]
+            done += size
+            self._at += size
+            if self.fault:
+                self._number = len(self._segments)
+            elif self._at == segment.size:
+                self._number, self._at, self._unpacked = self._number + 1, 0, b""
+        if done < len(view):
+            self.fault = self.fault or self._behind
+        return done
+
+    def _read(self, view: memoryview) -> int:
+        file: Any = self._file
+        done = 0
+        while done < len(view):
+            count: int = file.readinto(view[done:])
+            if not count:
+                self.fault = "the file became shorter while it was read"
+                break
+            done += count
+        return done
+
+    def _unpack(self, segment: Segment) -> bytes:
+        self._file.seek(segment.at)
+        size, columns = segment.size, segment.packing
+        try:
+            data = zlib.decompressobj().decompress(self._file.read(segment.stored), size + 1)
+        except zlib.error as error:
+            self.fault = f"packed records are damaged: {error}"
+            return b""
+        if len(data) != size:
+            self.fault = f"packed records should be {size} bytes and are {len(data)} or more"
+            return b""
+        if columns:  # a table was packed column by column; what is left of a row is behind it
+            rows = size // columns
+            table = np.frombuffer(data, np.uint8, rows * columns).reshape(columns, rows)
+            data = table.T.tobytes() + data[rows * columns :]
+        return data
+
+
+def records(source: Bytes, size: int, total: int | None, rows: int) -> Iterator[Ints]:
+    """Records as arrays of (n, size) bytes with n ≤ `rows`, at most `total` of them; each is overwritten by the next."""
+    buffer = bytearray(size * (rows if total is None else min(rows, total)))
+    left = total
+    while left is None or left:
+        count = len(buffer) // size if left is None else min(left, len(buffer) // size)
+        got = source.fill(memoryview(buffer)[: count * size]) // size
+        if got:
+            yield np.frombuffer(buffer, np.uint8, got * size).reshape(got, size)
+        if got < count:
+            return
+        left = None if left is None else left - got
+
+
+class Sorted:
+    """The records of a stream by their groups: those of wanted groups in a file of their own, all of them counted.
+
+    Raises `OSError` when that file cannot be written, and `OverflowError` when it gets longer than `most`.
+    """
+
+    def __init__(
+        self, file: BinaryIO, stream: Stream, wanted: Sequence[int], out: BinaryIO, most: int
+    ) -> None:
+        self.segments: dict[int, list[Segment]] = {number: [] for number in wanted}
+        self.counts: dict[int, int] = {group.number: 0 for group in stream.groups}
+        self._out, self._most, self._end = out, most, out.seek(0, 2)
+        self._width = stream.number_bytes
+        self._steps = {group.number: self._width + group.size for group in stream.groups}
+        self._known = np.array(sorted(self._steps), np.uint64)
+        source = Bytes(file, stream.segments, stream.fault)
+        buffer = bytearray(max(_PIECE, 2 * max(self._steps.values(), default=0)))
+        kept = 0
+        self.fault = ""
+        while not self.fault:
+            end = kept + source.fill(memoryview(buffer)[kept:])
+            done = self._split(buffer, end)
+            if end < len(buffer):
+                self.fault = self.fault or source.fault
+                return
+            buffer[: end - done] = buffer[done:end]
+            kept = end - done
+
+    def _split(self, buffer: bytearray, end: int) -> int:
+        """Store the whole records of the buffer; where the first begins that is not whole."""
+        chunk = np.frombuffer(buffer, np.uint8, end)
+        starts, at = _starts(buffer, chunk, self._width, self._steps)
+        if at + self._width <= end and _number(buffer, at, self._width) not in self._steps:
+            self.fault = f"a record of a group {_number(buffer, at, self._width)} that there is not"
+        numbers = _numbers(chunk, starts, self._width)
+        for number, count in zip(*np.unique(numbers, return_counts=True), strict=True):
+            group = int(number)
+            self.counts[group] += int(count)
+            if group in self.segments:
+                size = self._steps[group] - self._width
+                rows = starts if count == len(starts) else starts[numbers == number]
+                self._store(
+                    group, np.lib.stride_tricks.sliding_window_view(chunk, size)[rows + self._width].tobytes()
+                )
+        return at
+
+    def _store(self, group: int, data: bytes) -> None:
+        if self._end + len(data) > self._most:
+            raise OverflowError
+        self._out.seek(self._end)
+        self._out.write(data)
+        pieces = self.segments[group]
+        if pieces and pieces[-1].at + pieces[-1].size == self._end:
+            size = pieces[-1].size + len(data)
+            pieces[-1] = Segment(pieces[-1].at, size, size)
+        else:
+            pieces.append(Segment(self._end, len(data), len(data)))
+        self._end += len(data)
+
+
+def _number(buffer: bytearray, at: int, width: int) -> int:
+    return int.from_bytes(buffer[at : at + width], "little")
+
+
+def _numbers(chunk: Ints, starts: Ints, width: int) -> Ints:
+    """The numbers in front of the records that begin there."""
+    if width == 1:
+        return np.asarray(chunk[starts])
+    numbers = np.zeros((len(starts), 8), np.uint8)
+    for byte in range(width):
+        numbers[:, byte] = chunk[starts + byte]
+    return numbers.view("<u8")[:, 0]
+
+
+def _starts(buffer: bytearray, chunk: Ints, width: int, steps: Mapping[int, int]) -> tuple[Ints, int]:
+    """Where whole records begin, and where the first begins that is not whole, or of no group.
+
+    Where records of one size follow each other they are found at once, and otherwise one by one.
+    """
+    end = len(chunk)
+    found: list[Ints] = []
+    alike: dict[int, Ints] = {}
+    for step in set(steps.values()):
+        alike[step] = np.array([number for number, other in steps.items() if other == step], np.uint64)
+    at, ahead = 0, _AHEAD
+    while at + width <= end:
+        step = steps.get(_number(buffer, at, width), 0)
+        if not step or at + step > end:
+            break
+        run = np.arange(at, min(at + ahead * step, end - step + 1), step)
+        is_alike = np.isin(_numbers(chunk, run, width), alike[step])
+        count = len(run) if is_alike.all() else int(is_alike.argmin())
+        found.append(run[:count])
+        at += count * step
+        if count == ahead:
+            ahead = min(2 * ahead, 1 << 16)
+        elif count < ahead // 2 and at + width <= end:
+            ahead = _AHEAD
+            single: list[int] = []
+            for _ in range(_SINGLE):
+                step = steps.get(buffer[at] if width == 1 else _number(buffer, at, width), 0)
+                if not step or at + step > end or at + width > end:
+                    break
+                single.append(at)
+                at += step
+            found.append(np.array(single, np.int64))
+    return (np.concatenate(found) if found else np.zeros(0, np.int64)), at

@@ -1,0 +1,342 @@
+"""What an MDF 4 file says it holds: groups of records, their channels, and where the records are.
+
+1. Nothing is believed: a block is looked at only where it lies whole within the file, each group, channel and data block once,
+   and no more of them than `BLOCKS`. So this ends soon on any file, in memory that the file's size bounds.
+2. What is damaged is `Damaged`; what is in order and not told here is `Unusual`, and another reader's.
+3. Records are not touched; `_mdf_data.py` reads them.
+
+A file is a tree. Its header leads to data groups, each a stream of records and the channel groups whose records they are; a
+channel group leads to its channels, and a channel to its parts: CAN_DataFrame to CAN_DataFrame.ID and so on. *Facts*: the
+layout as ASAM describes MDF 4.0 to 4.2, and as asammdf reads it, beside which the tests put this.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO, NamedTuple
+
+_HEAD = struct.Struct("<4sIQQ")
+_HEADER_AT = 64
+_CHANNEL = struct.Struct("<BBBBIII")
+_GROUP = struct.Struct("<QQHHIII")
+_LINEAR = struct.Struct("<BBHHHdddd")
+_PACKED = struct.Struct("<2sBBIQQ")
+
+#: Groups, channels and data blocks that are followed. A day's log of a busy bus in blocks of 64 KiB has some 50,000.
+BLOCKS = 1 << 18
+#: A name that is longer is none that is looked for.
+_TEXT = 1 << 12
+#: A packed block is unpacked as a whole. Writers pack 4 MiB at a time, as ASAM recommends.
+PACKED_MOST = 1 << 26
+
+# Of `Channel`.
+VALUE, MASTER, _VIRTUAL_MASTER, SIZED = 0, 2, 3, 5
+# Of `Group.flags`.
+VARIABLE_GROUP, BUS_EVENT, REMOTE_MASTER = 0x1, 0x2, 0x8
+# Of `Tree.unfinished`: record counts are missing; the length of the last data block is; the last list of data blocks is.
+COUNTS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
+
+CIRCLES = "its blocks are linked in circles, or one is named twice; it is damaged"
+
+
+class Unusual(Exception):
+    """The file is in order, as far as can be seen, and has what is not read here."""
+
+
+class Damaged(Exception):
+    """The file is not in order."""
+
+
+class Segment(NamedTuple):
+    """A piece of a stream of records: `size` bytes, at `at` in the file, where they take `stored` bytes.
+
+    `packing`: None, or how many columns a table had that was transposed and deflated; 0 for what is just deflated.
+    """
+
+    at: int
+    stored: int
+    size: int
+    packing: int | None = None
+
+
+class Channel(NamedTuple):
+    """A channel: `kind` and `data_type` as in the file; where its bits are in a record.
+
+    `factor` and `offset` make seconds of it; None where no number does.
+    """
+
+    name: str
+    kind: int
+    data_type: int
+    first_bit: int
+    first_byte: int
+    bits: int
+    is_time: bool
+    is_plain: bool
+    factor: float | None = 1.0
+    offset: float = 0.0
+
+
+class Group(NamedTuple):
+    """A channel group. `number` is in front of its records; `records` are announced; a record has `size` bytes."""
+
+    number: int
+    records: int
+    flags: int
+    data_bytes: int
+    size: int
+    bus: int
+    path: str
+    channels: list[Channel]
+
+
+class Stream(NamedTuple):
+    """A data group: records of one group, or of several with their group's number of `number_bytes` in front.
+
+    `fault` is what is wrong behind the last segment, "" when nothing is.
+    """
+
+    number_bytes: int
+    groups: list[Group]
+    segments: list[Segment]
+    fault: str
+
+
+class Tree(NamedTuple):
+    """A file. `start_ns` is when it begins, since 1970; `has_history` whether it was written to its end."""
+
+    program: bytes
+    version: int
+    unfinished: int
+    start_ns: int
+    has_history: bool
+    streams: list[Stream]
+
+
+class _Block(NamedTuple):
+    name: bytes
+    at: int
+    end: int
+    links: tuple[int, ...]
+    data: bytes
+
+
+def tree_of(file: BinaryIO, size: int) -> Tree:
+    """The tree of a file of `size` bytes. Raises `Unusual`, `Damaged` and `OSError`."""
+    return _Reader(file, size).tree()
+
+
+class _Reader:
+    """The walk through one file."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._size = file, size
+        self._seen: set[int] = set()
+        self._ends: list[
+            int
+        ] = []  # where known blocks begin: a block whose length is missing ends at one of them
+        self._unfinished = 0
+
+    def tree(self) -> Tree:
+        head = self._bytes(0, 64)
+        version = struct.unpack_from("<H", head, 28)[0]
+        if not head[8:12].startswith(b"4."):
+            words = head[8:12].decode("ascii", "replace").strip("\0 ")
+            raise Damaged(f"MDF version {words!r} has no bus logging; only version 4 has")
+        self._unfinished, custom = struct.unpack_from("<HH", head, 60)
+        if not 400 <= version <= 420 or custom or self._unfinished & _LAST_LIST:
+            raise Unusual("it is of a version, or in a state, that is not known here")
+        header = self._block(_HEADER_AT, b"##HD", 6, 8)
+        start: int = struct.unpack_from("<Q", header.data)[0]
+        streams: list[Stream] = []
+        at = header.links[0]
+        while at:
+            group = self._block(at, b"##DG", 4, 1)
+            streams.append(self._stream(group))
+            at = group.links[0]
+        return Tree(head[16:24], version, self._unfinished, start, bool(header.links[1]), streams)
+
+    # ---- blocks
+
+    def _bytes(self, at: int, size: int) -> bytes:
+        if at + size <= self._size:
+            self._file.seek(at)
+            data = self._file.read(size)
+            if len(data) == size:
+                return data
+        raise Damaged(f"it breaks off: of a block at byte {at} it has not all")
+
+    def _head(self, at: int) -> tuple[bytes, int, int]:
+        name, _, size, count = _HEAD.unpack(self._bytes(at, _HEAD.size))
+        if name[:2] != b"##" or size < _HEAD.size + 8 * count:
+            raise Damaged(f"at byte {at} there is no block, though one is named there; it is damaged")
+        self._ends.append(at)
+        return name, size, count
+
+    def _once(self, at: int) -> None:
+        if at in self._seen:
+            raise Damaged(CIRCLES)
+        if len(self._seen) >= BLOCKS:
+            raise Unusual(f"it has more than {BLOCKS} blocks")
+        self._seen.add(at)
+
+    def _block(self, at: int, name: bytes, links: int, data: int, *, once: bool = True) -> _Block:
+        """A block of this name, with at least so many links and bytes; of what it has more, nothing is read."""
+        found, size, count = self._head(at)
+        if found != name or count < links or size < _HEAD.size + 8 * count + data:
+            raise Damaged(f"at byte {at} there is no {name[2:].decode()} block, though one is named there")
+        if once:
+            self._once(at)
+        raw = self._bytes(at + _HEAD.size, 8 * links)
+        body = self._bytes(at + _HEAD.size + 8 * count, data)
+        return _Block(found, at, at + size, struct.unpack(f"<{links}Q", raw), body)
+
+    def _text(self, at: int) -> str:
+        if not at:
+            return ""
+        name, size, count = self._head(at)
+        if name not in (b"##TX", b"##MD"):
+            return ""
+        raw = self._bytes(at + _HEAD.size + 8 * count, min(size - _HEAD.size - 8 * count, _TEXT))
+        text = raw.split(b"\0", 1)[0]
+        if len(text) == _TEXT:
+            raise Unusual("it has a very long name")
+        return text.strip(b" \r\t\n").decode("utf-8", "replace")
+
+    # ---- groups and channels
+
+    def _stream(self, block: _Block) -> Stream:
+        groups: list[Group] = []
+        at = block.links[1]
+        while at:
+            group = self._block(at, b"##CG", 6, _GROUP.size)
+            groups.append(self._group(group))
+            at = group.links[0]
+        width = block.data[0]
+        if width not in (0, 1, 2, 4, 8):
+            raise Damaged(f"numbers of groups of {width} bytes are no numbers")
+        segments: list[Segment] = []
+        fault = ""
+        try:
+            self._segments(block.links[2], segments)
+        except Damaged as error:
+            if str(error) == CIRCLES:
+                raise
+            fault = str(error)
+        return Stream(width, groups, segments, fault)
+
+    def _group(self, block: _Block) -> Group:
+        number, records, flags, _, _, data_bytes, more = _GROUP.unpack(block.data)
+        bus, path = 0, ""
+        if source := block.links[3]:
+            found = self._block(source, b"##SI", 3, 3, once=False)
+            bus, path = found.data[1], self._text(found.links[1])
+        channels: list[Channel] = []
+        ahead = [block.links[1]]  # the channels that follow, of the innermost composition last
+        while ahead:
+            at = ahead.pop()
+            if at:
+                channel, then, parts = self._channel(at)
+                channels.append(channel)
+                ahead += then, parts
+        return Group(number, records, flags, data_bytes, data_bytes + more, bus, path, channels)
+
+    def _channel(self, at: int) -> tuple[Channel, int, int]:
+        """A channel, the one after it, and the first of its parts."""
+        block = self._block(at, b"##CN", 8, _CHANNEL.size)
+        following, parts, name, _, conversion, *_ = block.links
+        kind, sync, data_type, first_bit, first_byte, bits, flags = _CHANNEL.unpack(block.data)
+        is_plain = not flags & 1
+        if parts and self._head(parts)[0] != b"##CN":
+            parts, is_plain = 0, False  # an array
+        factor: float | None = 1.0
+        offset = 0.0
+        if kind in (MASTER, _VIRTUAL_MASTER) and conversion:
+            factor, offset = self._conversion(conversion)
+        channel = Channel(
+            self._text(name),
+            kind,
+            data_type,
+            first_bit,
+            first_byte,
+            bits,
+            kind in (MASTER, _VIRTUAL_MASTER),
+            is_plain and (kind != MASTER or sync == 1),
+            factor,
+            offset,
+        )
+        return channel, following, parts
+
+    def _conversion(self, at: int) -> tuple[float | None, float]:
+        linear = 1
+        block = self._block(at, b"##CC", 4, 8, once=False)
+        if block.data[0] == 0:
+            return 1.0, 0.0
+        if block.data[0] != linear:
+            return None, 0.0
+        *_, offset, factor = _LINEAR.unpack(self._block(at, b"##CC", 4, _LINEAR.size, once=False).data)
+        return factor, offset
+
+    # ---- where the records are
+
+    def _segments(self, at: int, out: list[Segment]) -> None:
+        if not at:
+            return
+        name, _, _ = self._head(at)
+        if name == b"##HL":
+            at = self._block(at, b"##HL", 1, 0).links[0]
+            name = self._head(at)[0] if at else b""
+        if name == b"##DL":
+            self._list(at, out)
+        elif at:
+            self._data(at, out)
+        if out and self._unfinished & _LAST_LENGTH and out[-1].packing is None:
+            out[-1] = self._stretched(out[-1])
+
+    def _list(self, at: int, out: list[Segment]) -> None:
+        while at:
+            _, _, count = self._head(at)
+            if count > BLOCKS:
+                raise Unusual(f"it has more than {BLOCKS} blocks")
+            block = self._block(at, b"##DL", max(count, 1), 8)
+            said = struct.unpack_from("<I", block.data, 4)[0]
+            for link in block.links[1 : 1 + said]:
+                self._data(link, out)
+            at = block.links[0]
+
+    def _data(self, at: int, out: list[Segment]) -> None:
+        name, size, count = self._head(at)
+        if name in (b"##DT", b"##DV"):
+            self._once(at)
+            first = at + _HEAD.size + 8 * count
+            there = min(at + size, self._size) - first
+            out.append(Segment(first, there, there))
+            if at + size > self._size:
+                raise Damaged("the file ends within the records")
+        elif name == b"##DZ":
+            block = self._block(at, b"##DZ", 0, _PACKED.size)
+            of, packing, _, columns, size, stored = _PACKED.unpack(block.data)
+            first = at + _HEAD.size + 8 * count + _PACKED.size
+            if packing > 1 or of not in (b"DT", b"DV") or size > PACKED_MOST:
+                raise Unusual("its records are packed in a way that is not known here")
+            if first + stored > self._size:
+                raise Damaged("the file ends within packed records")
+            if size > 1040 * (stored + 16) or (packing and not columns):  # deflate cannot
+                raise Damaged("a packed block says of itself what cannot be")
+            out.append(Segment(first, stored, size, columns if packing else 0))
+        elif name in (b"##LD", b"##DL", b"##HL"):
+            raise Unusual(f"its records are in {name[2:].decode()} blocks that are not known here")
+        else:
+            raise Damaged(f"at byte {at} there are no records, though some are named there")
+
+    def _stretched(self, last: Segment) -> Segment:
+        """A data block of which the length may be missing: it goes on to the end of the file."""
+        end = last.at + last.size
+        if end == self._size:
+            return last
+        behind = [at for at in self._ends if at >= last.at]
+        if not behind:
+            return Segment(last.at, self._size - last.at, self._size - last.at)
+        if min(behind) - end in range(8):
+            return last
+        raise Unusual("of a block in its middle the length is missing")

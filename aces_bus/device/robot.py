@@ -1,0 +1,287 @@
+"""A robot as data: its buses, the devices on them, the joints and sensors of the devices.
+
+1. Frozen, and checked where it is made (`load_robot`): who has a `Robot` need not ask again.
+2. Unknown is None. A limit that nobody has stated is absent, never 0.
+3. No vendor: names of drivers, protocols and kinds are strings, understood by those who bring them.
+
+Units are SI: rad and rad/s for a revolute joint, m and m/s for a prismatic one. What only a board understands keeps the
+board's unit and says so (counts, motor turns). The names of the fields are the keys of the file (see docs/robots.md);
+the table `EXPECTED` says of each what may stand there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from ..errors import CallerError, UnknownNameError
+from ..protocol import Protocol
+
+# What may stand in a file; the description is what a complaint says is expected.
+Text = Annotated[str, Meta(min_length=1, max_length=100_000, description="text in quotes")]
+Names = Annotated[tuple[Text, ...], Meta(description='a list of names, such as ["TSY", "HPY"]')]
+Whole = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1, description="a whole number")]
+Count = Annotated[int, Meta(ge=0, le=2**31, description="a whole number, 0 or more")]
+Positive = Annotated[int, Meta(gt=0, le=2**31, description="a whole number above 0")]
+Angle = Annotated[float, Meta(description="a number in rad (m for a prismatic joint)")]
+Speed = Annotated[float, Meta(gt=0, description="a number above 0 in rad/s (m/s for a prismatic joint)")]
+Acceleration = Annotated[
+    float, Meta(gt=0, description="a number above 0 in rad/s² (m/s² for a prismatic joint)")
+]
+Number = Annotated[float, Meta(description="a number")]
+Ratio = Annotated[float, Meta(gt=0, description="a number above 0")]
+Gear = Annotated[
+    tuple[Ratio, Ratio], Meta(description="two numbers above 0: [drive, driven], such as [10, 25]")
+]
+Sign = Annotated[Literal[-1, 1], Meta(description="1 or -1")]
+Signs = Annotated[
+    tuple[Sign, ...], Meta(min_length=1, max_length=6, description="a list of 1 and -1, one an axis")
+]
+Matrix = Annotated[
+    tuple[tuple[float, ...], ...],
+    Meta(min_length=1, max_length=16, description="rows of numbers, [[…], […]]"),
+]
+Flag = Annotated[bool, Meta(description="true or false")]
+Credentials = Annotated[
+    dict[str, Count],
+    Meta(min_length=1, description="what identifies it on the bus, such as { board = 0x20 }"),
+]
+Kind = Annotated[
+    int | str | dict[str, int | str],
+    Meta(description='an entry of the protocol\'s configuration tables, such as 3 or "hand"'),
+]
+Settings = Annotated[dict[str, Any], Meta(description="a table of the driver's own settings")]
+
+
+class Bus(msgspec.Struct, frozen=True, kw_only=True):
+    """One wire. `channel` and `interface` are python-can's, or a serial port, or HOST:PORT: defaults that a caller changes."""
+
+    name: str
+    link: Annotated[Literal["can", "serial", "datagram"], Meta(description='"can", "serial" or "datagram"')]
+    protocol: Text
+    dialect: Text | None = None
+    bitrate: Positive | None = None  # bit/s, CAN
+    baud: Positive | None = None  # serial
+    interface: Text | None = None
+    channel: Text | None = None
+    doc: Text | None = None
+    source: Text | None = None
+
+
+class Device(msgspec.Struct, frozen=True, kw_only=True):
+    """One node: a board, a servo. `credentials` are fields of the protocol's messages with this node's values.
+
+    `kind` is its entry in the protocol's configuration tables, where that is not the number of its channels.
+    """
+
+    name: str
+    driver: Text
+    bus: Text
+    credentials: Credentials
+    channels: Count | None = None
+    kind: Kind | None = None
+    protocol: Text | None = None  # where it is not its bus's
+    dialect: Text | None = None
+    model: Text | None = None  # its maker's name for it
+    active: Flag = True
+    settings: Settings = msgspec.field(default_factory=dict[str, Any])
+    doc: Text | None = None
+    source: Text | None = None
+
+
+class Gains(msgspec.Struct, frozen=True, kw_only=True):
+    """Position gains, in the board's own numbers."""
+
+    kp: Number | None = None
+    ki: Number | None = None
+    kd: Number | None = None
+
+
+class Compliance(msgspec.Struct, frozen=True, kw_only=True):
+    """Gains of compliant motion by duty: `kp` in %/rad, `kd` in %·s/rad, `max_pwm` in %."""
+
+    kp: Number | None = None
+    kd: Number | None = None
+    max_pwm: Annotated[float, Meta(ge=0, le=100, description="a number from 0 to 100 (%)")] | None = None
+
+
+class Home(msgspec.Struct, frozen=True, kw_only=True):
+    """What the board knows of homing, in its own units; the calibration of one robot, not of a model.
+
+    `offset`: counts from the switch to zero; `direction` of the search; `search_turns`: its end, in motor turns; `z_phase`:
+    the encoder's index, counts; `power`: drive power of joints that home against a stop; `lower`, `upper`: the limits
+    stored in the board, counts.
+    """
+
+    offset: Whole | None = None
+    direction: Annotated[Literal["cw", "ccw"], Meta(description='"cw" or "ccw"')] | None = None
+    search_turns: Count | None = None
+    z_phase: Count | None = None
+    power: Whole | None = None
+    lower: Whole | None = None
+    upper: Whole | None = None
+
+
+class Joint(msgspec.Struct, frozen=True, kw_only=True):
+    """One degree of freedom: channel `channel` (from 0) of `device`.
+
+    raw = (direction × position + zero) × `counts_per_unit`. An inactive joint is listed, and claims no channel.
+    """
+
+    name: str
+    device: Text
+    channel: Count = 0
+    type: Annotated[
+        Literal["revolute", "prismatic", "continuous"],
+        Meta(description='"revolute", "prismatic" or "continuous" (turns without end)'),
+    ] = "revolute"
+    command: Annotated[
+        Literal["position", "speed", "current", "duty"],
+        Meta(description='"position", "speed", "current" or "duty"'),
+    ] = "position"
+    gear: Gear | None = None  # teeth: drive, driven
+    harmonic: Ratio | None = None
+    encoder: Positive | None = None  # counts a turn of the motor
+    direction: Sign = 1
+    zero: Angle | None = None
+    lower: Angle | None = None
+    upper: Angle | None = None
+    nominal_speed: Speed | None = None
+    max_speed: Speed | None = None
+    nominal_acceleration: Acceleration | None = None
+    max_acceleration: Acceleration | None = None
+    max_duty: Ratio | None = None  # the protocol's unit
+    max_current: Ratio | None = None  # A
+    gains: Gains | None = None
+    compliance: Compliance | None = None
+    home: Home | None = None
+    motor: Count | None = None  # the maker's number of the motor
+    aliases: Names = ()
+    active: Flag = True
+    doc: Text | None = None
+    source: Text | None = None
+
+    @property
+    def counts_per_unit(self) -> float | None:
+        """Encoder counts a rad (a revolute joint); None where a factor is unknown.
+
+        driven ÷ drive × harmonic × encoder ÷ 2π (HuboCan; hubo-ach; acesHubo).
+        """
+        if self.gear is None or self.harmonic is None or self.encoder is None or self.type == "prismatic":
+            return None
+        drive, driven = self.gear
+        return driven / drive * self.harmonic * self.encoder / math.tau
+
+
+class Sensor(msgspec.Struct, frozen=True, kw_only=True):
+    """One sensor of a device, of some `kind` ("force_torque", "imu", "tilt", "analog"; open to others).
+
+    `signs` turn its axes; `matrix` makes engineering units of its raw axes. Both are identities where absent.
+    """
+
+    name: str
+    device: Text
+    kind: Text
+    channel: Count | None = None
+    signs: Signs | None = None
+    matrix: Matrix | None = None
+    aliases: Names = ()
+    active: Flag = True
+    doc: Text | None = None
+    source: Text | None = None
+
+
+class Robot(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole robot. Mappings keep the file's order; it is the order of joints in trajectories and tables."""
+
+    name: str
+    doc: Text | None = None
+    source: Text | None = None
+    rate_hz: Annotated[float, Meta(gt=0, description="a number above 0 (Hz)")] | None = None
+    buses: Mapping[str, Bus]
+    devices: Mapping[str, Device]
+    joints: Mapping[str, Joint]
+    sensors: Mapping[str, Sensor]
+
+    def joint(self, name: str) -> Joint:
+        """The joint of this name or alias; raises `UnknownNameError`."""
+        found = self.joints.get(name) or next((j for j in self.joints.values() if name in j.aliases), None)
+        if found is None:
+            raise UnknownNameError(f"joint of {self.name}", name, self.joints)
+        return found
+
+    def joints_of(self, device: str) -> tuple[Joint, ...]:
+        """The joints of a device, by channel."""
+        return tuple(sorted((j for j in self.joints.values() if j.device == device), key=lambda j: j.channel))
+
+    def sensors_of(self, device: str) -> tuple[Sensor, ...]:
+        """The sensors of a device."""
+        return tuple(sensor for sensor in self.sensors.values() if sensor.device == device)
+
+    def devices_on(self, bus: str) -> tuple[Device, ...]:
+        """The devices of a bus."""
+        return tuple(device for device in self.devices.values() if device.bus == bus)
+
+    def protocol_of(self, device: Device) -> tuple[str, str | None]:
+        """Protocol and dialect (None: the protocol's default) that a device speaks."""
+        bus = self.buses[device.bus]
+        if device.protocol is None or device.protocol == bus.protocol:
+            return bus.protocol, device.dialect if device.dialect is not None else bus.dialect
+        return device.protocol, device.dialect
+
+    @property
+    def protocols(self) -> dict[str, tuple[str | None, ...]]:
+        """The protocols that its buses and devices speak, each with the dialects that are named for it."""
+        spoken = [(bus.protocol, bus.dialect) for bus in self.buses.values()]
+        spoken += [self.protocol_of(device) for device in self.devices.values()]
+        found: dict[str, list[str | None]] = {}
+        for protocol, dialect in spoken:
+            known = found.setdefault(protocol, [])
+            if dialect not in known:
+                known.append(dialect)
+        return {protocol: tuple(dialects) for protocol, dialects in found.items()}
+
+    def dialect(self, protocol: str) -> str | None:
+        """The dialect of a protocol on this robot; None: its default. Raises `CallerError` where there are several."""
+        dialects = self.protocols.get(protocol, (None,))
+        if len(dialects) > 1:
+            named = ", ".join(dialect or "the default" for dialect in dialects)
+            raise CallerError(f"{self.name} speaks {protocol} in several dialects ({named}); name one")
+        return dialects[0]
+
+    def tables(self, protocol: Protocol) -> dict[str, dict[int, int | str]]:
+        """The configuration tables of a protocol, as `protocol.variant(dialect, tables)` takes them.
+
+        Each device that has a table's number among its credentials gives one entry: its `kind`, or its number of
+        channels. Inactive devices too: what they send can be decoded. Raises `CallerError` when no bus speaks the protocol.
+        """
+        if protocol.name not in self.protocols:
+            raise CallerError(
+                f"robot {self.name} has nothing that speaks {protocol.name} (it speaks: {', '.join(self.protocols)})"
+            )
+        found: dict[str, dict[int, int | str]] = {table: {} for table, _ in tables_of(protocol)}
+        for _, table, number, entry in self.entries(protocol):
+            found[table][number] = entry
+        return found
+
+    def entries(self, protocol: Protocol) -> Iterator[tuple[Device, str, int, int | str]]:
+        """Device, table, number and entry of all that the devices say in a protocol's configuration tables."""
+        for device in self.devices.values():
+            if self.protocol_of(device)[0] != protocol.name:
+                continue
+            for table, credential in tables_of(protocol):
+                number = device.credentials.get(credential)
+                kind = device.kind.get(table) if isinstance(device.kind, dict) else device.kind
+                entry = device.channels if kind is None else kind
+                if number is not None and entry is not None:
+                    yield device, table, number, entry
+
+
+def tables_of(protocol: Protocol) -> list[tuple[str, str]]:
+    """The configuration tables that a protocol's messages depend on, each with the field that it maps."""
+    found = {(condition.key, condition.capture): None for m in protocol.declared for condition in m.when}
+    return list(found)

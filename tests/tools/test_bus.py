@@ -1,0 +1,204 @@
+"""`aces bus`: serving, listing, measuring, from the command line; and what may be served how."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from aces_bus.errors import AcesError
+from aces_bus.frame import Frame
+from aces_bus.hardware.faults import Faults
+from aces_bus.hardware.frame_time import INTERMISSION, frame_bits
+from aces_bus.hardware.served import BusServer, ServedChannel
+from aces_tools.bus import parse_faults
+
+from .conftest import Aces
+
+pytestmark = pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no Unix sockets on this system")
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 30.0
+MESSAGE = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
+#: What it takes of the bus's time, with the pause behind it.
+BITS = frame_bits(Frame(1, bytes(8))).total + INTERMISSION
+
+
+@pytest.fixture(autouse=True)
+def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A runtime folder of the test's own, with a short path."""
+    folder = Path(tempfile.mkdtemp(prefix="aces"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    monkeypatch.setattr("aces_tools.bus.INTERVAL_NS", 300_000_000)
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_serving_until_told_to_stop(runtime: Path, number: signal.Signals) -> None:
+    """`aces bus serve` says how to join, serves, and on Ctrl-C or SIGTERM ends with a summary, status 0 and no files."""
+    command = [sys.executable, "-m", "aces_tools.main", "bus", "serve", "left", "right", "-b", "250000"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tools")])}
+    with subprocess.Popen(
+        [*command, "--socketcand", "127.0.0.1:0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        watchdog = threading.Timer(PATIENCE, process.kill)
+        watchdog.start()
+        assert process.stdout is not None
+        lines = [process.stdout.readline() for _ in range(4)]
+        assert lines[0] == f"left  -i aces -c unix:{runtime}/aces/left.sock\n"
+        assert lines[3].startswith("right  -i socketcand -c right --bus-kwargs host=127.0.0.1 port=")
+        with can.Bus("unix:left", "aces", bitrate=250_000) as one, can.Bus("unix:left", "aces") as two:
+            one.send(can.Message(arbitration_id=1))
+            assert two.recv(PATIENCE) is not None
+        process.send_signal(number)
+        _, err = process.communicate(timeout=PATIENCE)
+        watchdog.cancel()
+    assert process.returncode == 0
+    assert "aces: left: 1 frames, 0 errors, load" in err
+    assert "Traceback" not in err
+    assert list((runtime / "aces").iterdir()) == []
+
+
+def test_list_names_served_buses(aces: Aces) -> None:
+    """Each channel with its rate, nodes and addresses; with --json one object a line."""
+    with (
+        BusServer(
+            [ServedChannel("left"), ServedChannel("right", physics=False)], unix="", tcp=("127.0.0.1", 0)
+        ) as server,
+        can.Bus("unix:left", "aces"),
+    ):
+        plain = aces("bus", "list", "--wait", "0.2")
+        objects = aces("bus", "list", "--wait", "0.2", "--json").objects
+    assert plain.status == 0
+    assert "left  served: 500,000 bit/s, 1 node, 0 frames" in plain.out
+    assert "right  served: no physics, 0 nodes, 0 frames" in plain.out
+    assert all(
+        f"  -i aces -c {address}" in plain.out for some in server.addresses.values() for address in some
+    )
+    found = {one["channel"]: one for one in objects if one["kind"] == "served"}
+    assert found["left"]["addresses"] == server.addresses["left"]
+
+
+@pytest.mark.parametrize("how", [["can0"], ["-c", "unix:can0"], ["-i", "aces", "-c", "can0"], []])
+def test_load_of_a_served_bus(aces: Aces, how: list[str]) -> None:
+    """By its name, its address, or as the only one there is: load, frames/s and nodes, as the server counts them."""
+    with (
+        BusServer([ServedChannel(bitrate=125_000)]),
+        can.Bus("unix:can0", "aces") as sender,
+        can.Bus("unix:can0", "aces", listen_only=True),
+        can.Bus("unix:can0", "aces"),
+    ):
+        task = sender.send_periodic(MESSAGE, 0.002)
+        result = aces("bus", "load", *how, "--once", "--json")
+        task.stop()
+        (measure,) = result.objects
+    assert result.status == 0
+    assert 20 < measure["frames_per_s"] < 970
+    assert measure["load"] == pytest.approx(measure["frames_per_s"] * BITS / 125_000, rel=0.05)
+    assert [node["listen_only"] for node in measure["nodes"]] == [False, True, False]
+    assert measure["nodes"][2]["received"] > 0
+
+
+def test_load_as_text(aces: Aces) -> None:
+    """One line, and with --once one for each node."""
+    with BusServer([ServedChannel(physics=False)]), can.Bus("unix:can0", "aces"):
+        result = aces("bus", "load", "can0", "--once")
+    first, second = result.out.splitlines()
+    assert "can0  load    –           0 frames/s       0 errors/s  1 node" in first
+    assert second.startswith(f"  unix pid {os.getpid()}: error-active, errors 0 sending, 0 receiving; 0 sent")
+
+
+def test_load_of_another_bus_is_heard(aces: Aces) -> None:
+    """For any bus of python-can the load is computed from what is heard and the bit rate that is given."""
+    ready, stop = threading.Event(), threading.Event()
+
+    def send() -> None:
+        with can.Bus("load", "virtual") as bus:
+            ready.set()
+            while not stop.wait(0.002):
+                bus.send(MESSAGE)
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        assert ready.wait(PATIENCE)
+        result = aces("bus", "load", "-i", "virtual", "-c", "load", "-b", "125000", "--once", "--json")
+    finally:
+        stop.set()
+        sender.join()
+    (measure,) = result.objects
+    assert 20 < measure["frames_per_s"] < 970
+    assert measure["load"] == pytest.approx(measure["frames_per_s"] * BITS / 125_000, rel=0.01)
+    assert (measure["lost"], measure["state"]) == (0, "open")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["serve", "--bitrate", "5"], "5 bit/s; CAN has"),
+        (["serve", "a/b"], "no name of a channel"),
+        (["serve", "--data-bitrate", "2000000"], "--fd"),
+        (["serve", "--faults", "dropp=1"], "did you mean 'drop'"),
+        (["serve", "--faults", "drop=much"], "write drop=0.01"),
+        (["serve", "--faults", "drop=2"], "not a chance"),
+        (["serve", "--faults", "drop=0.1", "--no-physics"], "without physics"),
+        (["serve", "--tcp", "0.0.0.0:0"], "--bind-anywhere"),
+        (["serve", "--tcp", "nowhere:x"], "is no HOST:PORT"),
+        (["serve", "-i", "socketcan"], "serve makes one"),
+        (["load", "-i", "socketcan", "-c", "can0"], "-b 500000"),
+        (["load", "unix:nobody", "--once"], "no server answers"),
+        (["load", "-i", "aces", "-c", "nobody"], "no served channel named 'nobody'"),
+        (["load", "a", "b"], "name one channel"),
+        (["fly"], "invalid choice"),
+    ],
+)
+def test_complaints(aces: Aces, arguments: list[str], complaint: str) -> None:
+    """What cannot be done is one line that says why, and status 2."""
+    result = aces("bus", *arguments)
+    assert result.status == 2
+    assert complaint in result.err
+    assert result.err.count("\n") == 1
+
+
+def test_a_path_that_is_served_is_refused(aces: Aces) -> None:
+    """The second server of a name says how to join the first."""
+    with BusServer([ServedChannel()]):
+        result = aces("bus", "serve")
+    assert result.status == 2
+    assert "is served already; join it (-i aces -c unix:" in result.err
+
+
+def test_faults_are_read_as_written() -> None:
+    """Chances by name, the longest delay in microseconds, and the seed."""
+    assert parse_faults(None, 3) == Faults(seed=3)
+    assert parse_faults("drop=0.01, delay=0.5,delay_us=20", 1) == Faults(
+        seed=1, drop=0.01, delay=0.5, delay_ns=20_000
+    )
+    for wrong in ("delay_us=0", "drop", "=1"):
+        with pytest.raises(AcesError):
+            parse_faults(wrong, 0)
+
+
+def test_the_benchmark_s_bus_is_the_same_twice() -> None:
+    """One seed, one bus; another seed, another; and it has the load that it is named for."""
+    from aces_tools.benchmarks.bus import simulate
+
+    first, again, other = simulate(0.2, 1), simulate(0.2, 1), simulate(0.2, 2)
+    assert first.digest == again.digest != other.digest
+    assert (first.frames, first.load) == (again.frames, again.load)
+    assert 0.65 < first.load < 0.75

@@ -1,0 +1,680 @@
+"""`aces sniff`: what is heard is shown, filtered, recorded and counted; nothing is ever sent."""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+import aces_tools.live_text
+import aces_tools.recorder
+import aces_tools.sniff
+from aces_bus.capture import open_capture
+from aces_bus.errors import CallerError
+from aces_bus.frame import Frame
+from aces_bus.hardware import AcesBus, BusEvent, CanGate
+from aces_bus.hardware.inbox import Inbox
+from aces_tools.live import Told, parse_duration
+from aces_tools.live_text import CandumpLines, Times
+from tests.tools.live import WAIT_S, Node, Opened, interrupt
+
+Aces = Callable[..., Any]
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    made = Node()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
+    made = Opened(monkeypatch)
+    yield made
+    made.join()
+
+
+def walk(node: Node) -> Callable[[], None]:
+    """Five frames; to the protocol `arm`: two decoded, one malformed, one unknown, one decoded."""
+
+    def send() -> None:
+        node.send(0x060, "0A000000F6FFFFFF")
+        node.send(0x300, "02090064000080BF")
+        node.send(0x060, "0102")
+        node.send(0x7FE, "DEADBEEF")
+        node.send(0x061, "0B000000F5FFFFFF")
+
+    return send
+
+
+# ---------------------------------------------------------------------- what is shown
+
+
+def test_live_lines_are_those_of_decode(
+    aces: Aces, node: Node, opened: Opened, arm: str, tmp_path: Path
+) -> None:
+    """Record lines of a live bus equal those of `aces decode` of the recording that was made meanwhile."""
+    opened.then(walk(node))
+    record = tmp_path / "walk.log"
+    live = aces("sniff", *node.options, "-p", arm, "--format", "jsonl", "-n", 5, "--record", record)
+    assert live.status == 0
+    again = aces("decode", record, "-p", arm, "--format", "jsonl")
+    expected = [{**one, "source": node.channel} for one in again.objects]
+    assert live.objects == expected
+    assert [one["message"] for one in live.objects] == ["Encoder", "State", None, None, "Encoder"]
+    assert live.objects[1]["fields"]["mode"] == "torque"
+    # times with all their digits
+    assert all(one["time"] > 1.7e9 for one in live.objects)
+
+
+def test_the_summary_is_that_of_decode_and_what_was_lost(
+    aces: Aces, node: Node, opened: Opened, arm: str
+) -> None:
+    """The bins sum to the frames, and the losses stand behind them."""
+    opened.then(walk(node))
+    found = aces("sniff", *node.options, "-p", arm, "-n", 5)
+    assert found.summary == {
+        "frames": 5,
+        "decoded": 3,
+        "unknown": 1,
+        "malformed": 1,
+        "filtered": 0,
+        "errors": 0,
+        "lines_unreadable": 0,
+        "dropped": 0,
+        "kernel_dropped": 0,
+        "bad_input": 0,
+        "reopened": 0,
+    }
+    assert "Encoder  board=0  position=[10, -10] count" in found.out
+
+
+def test_without_a_protocol_the_lines_are_candumps(aces: Aces, opened: Opened, tmp_path: Path) -> None:
+    """Frames of each kind are shown so that a reader of candump's lines reads the same frames."""
+    node = Node(fd=True)
+    try:
+
+        def send() -> None:
+            node.send(0x123, "DEADBEEF")
+            node.send(0x12345678, "00")
+            node.send(0x7FF, "", is_remote_frame=True, dlc=4)
+            node.send(0x100, "00" * 12, is_fd=True)
+            node.send(0x001)
+
+        opened.then(send)
+        found = aces("sniff", *node.options, "-t", "a", "-n", 5)
+    finally:
+        node.close()
+    frames = list(open_capture(io.BytesIO(found.out.encode()), link="can"))
+    assert [(f.arbitration_id, f.data, f.is_extended_id, f.is_remote_frame, f.is_fd) for f in frames] == [
+        (0x123, b"\xde\xad\xbe\xef", False, False, False),
+        (0x12345678, b"\0", True, False, False),
+        (0x7FF, b"", False, True, False),
+        (0x100, bytes(12), False, False, True),
+        (0x001, b"", False, False, False),
+    ]
+    assert frames[2].dlc == 4
+    assert {frame.channel for frame in frames} == {node.channel}
+    assert found.summary["unknown"] == 5
+
+
+STAMPED = [
+    Frame(0x123, b"\x01\x02", 1436509052.25, "can0"),
+    Frame(0x123, b"", 1436509052.5, "can0"),
+    Frame(4, bytes(8), 1436509054.0, "can1", is_error_frame=True),
+]
+
+
+@pytest.mark.parametrize(
+    ("mode", "shown"),
+    [
+        ("a", ["1436509052.250000", "1436509052.500000", "1436509054.000000"]),
+        ("d", ["000.000000", "000.250000", "001.500000"]),
+        ("z", ["000.000000", "000.250000", "001.750000"]),
+    ],
+)
+def test_times_are_candumps(mode: str, shown: list[str]) -> None:
+    """Absolute, delta to the line before, and from the first on: with candump's digits."""
+    lines = CandumpLines(Times(mode)).frames(STAMPED).decode().splitlines()
+    assert [re.findall(r"^ \(([0-9.]+)\)  can", line)[0] for line in lines] == shown
+    assert lines[0].endswith("  can0  123   [2]  01 02")
+    assert lines[2].endswith("  can1  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME")
+
+
+def test_dates_are_read_back_as_the_same_instant() -> None:
+    """`-t A` is local time, as candump writes and our reader reads it."""
+    lines = CandumpLines(Times("A")).frames(STAMPED)
+    assert [frame.timestamp for frame in open_capture(io.BytesIO(lines), link="can")] == [
+        frame.timestamp for frame in STAMPED
+    ]
+
+
+def test_decoded_lines_have_the_time_that_is_asked_for(
+    aces: Aces, node: Node, opened: Opened, arm: str
+) -> None:
+    """`-t d` counts from the line before, `-t A` gives a date."""
+    opened.then(walk(node))
+    found = aces("sniff", *node.options, "-p", arm, "-t", "d", "-n", 5)
+    assert found.out.splitlines()[1].split()[0] == "0.000000"
+    opened.event.clear()
+    opened.then(walk(node))
+    found = aces("sniff", *node.options, "-p", arm, "-t", "A", "-n", 5)
+    assert re.match(r" *[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8}\.[0-9]{6} ", found.out.splitlines()[1])
+
+
+def test_filters_apply_to_what_is_shown_and_not_to_what_is_recorded(
+    aces: Aces, node: Node, opened: Opened, arm: str, tmp_path: Path
+) -> None:
+    """candump's filters, by identifier and interface; the recording has everything."""
+    record = tmp_path / "all.log"
+    opened.then(walk(node))
+    wanted = f"{node.channel},060:7F0"
+    found = aces("sniff", *node.options, "-p", arm, "--filter", wanted, "-n", 3, "--record", record)
+    assert len([line for line in found.out.splitlines() if " 06" in line]) == 3
+    assert found.summary["filtered"] == 2
+    assert len(list(open_capture(record, link="can"))) == 5
+    opened.event.clear()
+    opened.then(walk(node))
+    found = aces("sniff", *node.options, "--filter", "060~7F0", "-n", 2)
+    assert [line.split()[2] for line in found.out.splitlines()] == ["300", "7FE"]
+    assert found.summary["filtered"] == 2
+
+
+def test_messages_and_conditions_select(aces: Aces, node: Node, opened: Opened, arm: str) -> None:
+    """`--message` and `--where` as of decode; with them losses are not shown."""
+    opened.then(walk(node))
+    found = aces(
+        "sniff", *node.options, "-p", arm, "--message", "Encoder", "--where", "board=1", "--format", "jsonl", "-n", 1
+    )  # fmt: skip
+    (one,) = found.objects
+    assert one["fields"] == {"board": 1, "position": [11, -11]}
+    assert found.summary["filtered"] == 2
+    assert found.summary["unknown"] == 1
+
+
+def test_several_protocols_each_claim_theirs(aces: Aces, node: Node, opened: Opened, arm: str) -> None:
+    """Two protocols on one bus; the first named wins, which is said."""
+    opened.then(walk(node))
+    found = aces("sniff", *node.options, "-p", arm, "-p", "hubo", "-n", 5, "--format", "jsonl")
+    assert {one["protocol"] for one in found.objects if one["message"]} == {"arm"}
+    assert any("both claim identifier 0x060" in said for said in found.messages)
+
+
+def test_it_ends_after_a_time(aces: Aces, node: Node) -> None:
+    """`--for` ends it where nothing comes."""
+    found = aces("sniff", *node.options, "--for", "20ms")
+    assert found.status == 0
+    assert found.summary["frames"] == 0
+
+
+def test_it_ends_on_ctrl_c_with_everything_that_was_heard(
+    aces: Aces, node: Node, opened: Opened, arm: str
+) -> None:
+    """Ctrl-C is an end and no fault: what was heard is shown, and the status is 0."""
+
+    def work() -> None:
+        walk(node)()
+        interrupt()
+
+    opened.then(work)
+    found = aces("sniff", *node.options, "-p", arm)
+    assert found.status == 0
+    assert found.summary["frames"] == 5
+    assert len(found.out.splitlines()) == 1 + 5
+
+
+def test_quiet_prints_the_summary_only(aces: Aces, node: Node, opened: Opened) -> None:
+    """`-q` shows nothing and counts everything."""
+
+    def work() -> None:
+        walk(node)()
+        interrupt()
+
+    opened.then(work)
+    found = aces("sniff", *node.options, "-q")
+    assert found.out == ""
+    assert found.summary["frames"] == 5
+
+
+# ---------------------------------------------------------------------- it cannot send
+
+
+def test_nothing_is_ever_sent(
+    aces: Aces, node: Node, opened: Opened, arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bus is opened to listen only, no thread sends, `send` refuses, and python-can's `send` is not called."""
+    sent: list[Any] = []
+    made: list[dict[str, Any]] = []
+    others = AcesBus.send
+    create = can.Bus
+
+    def bus(*arguments: Any, **options: Any) -> Any:
+        found = create(*arguments, **options)
+        made.append(options)
+        found.send = sent.append  # type: ignore[method-assign]
+        return found
+
+    monkeypatch.setattr(can, "Bus", bus)
+    names: list[str] = []
+
+    def work() -> None:
+        (gate,) = opened.gates
+        names.extend(thread.name for thread in threading.enumerate())
+        with pytest.raises(CallerError, match="only listens"):
+            gate.send(Frame(1))
+        walk(node)()
+
+    opened.then(work)
+    record = tmp_path / "all.log"
+    found = aces("sniff", *node.options, "-p", arm, "-n", 5, "--record", record, "--direction", "both")
+    assert found.summary["frames"] == 5
+    assert sent == []
+    assert AcesBus.send is others
+    assert [options["listen_only"] for options in made] == [True]
+    (gate,) = opened.gates
+    assert isinstance(gate, CanGate)
+    assert gate.listen_only
+    assert gate.counters.sent == gate.counters.send_failed == 0
+    assert f"{node.channel} receive" in names
+    assert f"{node.channel} send" not in names
+    assert node.received() == []
+
+
+@pytest.mark.parametrize("module", [aces_tools.sniff, aces_tools.recorder, aces_tools.live_text])
+def test_no_line_of_it_sends(module: Any) -> None:
+    """Nowhere in the command is anything called `send`, and a gate is made in one place: to listen only."""
+    tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
+    calls = [
+        call for call in ast.walk(tree) if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute)
+    ]
+    names = [call.func.attr for call in calls if isinstance(call.func, ast.Attribute)]
+    assert not [name for name in names if "send" in name or name in ("write_port", "sendto")]
+    gates = [call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr == "gate"]
+    for call in gates:
+        assert [(k.arg, ast.literal_eval(k.value)) for k in call.keywords] == [("listen_only", True)]
+
+
+# ---------------------------------------------------------------------- what happens to a bus
+
+
+def test_a_bus_that_is_lost_comes_back(
+    aces: Aces, node: Node, opened: Opened, arm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unplugged and back: both are said when they happen, and what comes after is shown."""
+    original = AcesBus.recv
+    failures = iter([True])
+
+    def recv(bus: AcesBus, timeout: float | None = None) -> Any:
+        if bus is not node.bus and next(failures, False):
+            raise can.CanOperationError("the adapter is gone")
+        return original(bus, timeout)
+
+    monkeypatch.setattr(AcesBus, "recv", recv)
+
+    def work() -> None:
+        (gate,) = opened.gates
+        back = threading.Event()
+        gate.on_event(lambda event: back.set() if event.kind == "reopened" else None)
+        if gate.counters.reopened or back.wait(WAIT_S):
+            walk(node)()
+
+    opened.then(work)
+    found = aces("sniff", *node.options, "-p", arm, "-n", 5)
+    assert any("lost: CanOperationError: the adapter is gone" in said for said in found.messages)
+    assert any("reopened" in said for said in found.messages)
+    assert found.summary["decoded"] == 3
+    assert found.summary["reopened"] == 1
+
+
+def test_what_comes_too_fast_is_counted(
+    aces: Aces, node: Node, opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full queue drops the oldest frames; the summary and a line on stderr say how many."""
+    subscribed = CanGate.subscribe
+
+    def subscribe(gate: CanGate, **options: Any) -> Inbox[Any]:
+        return subscribed(gate, **{**options, "limit": 2})
+
+    monkeypatch.setattr(CanGate, "subscribe", subscribe)
+
+    def work() -> None:
+        (gate,) = opened.gates
+        frames = [can.Message(arbitration_id=n, is_extended_id=False, timestamp=1.0) for n in range(10)]
+        received = [gate._frame(frame) for frame in frames]
+        from aces_bus.hardware import Received
+
+        gate._put([Received(frame, 1) for frame in received])
+        interrupt()
+
+    opened.then(work)
+    found = aces("sniff", *node.options)
+    assert found.summary["frames"] == 2
+    assert found.summary["dropped"] == 8
+    assert any("8 frames came faster" in said for said in found.messages)
+
+
+def test_a_flood_of_events_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a thousand events of one kind three are printed, and then one line."""
+    gate = CanGate(dict, name="can0", listen_only=True)
+    told = Told(gate)
+    for _ in range(1000):
+        gate.events.tell(BusEvent("bad input", 0, "can0", "oops"))
+    told.tell()
+    told.tell(last=True)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["aces: can0: bad input: oops"] * 3 + ["aces: can0: bad input: 997 more times"]
+    assert told.counts == {"bad input": 1000}
+
+
+# ---------------------------------------------------------------------- recording
+
+
+@pytest.mark.parametrize("name", ["walk", "walk.log", "walk.blf", "walk.asc.gz", "walk.pcapng"])
+def test_recordings_of_any_format(aces: Aces, node: Node, opened: Opened, tmp_path: Path, name: str) -> None:
+    """The suffix says the format, and nothing else stays behind."""
+    opened.then(walk(node))
+    record = tmp_path / name
+    found = aces("sniff", *node.options, "-n", 5, "-q", "--record", record, "--for", "100ms")
+    assert found.status == 0
+    frames = list(open_capture(record, link="can"))
+    assert [frame.arbitration_id for frame in frames] == [0x060, 0x300, 0x060, 0x7FE, 0x061]
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert f"recorded 5 frames in {record}" in found.messages
+
+
+def test_a_recording_is_never_written_over(aces: Aces, node: Node, tmp_path: Path) -> None:
+    """A file that is there stays, and so does what a run that was killed has left."""
+    record = tmp_path / "walk.log"
+    record.write_text("precious")
+    found = aces("sniff", *node.options, "--record", record)
+    assert found.status == 2
+    assert "there is such a file already" in found.err
+    left = tmp_path / "walk.blf.log"
+    left.write_text("precious")
+    found = aces("sniff", *node.options, "--record", tmp_path / "walk.blf")
+    assert found.status == 2
+    assert "cut short; convert it first" in found.err
+    assert record.read_text() == left.read_text() == "precious"
+
+
+def test_a_bus_that_cannot_be_opened_leaves_no_recording(aces: Aces, node: Node, tmp_path: Path) -> None:
+    """No empty file of a run that never began."""
+    record = tmp_path / "walk.log"
+    found = aces("sniff", "-i", "aces", "-c", node.channel, "--record", record)
+    assert found.status == 2
+    assert f"{node.channel} (interface aces) cannot be opened" in found.err
+    assert not record.exists()
+
+
+def test_a_recording_that_fails_ends_the_run(
+    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk is said, at once, and is no success."""
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(aces_tools.recorder.CandumpWriter, "write", full)
+    opened.then(walk(node))
+    found = aces("sniff", *node.options, "--record", tmp_path / "walk.log")
+    assert found.status == 2
+    assert "recording stopped: No space left on device" in found.err
+
+
+# ---------------------------------------------------------------------- lines and datagrams
+
+posix = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals, signals and pipes of a Unix system")
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    """The far end of a serial line, and the name of the near one."""
+    import tty
+
+    far, near = os.openpty()
+    tty.setraw(near)
+    yield far, os.ttyname(near)
+    for end in (far, near):
+        os.close(end)
+
+
+@posix
+def test_a_serial_line_is_decoded_and_recorded(
+    aces: Aces, opened: Opened, pty: tuple[int, str], tmp_path: Path
+) -> None:
+    """Packets come as records, and the recording has the bytes, their times and pieces."""
+    far, near = pty
+    opened.then(lambda: os.write(far, bytes.fromhex("FFFF010200FC")))
+    record = tmp_path / "line.slog"
+    found = aces(
+        "sniff", "--serial", near, "-p", "robotis", "--direction", "from", "-n", 1, "--format", "jsonl",
+        "--record", record,
+    )  # fmt: skip
+    (one,) = found.objects
+    assert (one["message"], one["offset"], one["size"], one["direction"]) == ("Status", 0, 6, "from device")
+    assert found.summary["decoded"] == 6
+    chunks = list(open_capture(record, link="serial"))
+    assert b"".join(chunk.data for chunk in chunks) == bytes.fromhex("FFFF010200FC")
+    assert {chunk.direction for chunk in chunks} == {"from device"}
+    assert all(chunk.time is not None and chunk.time > 1.7e9 for chunk in chunks)
+
+
+@posix
+def test_a_silent_line_ends_what_is_incomplete(aces: Aces, opened: Opened, pty: tuple[int, str]) -> None:
+    """Half a packet is shown as malformed after the protocol's gap, though nothing follows."""
+    far, near = pty
+    opened.then(lambda: os.write(far, bytes.fromhex("FFFF0105")))
+    found = aces(
+        "sniff", "--serial", near, "-p", "robotis", "--direction", "from", "-n", 1, "--format", "jsonl"
+    )
+    (one,) = found.objects
+    assert one["reason"] == "malformed: incomplete"
+
+
+@posix
+def test_bytes_without_a_protocol(aces: Aces, opened: Opened, pty: tuple[int, str]) -> None:
+    """They are shown as they came, and are unknown."""
+    far, near = pty
+    opened.then(lambda: os.write(far, b"\x01\x02"))
+    found = aces("sniff", "--serial", near, "-n", 1)
+    assert found.out.endswith(f"{near} ?  [2]  01 02\n")
+    assert found.summary["unknown"] == found.summary["bytes"] == 2
+
+
+def test_datagrams_are_whole(aces: Aces, opened: Opened) -> None:
+    """What a datagram leaves incomplete the next one does not continue."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    packet = bytes.fromhex("FFFF010200FC")
+
+    def work() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for data in (packet[:3], packet[3:], packet):
+                sender.sendto(data, ("127.0.0.1", port))
+
+    opened.then(work)
+    found = aces(
+        "sniff", "--udp", port, "-p", "robotis", "--direction", "from", "--message", "Status", "-n", 1
+    )
+    assert found.summary["decoded"] == 6
+    assert found.summary["bytes"] == 12
+
+
+# ---------------------------------------------------------------------- wrong calls
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-i", "aces", "-c", "x", "-p", "robotis"], "robotis is not spoken on CAN"),
+        (["--serial", "/dev/none", "-p", "hubo"], "hubo is spoken on CAN; name a CAN bus"),
+        (["--serial", "/dev/none", "-c", "can0"], "--channel is for CAN and --serial is not"),
+        (["--serial", "a", "--udp", "1"], "two buses; name one"),
+        (["--udp", "x:y"], "write PORT or HOST:PORT"),
+        (["-i", "aces", "--baud", "9600"], "--baud is for serial lines"),
+        (["-i", "aces", "-n", "0"], "at least one line"),
+        (["-i", "aces", "--for", "soon"], "not a duration; write 10ms"),
+        (["-i", "aces", "--message", "Encoder"], "name a protocol: -p NAME"),
+        (["-i", "aces", "-p", "hubo", "--message", "Encode"], "did you mean 'Encoder'"),
+        (["--serial", "a", "--filter", "060:7F0"], "this is no CAN bus"),
+        (["-i", "aces", "--filter", "060"], "060:7FF"),
+        (["--serial", "a", "-p", "robotis"], "--direction"),
+        (["-i", "aces", "--record", "x.foo"], "the suffix names no format"),
+        (["-i", "aces", "--record", "x.slog"], "does not hold CAN frames; there are .log .asc"),
+        (["-i", "aces", "--record", "-"], "standard output is for the lines"),
+        (["-i", "aces", "--record", "/nowhere/x.log"], "cannot be written"),
+        (["--serial", "/dev/nothing-here"], "/dev/nothing-here cannot be opened"),
+    ],
+)
+def test_wrong_calls(
+    aces: Aces, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: list[str], said: str
+) -> None:
+    """One line says what is wrong and what would work; nothing is opened or written."""
+    monkeypatch.chdir(tmp_path)
+    found = aces("sniff", *arguments)
+    assert found.status == 2
+    assert said in found.err
+    assert len(found.err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_bus_named(aces: Aces, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without options, configuration and variables it is said how to name one."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    found = aces("sniff")
+    assert found.status == 2
+    assert "no bus is named; name it with -i INTERFACE -c CHANNEL" in found.err
+
+
+def test_python_cans_variables_name_the_bus(
+    aces: Aces, node: Node, opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CAN_INTERFACE and CAN_CHANNEL, as with every program that uses python-can."""
+    monkeypatch.setenv("CAN_INTERFACE", "aces")
+    monkeypatch.setenv("CAN_CHANNEL", node.channel)
+    opened.then(walk(node))
+    found = aces("sniff", "--bus-kwargs", "physics=false", "-n", 5)
+    assert found.summary["frames"] == 5
+    assert node.channel in found.out
+
+
+@pytest.mark.parametrize(
+    ("text", "ns"),
+    [
+        ("10ms", 10_000_000),
+        ("0.5s", 500_000_000),
+        ("2min", 120 * 10**9),
+        ("3", 3 * 10**9),
+        ("100us", 100_000),
+    ],
+)
+def test_durations(text: str, ns: int) -> None:
+    """Durations are written with a unit, or in seconds."""
+    assert parse_duration("--for", text) == ns
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1s", "1 fortnight", "nan", "inf", "1e9h"])
+def test_no_durations(text: str) -> None:
+    """What is no duration is refused with what is."""
+    with pytest.raises(CallerError, match="10ms"):
+        parse_duration("--for", text)
+
+
+# ---------------------------------------------------------------------- as a program of its own
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """`running("-n", "5")`: sniffs a replay that goes on for ever at 1,000 frames/s."""
+    log = tmp_path / "loop.log"
+    log.write_text("".join(f"({n / 1000:.6f}) can0 {n:03X}#{n:04X}\n" for n in range(1000)))
+    started: list[subprocess.Popen[bytes]] = []
+
+    def run(*arguments: object) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "aces_tools.main", "sniff", "-i", "aces-replay", "-c", str(log)),
+                *("--bus-kwargs", "loop=true", *map(str, arguments)),
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        alarm = threading.Timer(60, process.kill)
+        alarm.daemon = True
+        alarm.start()
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@posix
+def test_kill_9_loses_less_than_a_second(
+    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    """Of a recording into any format, all but the last second is there after SIGKILL, and can be read."""
+    record = tmp_path / "walk.blf"
+    process = running("--record", record, "--format", "jsonl")
+    assert process.stdout is not None
+    shown = [json.loads(process.stdout.readline()) for _ in range(1300)]
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    with open_capture(f"{record}.log", link="can") as capture:
+        kept = list(capture)
+        assert capture.lines_unreadable <= 1
+    assert len(kept) >= len(shown) - 1000
+    assert len(kept) >= 300
+    pairs = zip(kept, shown, strict=False)
+    assert all(frame.arbitration_id == one["id"] and frame.data.hex() == one["raw"] for frame, one in pairs)
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_with_a_whole_recording(
+    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, number: int
+) -> None:
+    """Ctrl-C and `kill` end it: the summary is printed, and the recording is in its format."""
+    record = tmp_path / "walk.blf"
+    process = running("--record", record)
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.send_signal(number)
+    shown = 1 + len(process.stdout.read().splitlines())
+    assert process.stderr is not None
+    assert b"frames=%d " % shown in process.stderr.read().splitlines()[-1]
+    assert process.wait() == 0
+    assert len(list(open_capture(record, link="can"))) == shown
+
+
+@posix
+def test_nobody_reads_any_more(running: Callable[..., subprocess.Popen[bytes]]) -> None:
+    """`| head -1` ends it without a complaint."""
+    process = running()
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr is not None
+    said = process.stderr.read()
+    assert process.wait() == 0
+    assert b"Traceback" not in said
+    process.stdout = None

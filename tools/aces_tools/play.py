@@ -1,0 +1,399 @@
+"""Play recordings onto a bus, at their pace. Without --tx it only says what would be sent.
+
+  aces play walk.log
+  aces play walk.log -i socketcan -c can0 --tx
+  aces play monday.blf tuesday.blf -i aces -c unix:can0 --tx --speed 2 --gap 1s
+  aces play walk.log --map can0=vcan1 --map can1=vcan0 -i socketcan --tx --loop 0
+  aces play session.slog --direction to --serial /dev/ttyUSB0 --tx
+
+Any recording that 'aces decode' reads: CAN frames go onto a CAN bus, bytes of
+a serial line onto a line or into datagrams.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.capture import CanCapture, Chunk, SerialCapture, open_capture, parse_filter
+from aces_bus.errors import CallerError, CaptureError
+from aces_bus.frame import Frame
+from aces_bus.frame_table import NO_TIME, to_ns
+
+from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
+from .console import say
+from .decoding import SHOWN
+from .live import LINGER_S, LivePatience, Outgoing, Told, parse_duration
+
+if TYPE_CHECKING:
+    from aces_bus.hardware.replay import Pace
+
+BATCH = 256
+#: What recordings are counted in, by the kind of bus.
+UNITS = {"can": "frames", "serial": "bytes", "datagram": "datagrams"}
+#: What may wait in a gate's queue.
+WAITING = {"frames": 1024, "bytes": 4096, "datagrams": 64}
+#: Bytes of a serial recording that are sent at once.
+PIECE = 512
+#: Seconds after which a bus that takes nothing is given up.
+PATIENCE_S = 5.0
+#: Seconds between two looks at how far it is, on a terminal.
+PROGRESS_S = 0.2
+#: Identifiers that are listed.
+LISTED = 24
+
+EPILOG = """\
+channels: all frames go to the bus that -c names. With --map OLD=NEW those of
+channel OLD go to the bus NEW, and others to -c, or nowhere where none is
+given (filtered).
+
+Error frames are made by controllers and cannot be sent: they are skipped.
+
+summary (last on stderr):
+  frames = sent + failed + filtered + skipped (+ unsent after Ctrl-C)
+  bytes = sent + failed + filtered         (serial; of --udp: datagrams)
+exit status: 0, also after Ctrl-C; 1 when something was not sent; 2 a wrong
+call, a file that cannot be read, or a bus that cannot be opened
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = EPILOG
+    add = parser.add_argument
+    add("files", nargs="+", metavar="FILE", help="recordings, played one after another; - is standard input")
+    add("--tx", action="store_true", help="really send; nothing else makes it")
+    add("--speed", default="1", metavar="N", help="so many times as fast, or max (default: 1)")
+    add("--loop", type=int, default=1, metavar="N", help="so many times; 0: until Ctrl-C")
+    add("--gap", metavar="DURATION", help="no silence is longer than this: 1s, 500ms")
+    add("--rate", type=float, metavar="N", help="CAN: at most N frames a second")
+    add(
+        "--filter",
+        action="append",
+        default=[],
+        metavar="FILTER",
+        help="CAN: only what candump's filters let pass, such as 060:7F0; by the recording's channels",
+    )
+    add("--map", action="append", default=[], metavar="OLD=NEW", help="CAN: channel OLD onto the bus NEW")
+    add("--direction", choices=["to", "from"], help="serial: only what went to, or came from, the device")
+    add_bus_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    playing = Playing(arguments)
+    return playing.run() if arguments.tx else playing.show()
+
+
+class Playing:
+    """One run of `aces play`. A wrong call raises before anything is opened."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self.arguments = arguments
+        self.files: list[str] = arguments.files
+        self.speed = _speed(arguments.speed)
+        self.gap = None if arguments.gap is None else parse_duration("--gap", arguments.gap) / 1e9
+        self.loops: int = arguments.loop
+        if self.loops < 0:
+            raise CallerError(f"--loop {self.loops}: a number of times, or 0 for ever")
+        if self.loops != 1 and "-" in self.files:
+            raise CallerError("standard input can be played once only; --loop needs a file")
+        if arguments.rate is not None and not arguments.rate > 0:
+            raise CallerError(f"--rate {arguments.rate:g}: a rate is a number above 0")
+        self.filter = parse_filter(*arguments.filter) if arguments.filter else None
+        self.map = _mapped(arguments.map)
+        self.direction = {"to": "to device", "from": "from device"}.get(arguments.direction)
+        is_named = any(name in arguments for name in CAN_OPTIONS) or arguments.serial or arguments.udp
+        self.bus: ChosenBus | None = chosen_bus(arguments) if arguments.tx or is_named or self.map else None
+        if self.bus is not None and self.bus.kind != "can":
+            for option in ("filter", "map", "rate"):
+                if getattr(arguments, option):
+                    raise CallerError(f"--{option} is for CAN, and {self.bus.name} is no CAN bus")
+        if self.bus is not None and self.bus.kind == "can" and self.direction is not None:
+            raise CallerError("--direction is for bytes of a serial line, and this is a CAN bus")
+        self.total = self.filtered = self.skipped = self.unsent = 0
+        self.unit = "frames" if self.bus is None else UNITS[self.bus.kind]
+        self.buses = self._buses()
+        self.status = 0
+        #: Of a recording that is shown: frames by identifier, channels, first and last time.
+        self.seen: Counter[str] = Counter()
+        self.channels: dict[str, None] = {}
+        self.outgoing: dict[str, Outgoing] = {}
+        self.told: list[Told] = []
+        self._shown_at = 0.0
+        self._began = 0.0
+
+    # ------------------------------------------------------------------ what is played
+
+    def _open(self, name: str) -> CanCapture | SerialCapture:
+        return open_capture(name) if self.bus is None else open_capture(name, link=self.bus.link)
+
+    def _words(self, capture: CanCapture | SerialCapture, patience: LivePatience) -> Iterator[Frame | Chunk]:
+        """What of a recording is to be sent; the rest is counted."""
+        if isinstance(capture, CanCapture):
+            for frames in patience.each(capture.batches(BATCH)):
+                for frame in frames:
+                    self.total += 1
+                    if frame.is_error_frame:
+                        self.skipped += 1
+                    elif (self.filter is not None and not self.filter.matches(frame)) or not self._goes(
+                        frame
+                    ):
+                        self.filtered += 1
+                    else:
+                        yield frame
+            return
+        for chunk in patience.each(capture):
+            size = 1 if self.unit == "datagrams" else len(chunk.data)
+            self.total += size
+            if self.direction is not None and chunk.direction not in (None, self.direction):
+                self.filtered += size
+            else:
+                yield chunk
+
+    def _goes(self, frame: Frame) -> bool:
+        """Whether there is a bus for this frame's channel."""
+        return not self.map or str(frame.channel) in self.map or "channel" in self.arguments
+
+    def _problems(self, capture: CanCapture | SerialCapture) -> None:
+        for problem in capture.problems[:SHOWN]:
+            say(f"{capture.name}:{problem.line}: {problem.reason}: {problem.excerpt!r}")
+        if capture.lines_unreadable > SHOWN:
+            say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
+
+    def _failed(self, error: CaptureError) -> None:
+        say(str(error))
+        self.status = 2
+
+    # ------------------------------------------------------------------ without --tx
+
+    def show(self) -> int:
+        """Say what would be sent, and send nothing."""
+        with LivePatience() as patience:
+            for name in self.files:
+                try:
+                    with self._open(name) as capture:
+                        if self.bus is None:
+                            self.unit = UNITS[capture.link]
+                        self._describe(capture, patience)
+                        self._problems(capture)
+                except CaptureError as error:
+                    self._failed(error)
+                except KeyboardInterrupt:
+                    patience.is_over = True
+                if patience.is_over:
+                    return 130
+        say("nothing was sent: add --tx" + ("" if self.bus is not None else " and a bus"))
+        self._summarise(0, 0)
+        return self.status
+
+    def _describe(self, capture: CanCapture | SerialCapture, patience: LivePatience) -> None:
+        first = last = None
+        self.seen.clear()
+        self.channels.clear()
+        size = 0
+        for word in self._words(capture, patience):
+            if isinstance(word, Frame):
+                instant = word.timestamp
+                size += 1
+                self.channels[str(word.channel)] = None
+                self.seen[f"{word.arbitration_id:0{8 if word.is_extended_id else 3}X}"] += 1
+            else:
+                instant = word.time
+                size += len(word.data)
+                self.seen[word.direction or "direction not known"] += len(word.data)
+            if instant is not None:
+                first = instant if first is None else first
+                last = instant if last is None else max(last, instant)
+        unit = "frames" if capture.link == "can" else "bytes"
+        seconds = (last - first) if first is not None and last is not None else None
+        lasts = "" if seconds is None else f" in {seconds:.3f} s"
+        where = f", channels {', '.join(self.channels)}" if self.channels else ""
+        print(f"{capture.name}: {size} {unit}{lasts}{where}")
+        rows = self.seen.most_common(LISTED)
+        for name, number in sorted(rows) if capture.link == "can" else rows:
+            rate = f"  {number / seconds:10.1f} /s" if seconds else ""
+            print(f"  {name:>8}  {number:8}{rate}")
+        if len(self.seen) > LISTED:
+            print(f"  and {len(self.seen) - LISTED} more identifiers")
+
+    # ------------------------------------------------------------------ with --tx
+
+    def run(self) -> int:
+        """Play."""
+        assert self.bus is not None
+        gates = {
+            name: bus.gate(listen_only=False, send_rate=self.arguments.rate)
+            for name, bus in self.buses.items()
+        }
+        with LivePatience() as patience:
+            try:
+                for name, gate in gates.items():
+                    self.told.append(Told(gate))
+                    self.buses[name].start(gate)
+                    self.outgoing[name] = Outgoing(gate)
+                self._began = time.monotonic()
+                self._play(patience)
+                for outgoing in self.outgoing.values():
+                    outgoing.drain(patience, seconds=PATIENCE_S)
+                patience.wait_until(time.monotonic_ns() + round(LINGER_S * 1e9))
+            except KeyboardInterrupt:
+                patience.is_over = True
+            finally:
+                for gate in gates.values():
+                    gate.stop()
+                self._progress(last=True)
+                self._tell(last=True)
+        sent = sum(gate.counters.sent for gate in gates.values())
+        failed = sum(gate.counters.send_failed for gate in gates.values())
+        self.unsent = self.total - self.filtered - self.skipped - sent - failed
+        self._summarise(sent, failed)
+        if failed or (self.unsent and not patience.is_over):
+            self.status = self.status or 1
+        return self.status
+
+    def _buses(self) -> dict[str, ChosenBus]:
+        """The buses that are played onto, by name."""
+        if self.bus is None:
+            return {}
+        found = {self.bus.name: self.bus} if not self.map or "channel" in self.arguments else {}
+        for name in self.map.values():
+            found.setdefault(name, self.bus.on(name))
+        return found
+
+    def _to(self, word: Frame | Chunk) -> Outgoing:
+        assert self.bus is not None
+        name = self.map.get(str(word.channel)) if isinstance(word, Frame) else None
+        return self.outgoing[name if name is not None else self.bus.name]
+
+    def _play(self, patience: LivePatience) -> None:
+        done = 0
+        while not patience.is_over and (not self.loops or done < self.loops):
+            done += 1
+            before = self.total
+            for name in self.files:
+                if patience.is_over:
+                    return
+                try:
+                    with patience.waiting():
+                        capture = self._open(name)
+                    with capture:
+                        self._file(capture, patience)
+                        if done == 1:
+                            self._problems(capture)
+                except CaptureError as error:
+                    self._failed(error)
+            if self.total == before:
+                return  # nothing in them: for ever would be for nothing
+
+    def _file(self, capture: CanCapture | SerialCapture, patience: LivePatience) -> None:
+        from aces_bus.hardware.replay import Pace
+        from aces_bus.runtime import RealClock
+
+        pace = Pace(RealClock(), self.speed, self.gap)
+        line = _Line(pace, self._byte_ns)
+        for word in self._words(capture, patience):
+            outgoing = self._to(word)
+            stamp = to_ns(word.timestamp if isinstance(word, Frame) else word.time)
+            for due, piece in line.pieces(word, stamp, is_split=self._is_split):
+                if not patience.wait_until(due):
+                    return
+                most = WAITING[self.unit]
+                if outgoing.pending > most and not outgoing.drain(patience, most // 2, PATIENCE_S):
+                    if not patience.is_over:
+                        say(f"{outgoing.gate.name}: it takes no more; is anybody on the bus?")
+                        patience.is_over = True
+                        self.status = 1
+                    return
+                try:
+                    outgoing.send(piece)
+                except CallerError as error:
+                    say(str(error))
+                    patience.is_over = True
+                    self.status = 1
+                    return
+            self._tell()
+            self._progress()
+
+    @property
+    def _is_split(self) -> bool:
+        return self.bus is not None and self.bus.kind == "serial"
+
+    @property
+    def _byte_ns(self) -> float:
+        """How long a byte takes where a recording has no times."""
+        baud = self.bus.options.get("baud") if self.bus is not None else None
+        return 10e9 / baud / self.speed if baud and self.speed else 0.0
+
+    def _tell(self, *, last: bool = False) -> None:
+        for told in self.told:
+            told.tell(last=last)
+
+    def _progress(self, *, last: bool = False) -> None:
+        if sys.stderr is None or not sys.stderr.isatty():
+            return
+        now = time.monotonic()
+        if not last and now - self._shown_at < PROGRESS_S:
+            return
+        self._shown_at = now
+        text = "" if last else f"{now - self._began:.1f} s  {self.total} {self.unit}"
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+    def _summarise(self, sent: int, failed: int) -> None:
+        parts = [f"{self.unit}={self.total}", f"sent={sent}", f"failed={failed}", f"filtered={self.filtered}"]
+        if self.unit == "frames":
+            parts.append(f"skipped={self.skipped}")
+        if self.unsent:
+            parts.append(f"unsent={self.unsent}")
+        say(" ".join(parts), who="")
+
+
+class _Line:
+    """When each piece of a recording goes out."""
+
+    def __init__(self, pace: Pace, byte_ns: float) -> None:
+        self._pace, self._byte_ns = pace, byte_ns
+        self._free = 0.0
+
+    def pieces(self, word: Any, stamp: int, *, is_split: bool) -> Iterable[tuple[int, Frame | bytes]]:
+        """The pieces of a frame or chunk, each with its instant; where there are no times, as fast as the line."""
+        due = self._pace.due_at(stamp)
+        if isinstance(word, Frame):
+            yield due, word
+            return
+        step = PIECE if is_split else max(1, len(word.data))
+        for start in range(0, len(word.data), step):
+            piece = word.data[start : start + step]
+            if stamp == NO_TIME:
+                due = round(max(due, self._free))
+                self._free = due + len(piece) * self._byte_ns
+            yield due, piece
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed <= 1e6:
+        raise CallerError(f"--speed {text!r} is no pace; write 1, 0.5, 10 or max")
+    return speed
+
+
+def _mapped(texts: list[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        old, sign, new = text.partition("=")
+        if not (old and sign and new):
+            raise CallerError(f"--map {text!r}: write OLD=NEW, such as can0=vcan1")
+        if old in found:
+            raise CallerError(f"--map: {old} is named twice")
+        found[old] = new
+    return found
+
+
+__all__ = ["Playing", "add_arguments", "run"]
