@@ -14,7 +14,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-long check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-long test-socketcan soak check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -64,6 +64,12 @@ test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to cho
 test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property
 	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) \
 	  $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)
+
+test-socketcan: $(VENV)/.dev ## SocketCAN with a real kernel under QEMU (a minute; needs Debian and qemu-system-x86)
+	$(BIN)/python tests/socketcan/run.py $(ARGS)
+
+soak: $(VENV)/.dev ## a full 1 Mbit/s bus through a live scanner for a minute; ARGS="--seconds 600" for longer
+	$(BIN)/python -m tests.bench.soak $(ARGS)
 
 check: lint types pristine ## ruff, mypy, pyright and the pristine check
 

@@ -25,10 +25,15 @@ class Bytes:
 
     def __init__(self, file: BinaryIO, segments: Sequence[Segment], fault: str = "") -> None:
         self._file, self._segments = file, segments
+        self.size = sum(segment.size for segment in segments)
         self._behind = fault
         self._number = self._at = 0
         self._unpacked = b""
         self.fault = ""
+
+    def stop(self, fault: str) -> None:
+        """Give nothing more."""
+        self.fault, self._number = fault, len(self._segments)
 
     def fill(self, view: memoryview) -> int:
         """Fill it from the start; how many bytes there were, less than asked for only at the end."""
@@ -85,10 +90,11 @@ class Bytes:
 
 def records(source: Bytes, size: int, total: int | None, rows: int) -> Iterator[Ints]:
     """Records as arrays of (n, size) bytes with n ≤ `rows`, at most `total` of them; each is overwritten by the next."""
+    rows = min(rows, source.size // size + 1)
     buffer = bytearray(size * (rows if total is None else min(rows, total)))
     left = total
     while left is None or left:
-        count = len(buffer) // size if left is None else min(left, len(buffer) // size)
+        count = rows if left is None else min(left, rows)
         got = source.fill(memoryview(buffer)[: count * size]) // size
         if got:
             yield np.frombuffer(buffer, np.uint8, got * size).reshape(got, size)
@@ -111,9 +117,9 @@ class Sorted:
         self._out, self._most, self._end = out, most, out.seek(0, 2)
         self._width = stream.number_bytes
         self._steps = {group.number: self._width + group.size for group in stream.groups}
-        self._known = np.array(sorted(self._steps), np.uint64)
         source = Bytes(file, stream.segments, stream.fault)
-        buffer = bytearray(max(_PIECE, 2 * max(self._steps.values(), default=0)))
+        longest = max(self._steps.values(), default=0)
+        buffer = bytearray(min(max(_PIECE, 2 * longest), source.size + longest + 1))
         kept = 0
         self.fault = ""
         while not self.fault:
@@ -161,14 +167,16 @@ def _number(buffer: bytearray, at: int, width: int) -> int:
     return int.from_bytes(buffer[at : at + width], "little")
 
 
+def numbers_of(rows: Ints) -> Ints:
+    """The numbers that rows of 1 to 8 bytes are, the lowest byte first."""
+    numbers = np.zeros((len(rows), 8), np.uint8)
+    numbers[:, : rows.shape[1]] = rows
+    return numbers.view("<u8")[:, 0]
+
+
 def _numbers(chunk: Ints, starts: Ints, width: int) -> Ints:
     """The numbers in front of the records that begin there."""
-    if width == 1:
-        return np.asarray(chunk[starts])
-    numbers = np.zeros((len(starts), 8), np.uint8)
-    for byte in range(width):
-        numbers[:, byte] = chunk[starts + byte]
-    return numbers.view("<u8")[:, 0]
+    return np.asarray(chunk[starts]) if width == 1 else numbers_of(chunk[starts[:, None] + np.arange(width)])
 
 
 def _starts(buffer: bytearray, chunk: Ints, width: int, steps: Mapping[int, int]) -> tuple[Ints, int]:
@@ -197,8 +205,10 @@ def _starts(buffer: bytearray, chunk: Ints, width: int, steps: Mapping[int, int]
             ahead = _AHEAD
             single: list[int] = []
             for _ in range(_SINGLE):
+                if at + width > end:
+                    break
                 step = steps.get(buffer[at] if width == 1 else _number(buffer, at, width), 0)
-                if not step or at + step > end or at + width > end:
+                if not step or at + step > end:
                     break
                 single.append(at)
                 at += step

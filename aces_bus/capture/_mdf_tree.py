@@ -1,7 +1,7 @@
 """What an MDF 4 file says it holds: groups of records, their channels, and where the records are.
 
-1. Nothing is believed: a block is looked at only where it lies whole within the file, each group, channel and data block once,
-   and no more of them than `BLOCKS`. So this ends soon on any file, in memory that the file's size bounds.
+1. Nothing is believed: a block is looked at only where it lies within the file, each group, channel and data block once, and
+   no more of them than `BLOCKS`. So this ends soon on any file, in memory that the file's size bounds.
 2. What is damaged is `Damaged`; what is in order and not told here is `Unusual`, and another reader's.
 3. Records are not touched; `_mdf_data.py` reads them.
 
@@ -37,6 +37,7 @@ VARIABLE_GROUP, BUS_EVENT, REMOTE_MASTER = 0x1, 0x2, 0x8
 COUNTS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
 
 CIRCLES = "its blocks are linked in circles, or one is named twice; it is damaged"
+_AGAIN = "its blocks lie over each other; it is damaged"
 
 
 class Unusual(Exception):
@@ -132,9 +133,11 @@ class _Reader:
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file, self._size = file, size
         self._seen: set[int] = set()
-        self._ends: list[
-            int
-        ] = []  # where known blocks begin: a block whose length is missing ends at one of them
+        #: Bytes of blocks still to be read; some blocks are named by many, and none by all.
+        self._left = 4 * size + (1 << 20)
+        self._records_left = size
+        #: Where known blocks begin: one of which the length is missing ends at the next.
+        self._ends: list[int] = []
         self._unfinished = 0
 
     def tree(self) -> Tree:
@@ -154,11 +157,18 @@ class _Reader:
             group = self._block(at, b"##DG", 4, 1)
             streams.append(self._stream(group))
             at = group.links[0]
+        if self._unfinished & _LAST_LENGTH:
+            for stream in streams:
+                if stream.segments and stream.segments[-1].packing is None:
+                    stream.segments[-1] = self._stretched(stream.segments[-1])
         return Tree(head[16:24], version, self._unfinished, start, bool(header.links[1]), streams)
 
     # ---- blocks
 
     def _bytes(self, at: int, size: int) -> bytes:
+        self._left -= size
+        if self._left < 0:
+            raise Unusual("its blocks name the same ones over and over")
         if at + size <= self._size:
             self._file.seek(at)
             data = self._file.read(size)
@@ -220,7 +230,7 @@ class _Reader:
         try:
             self._segments(block.links[2], segments)
         except Damaged as error:
-            if str(error) == CIRCLES:
+            if str(error) in (CIRCLES, _AGAIN):
                 raise
             fault = str(error)
         return Stream(width, groups, segments, fault)
@@ -290,8 +300,6 @@ class _Reader:
             self._list(at, out)
         elif at:
             self._data(at, out)
-        if out and self._unfinished & _LAST_LENGTH and out[-1].packing is None:
-            out[-1] = self._stretched(out[-1])
 
     def _list(self, at: int, out: list[Segment]) -> None:
         while at:
@@ -309,9 +317,9 @@ class _Reader:
         if name in (b"##DT", b"##DV"):
             self._once(at)
             first = at + _HEAD.size + 8 * count
-            there = min(at + size, self._size) - first
-            out.append(Segment(first, there, there))
-            if at + size > self._size:
+            there = max(0, min(at + size, self._size) - first)
+            self._add(out, Segment(first, there, there))
+            if at + size > self._size and not self._unfinished & _LAST_LENGTH:
                 raise Damaged("the file ends within the records")
         elif name == b"##DZ":
             block = self._block(at, b"##DZ", 0, _PACKED.size)
@@ -323,11 +331,17 @@ class _Reader:
                 raise Damaged("the file ends within packed records")
             if size > 1040 * (stored + 16) or (packing and not columns):  # deflate cannot
                 raise Damaged("a packed block says of itself what cannot be")
-            out.append(Segment(first, stored, size, columns if packing else 0))
+            self._add(out, Segment(first, stored, size, columns if packing else 0))
         elif name in (b"##LD", b"##DL", b"##HL"):
             raise Unusual(f"its records are in {name[2:].decode()} blocks that are not known here")
         else:
             raise Damaged(f"at byte {at} there are no records, though some are named there")
+
+    def _add(self, out: list[Segment], segment: Segment) -> None:
+        self._records_left -= segment.stored
+        if self._records_left < 0:
+            raise Damaged(_AGAIN)
+        out.append(segment)
 
     def _stretched(self, last: Segment) -> Segment:
         """A data block of which the length may be missing: it goes on to the end of the file."""

@@ -21,13 +21,25 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..frame import FD_LENGTHS
-from ..frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
+from ..frame_table import Ints
 from ._mdf import ORDER, PROGRAM
+from ._mf4_frames import (
+    Piece,
+    broken_off,
+    channels_of,
+    fields_of,
+    group_kind,
+    instants,
+    instants_of_seconds,
+    merged,
+    no_log,
+    other_words,
+    piece_of,
+)
 from ._mf4_links import is_tree
 
 #: Memory on top of what the libraries take once they are loaded.
@@ -41,37 +53,8 @@ SHAPE = struct.Struct("<IB")
 
 _ROWS = 1 << 15
 _PIECE_BYTES = 1 << 23
-_CAN = 2
 _BUS_EVENT = 0x2
-_KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
-_OTHERS = {
-    "CAN_OverloadFrame": "CAN overload frames",
-    "LIN_Frame": "LIN frames",
-    "ETH_Frame": "Ethernet frames",
-    "FLX_Frame": "FlexRay frames",
-    "MOST_Message": "MOST messages",
-}
-_BUS_WORDS = {3: "LIN", 4: "MOST", 5: "FlexRay", 6: "K-line", 7: "Ethernet", 8: "USB"}
 _PROBLEMS = 5
-
-_LENGTHS = np.array(FD_LENGTHS, np.uint8)
-_IS_FD_LENGTH = np.zeros(65, bool)
-_IS_FD_LENGTH[list(FD_LENGTHS)] = True
-
-
-class Piece(NamedTuple):
-    """Frames as columns; `key` never goes down."""
-
-    key: Ints
-    time: Ints
-    channel: Ints
-    id: Ints
-    flags: Ints
-    length: Ints
-    data: Ints
-
-    def rows(self, start: int, end: int) -> Piece:
-        return Piece._make(column[start:end] for column in self)
 
 
 class Reader:
@@ -93,7 +76,7 @@ class Reader:
         for index, group in enumerate(self.mdf.groups):
             records = int(group.channel_group.cycles_nr)
             names = [channel.name for channel in group.channels]
-            kind = next((name for name in _KINDS if name in names), None)
+            kind = group_kind(names)
             is_bus = bool(group.channel_group.flags & _BUS_EVENT)
             has_bus = has_bus or is_bus or kind is not None
             if not records:
@@ -101,18 +84,12 @@ class Reader:
             if kind is not None:
                 pieces.append(self._guarded(index, kind, records))
                 continue
-            words = next((_OTHERS[name] for name in names if name in _OTHERS), None)
-            if words is None:
-                source = group.channel_group.acq_source
-                bus = _BUS_WORDS.get(getattr(source, "bus_type", 0)) if is_bus else None
-                words = f"{bus} events" if bus else "samples of other groups"
+            source = group.channel_group.acq_source
+            words = other_words(names, is_bus, getattr(source, "bus_type", 0))
             self.others[words] += records
             self.lines += records
         if not has_bus:
-            groups = len(self.mdf.groups)
-            raise ValueError(
-                f"it holds no bus logging, but measured signals in {groups} groups; it is no CAN log"
-            )
+            raise ValueError(no_log(len(self.mdf.groups)))
         for piece in merged(pieces):
             self._tell()
             n, width = len(piece.time), piece.data.shape[1]
@@ -153,8 +130,7 @@ class Reader:
             reason = _words(error)
         if reason or done < records:
             self.lines += 1
-            text = f"{kind} group {index} breaks off: {records} records are announced, {done} are there"
-            self._lose(done + 1, f"{text} ({reason})" if reason else text)
+            self._lose(done + 1, broken_off(kind, index, records, done, reason))
 
     def _pieces(self, index: int, kind: str) -> Iterator[tuple[int, Piece]]:
         """How many records were looked at, and the frames in them."""
@@ -210,11 +186,9 @@ class Reader:
             and conversion.a == 1e-9
             and not conversion.b
         ):
-            return np.array(raw, np.int64) + self.start_ns
+            return instants(raw, self.start_ns)
         seconds = np.asarray(mdf.get_master(index, data=fragment, one_piece=True), np.float64)
-        if not np.all(np.abs(seconds) < 4e9):
-            raise ValueError("times that are no instants")
-        return np.rint(seconds * 1e9).astype(np.int64) + self.start_ns
+        return instants_of_seconds(seconds, self.start_ns)
 
     def _channel(self, name: str | None) -> int:
         return self.names.setdefault(name, min(len(self.names), 0xFFFF))
@@ -226,10 +200,7 @@ class Reader:
             return np.full(n, self._channel(path or None), np.uint16)
         if numbers is None:
             return np.full(n, self._channel(None), np.uint16)
-        out = np.zeros(n, np.uint16)
-        for number in np.unique(numbers).tolist():
-            out[numbers == number] = self._channel(str(number))
-        return out
+        return channels_of(numbers, self._channel)
 
     def _frames(self, index: int, kind: str, column: Any, key: Ints, time: Ints, seen: int) -> Piece:
         n = len(time)
@@ -240,75 +211,18 @@ class Reader:
                 return None
             return np.array(values, np.int64)
 
-        def truth(part: str) -> Ints:
-            values = number(part)
-            return np.zeros(n, bool) if values is None else values != 0
-
-        raw = number("ID")
-        if raw is None:
-            if kind != "CAN_ErrorFrame":
-                raise ValueError("the group has no identifiers")
-            raw = np.zeros(n, np.int64)
-        identifier = raw & 0x1FFF_FFFF
-        wide = number("IDE")
-        is_wide = (raw & 0x8000_0000) != 0 if wide is None else wide != 0
-        is_fd = truth("EDL")
-        code, said = number("DLC"), number("DataLength")
-        if kind == "CAN_RemoteFrame":
-            length = code if code is not None else said
-        elif said is not None:
-            length = said
-        else:
-            length = code
-            if code is not None:
-                length = np.where(is_fd, _LENGTHS[np.clip(code, 0, 15)], np.minimum(code, 8))
-        length = np.zeros(n, np.int64) if length is None else length
-        data = None if kind == "CAN_RemoteFrame" else _bytes(column(f"{kind}.DataBytes"), n)
-        room = 64 if kind == "CAN_RemoteFrame" else 0 if data is None else data.shape[1]
-
-        is_error = kind == "CAN_ErrorFrame"
-        limit = np.where(is_wide | is_error, 0x1FFF_FFFF, 0x7FF)
-        size = np.clip(length, 0, 64)
-        faults = (
-            ((length < 0) | (length > room), "more data bytes than the record holds"),
-            ((length > 8) & ~is_fd, "a classic frame of more than 8 bytes"),
-            (is_fd & ~_IS_FD_LENGTH[size], "a length that CAN FD does not have"),
-            (identifier > limit, "an 11-bit identifier above 0x7FF"),
-            (is_fd & bool(kind == "CAN_RemoteFrame"), "a remote frame in CAN FD"),
-        )
-        good = np.ones(n, bool)
-        for wrong, reason in faults:
-            for row in np.flatnonzero(good & wrong).tolist():
-                self._lose(seen + row + 1, f"{kind} group {index}: {reason}")
-            good &= ~wrong
-
-        flags = np.full(n, _KINDS[kind], np.uint8)
-        flags |= (is_wide & (not is_error)) * np.uint8(EXTENDED) | is_fd * np.uint8(FD)
-        flags |= (is_fd & truth("BRS")) * np.uint8(BITRATE_SWITCH)
-        flags |= (is_fd & truth("ESI")) * np.uint8(ERROR_STATE)
         way = column(f"{kind}.Dir")
-        if way is not None and way.shape == (n,):
-            if way.dtype.kind == "S":
-                way = np.char.lower(way) != b"rx"
-            flags |= np.where(np.asarray(way) != 0, TX, RX).astype(np.uint8)
-
-        carried = np.zeros(n, np.int64) if data is None else np.where(good, size, 0)
-        width = 64 if carried.max(initial=0) > 8 else 8
-        rows = np.zeros((n, width), np.uint8)
-        if data is not None:
-            some = min(width, data.shape[1])
-            rows[:, :some] = data[:, :some]
-            rows[np.arange(width) >= carried[:, None]] = 0
-        piece = Piece(
-            key,
-            time,
-            self._channels(index, number("BusChannel"), n),
-            identifier.astype(np.uint32),
-            flags,
-            size.astype(np.uint8),
-            rows,
-        )
-        return piece if good.all() else Piece._make(values[good] for values in piece)
+        if way is not None and way.dtype.kind == "S":
+            way = np.char.lower(way) != b"rx"
+        is_sent = None if way is None or way.shape != (n,) else np.asarray(way) != 0
+        data = None if kind == "CAN_RemoteFrame" else _bytes(column(f"{kind}.DataBytes"), n)
+        fields = fields_of(kind, number, data, is_sent, n)
+        piece, faults = piece_of(kind, key, time, self._channels(index, number("BusChannel"), n), fields)
+        for rows, reason in faults:
+            self.bad += len(rows)
+            for row in rows[:_PROBLEMS].tolist():
+                self._lose(seen + row + 1, f"{kind} group {index}: {reason}", 0)
+        return piece
 
 
 def _bytes(values: Any, n: int) -> Ints | None:
@@ -326,44 +240,6 @@ def _bytes(values: Any, n: int) -> Ints | None:
             b"".join(bytes(v)[:width].ljust(width, b"\0") for v in values), np.uint8
         ).reshape(n, -1)
     raise ValueError(f"data bytes of an unknown kind ({values.dtype})")
-
-
-def merged(sources: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
-    """Pieces in the order of their keys; of equal keys, those of the first source come first."""
-    live = [(source, piece) for source in sources if (piece := next(source, None)) is not None]
-    while live:
-        if len(live) == 1:
-            yield live[0][1]
-            yield from live[0][0]
-            return
-        ends = [int(piece.key[-1]) for _, piece in live]
-        edge = min(ends)
-        first = ends.index(
-            edge
-        )  # behind its piece there may be more with this key, and they come before the next ones'
-        parts: list[Piece] = []
-        rest: list[tuple[Iterator[Piece], Piece]] = []
-        for place, (source, piece) in enumerate(live):
-            end = int(np.searchsorted(piece.key, edge, "right" if place <= first else "left"))
-            if end:
-                parts.append(piece.rows(0, end))
-            after = piece.rows(end, len(piece.key)) if end < len(piece.key) else next(source, None)
-            if after is not None:
-                rest.append((source, after))
-        live = rest
-        yield _joined(parts)
-
-
-def _joined(parts: Sequence[Piece]) -> Piece:
-    width = max(part.data.shape[1] for part in parts)
-    data = np.zeros((sum(len(part.key) for part in parts), width), np.uint8)
-    at = 0
-    for part in parts:
-        data[at : at + len(part.data), : part.data.shape[1]] = part.data
-        at += len(part.data)
-    columns = [np.concatenate(column) for column in zip(*(part[:-1] for part in parts), strict=True)]
-    order = np.argsort(columns[0], kind="stable")
-    return Piece._make(column[order] for column in (*columns, data))
 
 
 # ---- the process ----------------------------------------------------------------------------------------------------

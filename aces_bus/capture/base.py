@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import ClassVar, Literal, NamedTuple, Self
 
+from ..errors import CaptureError
 from ..frame import Frame
 from ..frame_table import Channels, FrameTable
 from ._source import Source
@@ -136,16 +137,21 @@ class CanCapture(Capture):
     def batches(self, n: int = 1024) -> Iterator[list[Frame]]:
         """Lists of at most `n` frames: full ones from a file, from a live source what is there without waiting."""
         kept: list[Frame] = []
-        for frames in self._pieces():
-            kept += frames
-            start = 0
-            while len(kept) - start >= n:
-                yield kept[start : start + n]
-                start += n
-            del kept[:start]
-            if kept and self.live:
+        try:
+            for frames in self._pieces():
+                kept += frames
+                start = 0
+                while len(kept) - start >= n:
+                    yield kept[start : start + n]
+                    start += n
+                del kept[:start]
+                if kept and self.live:
+                    yield kept
+                    kept = []
+        except CaptureError:  # what was read before comes first
+            if kept:
                 yield kept
-                kept = []
+            raise
         if kept:
             yield kept
 

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from typing import BinaryIO, Literal
 
 from ..errors import CallerError
+from ..protocol.foreign import SUFFIXES, load_database
 from ..protocol.scan.decoded import Decoded
 from ..protocol.scan.scanner import load_protocol
 from ..protocol.spec.message import Direction
@@ -29,20 +31,27 @@ def decode(
 ) -> Decoded:
     """All messages of a recording as columns: `decode("walk.log", hubo)["Encoder"]["position.0"].values`.
 
-    `source` is a path, "-" or an open file, `protocol` a protocol or the name of an installed one; the others are
-    arguments of `Protocol.decode`.
+    `source` is a path, "-" or an open file; `protocol` a protocol, the name of an installed one, or the path of a database
+    (`car.dbc`, …), of which a warning says what could not be taken over. The others are arguments of `Protocol.decode`.
+    What of the recording could not be read, the result's `capture` says: `lines_unreadable`, `problems`, `others`.
 
     Raises `CaptureError` for what is no such recording, `UnknownNameError` for names that do not exist, `CallerError`
     where bytes alone do not tell messages apart and no direction is given.
     """
     if isinstance(protocol, str):
-        protocol = load_protocol(protocol)
+        if protocol.lower().endswith(SUFFIXES):
+            imported = load_database(protocol)
+            if imported.problems:
+                warnings.warn(imported.summary, stacklevel=2)
+            protocol = imported.protocol
+        else:
+            protocol = load_protocol(protocol)
     if protocol.link == "datagram":
         raise CallerError(
             f"{protocol.name} is a protocol on datagrams, and there is no capture format for them yet"
         )
     with open_capture(source, link=protocol.link) as capture:
-        return protocol.decode(
+        decoded = protocol.decode(
             capture,
             message=message if message is None or isinstance(message, str) else list(message),
             dialect=dialect,
@@ -50,6 +59,8 @@ def decode(
             direction=direction,
             everything=everything,
         )
+    decoded.capture = capture
+    return decoded
 
 
 __all__ = ["decode"]

@@ -1,13 +1,15 @@
-"""ASAM MDF 4 with CAN bus logging (`.mf4`), read by asammdf in a process of its own.
+"""ASAM MDF 4 with CAN bus logging (`.mf4`): ordinary files are read here, the others by asammdf in a process of its own.
 
 1. asammdf is never imported here: where it is loaded before python-can, python-can loses its `.mf4`.
-2. Damaged and hostile files cost the other process: its memory is limited (`_mf4_child.MEMORY` on top of the libraries; not
-   on Windows, which has no such limit), and it is stopped when it says nothing for too long.
-3. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its
+2. Which way a file goes is decided before its first frame; frames and counts are the same either way.
+3. Damaged and hostile files cost a refusal here, or the other process: its memory is limited (`_mf4_child.MEMORY` on top of
+   the libraries; not on Windows, which has no such limit), and it is stopped when it says nothing for too long.
+4. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its
    group.
 
-Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read. A
-channel is named by its number, "1", as with python-can; in files of our own it has the name it had.
+Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read;
+`mdf4.py` says what is ordinary, and reads it without asammdf. A channel is named by its number, "1", as with python-can; in
+files of our own it has the name it had.
 """
 
 from __future__ import annotations
@@ -18,16 +20,18 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from ..errors import CaptureError
 from ..frame_table import FrameTable
 from . import _mf4_child as child
+from ._mdf_tree import Damaged, Unusual
 from ._source import Source
 from ._spool import on_disk
 from .base import PROBLEMS_KEPT, CanCapture, Problem, printable
+from .mdf4 import BusLog
 
 #: Seconds without a word after which the other process is stopped: so many, and one more for so many bytes of the file, as
 #: unsorted files are sorted before anything is said.
@@ -50,9 +54,9 @@ def looks_like_mf4(head: bytes) -> bool:
 class Mf4Capture(CanCapture):
     """CAN frames of an MDF 4 bus log.
 
-    Reading raises `CaptureError` when asammdf is not installed, when the file cannot be read or holds no bus logging, and
-    when reading it takes more memory or time than is allowed. What does not come from a plain file is kept in a temporary
-    one.
+    Reading raises `CaptureError` when the file cannot be read or holds no bus logging, when it is not an ordinary one and
+    asammdf is not installed, and when reading it takes more memory, disk or time than is allowed. What does not come from
+    a plain file is kept in a temporary one.
     """
 
     format: ClassVar[str] = "MF4"
@@ -60,6 +64,7 @@ class Mf4Capture(CanCapture):
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self._patience = PATIENCE
+        self._why = ""
         self._process: subprocess.Popen[bytes] | None = None
 
     def close(self) -> None:
@@ -79,13 +84,40 @@ class Mf4Capture(CanCapture):
 
     def _tables(self) -> Iterator[FrameTable]:
         with on_disk(self._source) as (path, folder):
-            process = self._process = self._launch(folder, path)
-            self._patience = PATIENCE + os.path.getsize(path) / SLOWEST
             try:
-                yield from self._read(process)
-            finally:
-                _stop(process)
+                with open(path, "rb") as file:
+                    if (log := self._ordinary(file)) is not None:
+                        yield from log.tables(self, folder, self._lose)
+            except OverflowError:
+                raise self._refusal("sorting its mixed groups needs more room than is allowed") from None
+            except OSError as error:
+                raise CaptureError(f"{self.name}: reading stopped: {error.strerror or error}") from error
+            if log is None:
+                yield from self._through_asammdf(folder, path)
         self.close()
+
+    def _ordinary(self, file: BinaryIO) -> BusLog | None:
+        """What can be read here; None where another must, and `_why` says why."""
+        try:
+            return BusLog(file, os.fstat(file.fileno()).st_size)
+        except Unusual as reason:
+            self._why = str(reason)
+            return None
+        except Damaged as error:
+            raise self._refusal(str(error)) from None
+
+    def _through_asammdf(self, folder: str, path: str) -> Iterator[FrameTable]:
+        process = self._process = self._launch(folder, path)
+        self._patience = PATIENCE + os.path.getsize(path) / SLOWEST
+        try:
+            yield from self._read(process)
+        finally:
+            _stop(process)
+
+    def _lose(self, number: int, reason: str, count: int) -> None:
+        self.lines_unreadable += count
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(Problem(number, reason, ""))
 
     def _read(self, process: subprocess.Popen[bytes]) -> Iterator[FrameTable]:
         """The tables of one file; returns at its end."""
@@ -133,7 +165,8 @@ class Mf4Capture(CanCapture):
     def _refusal(self, said: str) -> CaptureError:
         if said.startswith("missing "):
             return CaptureError(
-                f"{self.name}: MF4 files need {said.removeprefix('missing ')}: pip install 'aces-bus[mf4]'"
+                f"{self.name}: this is not an ordinary MF4 bus log: {self._why}; such files need"
+                f" {said.removeprefix('missing ')}: pip install 'aces-bus[mf4]'"
             )
         return CaptureError(f"{self.name}: this MF4 file cannot be read: {printable(said.encode())}")
 

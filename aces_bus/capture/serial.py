@@ -20,14 +20,14 @@ class RawCapture(SerialCapture):
 
     def with_silence(self, gap: Callable[[], float]) -> Iterator[Chunk]:
         """The chunks, and an empty one each time that a live source falls silent for `gap()` seconds (0: never)."""
+        # Of packed bytes more may be there that is not unpacked yet. Asked now: later it would take bytes away.
+        tells = self.live and not self._source.packing
         for chunk in self:
             yield chunk
-            if self.live and (seconds := gap()) and self._is_silent(seconds):
+            if tells and (seconds := gap()) and self._is_silent(seconds):
                 yield Chunk(b"")
 
     def _is_silent(self, seconds: float) -> bool:
-        if self._source.packing:
-            return False  # more may be there that is not unpacked yet
         try:
             return not select.select([self._source.fileno()], [], [], seconds)[0]
         except (OSError, ValueError):  # nothing that the system can wait for

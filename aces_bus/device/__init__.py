@@ -19,5 +19,6 @@ from .robot import tables_of as tables_of
 from .robot_file import check_robot as check_robot
 from .robot_file import is_robot as is_robot
 from .robot_file import load_robot as load_robot
+from .robot_file import make_robot as make_robot
 from .robot_file import parse_robot as parse_robot
 from .robot_text import print_robot as print_robot

@@ -6,7 +6,7 @@
 
 Units are SI: rad and rad/s for a revolute joint, m and m/s for a prismatic one. What only a board understands keeps the
 board's unit and says so (counts, motor turns). The names of the fields are the keys of the file (see docs/robots.md);
-the table `EXPECTED` says of each what may stand there.
+a field's type says what may stand there, and describes it for complaints.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Settings = Annotated[dict[str, Any], Meta(description="a table of the driver's o
 
 
 class Bus(msgspec.Struct, frozen=True, kw_only=True):
-    """One wire. `channel` and `interface` are python-can's, or a serial port, or HOST:PORT: defaults that a caller changes."""
+    """One wire. `channel` and `interface` are python-can's, or a serial port, or HOST:PORT; a caller may change them."""
 
     name: str
     link: Annotated[Literal["can", "serial", "datagram"], Meta(description='"can", "serial" or "datagram"')]
@@ -186,6 +186,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     device: Text
     kind: Text
+    model: Text | None = None  # its maker's name for it
     channel: Count | None = None
     signs: Signs | None = None
     matrix: Matrix | None = None
@@ -198,7 +199,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
 class Robot(msgspec.Struct, frozen=True, kw_only=True):
     """A whole robot. Mappings keep the file's order; it is the order of joints in trajectories and tables."""
 
-    name: str
+    name: Text
     doc: Text | None = None
     source: Text | None = None
     rate_hz: Annotated[float, Meta(gt=0, description="a number above 0 (Hz)")] | None = None
@@ -251,7 +252,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         if len(dialects) > 1:
             named = ", ".join(dialect or "the default" for dialect in dialects)
             raise CallerError(f"{self.name} speaks {protocol} in several dialects ({named}); name one")
-        return dialects[0]
+        return next(iter(dialects), None)
 
     def tables(self, protocol: Protocol) -> dict[str, dict[int, int | str]]:
         """The configuration tables of a protocol, as `protocol.variant(dialect, tables)` takes them.

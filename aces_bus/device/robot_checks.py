@@ -48,7 +48,8 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
 # ---------------------------------------------------------------------- names
 
 
-def _near(name: str, known: Collection[str], cutoff: float = 0.6) -> str:
+def near(name: str, known: Collection[str], cutoff: float = 0.6) -> str:
+    """`; did you mean 'x'?`, or nothing."""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {found[0]!r}?" if found else ""
 
@@ -62,7 +63,7 @@ def _check_reference(
     path: tuple[str, ...], what: str, name: str, known: Collection[str], complain: Complain
 ) -> None:
     if name not in known:
-        complain(path, f"no {what} named {name!r}{_near(name, known)} (there are: {_listed(known)})")
+        complain(path, f"no {what} named {name!r}{near(name, known)} (there are: {_listed(known)})")
 
 
 def _check_installed(
@@ -71,7 +72,7 @@ def _check_installed(
     """Whether what an entry names is installed; else it complains."""
     if name in known:
         return True
-    slip = _near(name, known, SLIP)
+    slip = near(name, known, SLIP)
     if slip:
         complain(path, f"no {what} named {name!r}{slip} (installed: {_listed(known)})")
     else:
@@ -89,6 +90,8 @@ class _Spoken:
         self._complain = complain
         self._installed = list_protocols()
         self._loaded: dict[str, Protocol | None] = {}
+        #: Of each protocol, the fields that identify a device.
+        self.addresses: dict[str, dict[str, Address]] = {}
 
     def get(self, name: str, path: tuple[str, ...]) -> Protocol | None:
         """The protocol, or None; what is wrong with it is said at the first place that names it."""
@@ -96,7 +99,8 @@ class _Spoken:
             self._loaded[name] = None
             if _check_installed(path, "protocol", name, self._installed, self._complain):
                 try:
-                    self._loaded[name] = load_protocol(name)
+                    self._loaded[name] = protocol = load_protocol(name)
+                    self.addresses[name] = addresses(protocol)
                 except AcesError as error:
                     self._complain(path, f"protocol {name!r} cannot be used: {error}", True)
                 except Exception as error:  # whatever another package's import may raise
@@ -163,7 +167,7 @@ def _check_devices(
                 )
             if device.dialect is not None:
                 _check_dialect((*path, "dialect"), protocol, dialect, complain)
-            _check_credentials(path, device, protocol, complain)
+            _check_credentials(path, device, spoken, protocols.addresses[spoken], complain)
         for key, number in device.credentials.items():
             other = claimed.setdefault((device.bus, spoken, key, number), device)
             if other is not device:
@@ -182,16 +186,15 @@ def _check_devices(
             _check_tables(robot, protocol, complain)
 
 
-def _check_credentials(path: tuple[str, ...], device: Device, protocol: Protocol, complain: Complain) -> None:
-    known = addresses(protocol)
+def _check_credentials(
+    path: tuple[str, ...], device: Device, protocol: str, known: Mapping[str, Address], complain: Complain
+) -> None:
     for key, number in device.credentials.items():
         at = (*path, "credentials", key)
         if key not in known:
-            complain(
-                at, f"{protocol.name} has no field {key!r}{_near(key, known)} (there are: {_listed(known)})"
-            )
+            complain(at, f"{protocol} has no field {key!r}{near(key, known)} (there are: {_listed(known)})")
         elif not known[key].holds(number):
-            complain(at, f"{protocol.name} has no {key} {number:#04x} ({known[key]})")
+            complain(at, f"{protocol} has no {key} {number:#04x} ({known[key]})")
 
 
 class Address(NamedTuple):

@@ -9,13 +9,13 @@ The file's four tables hold one entry a bus, device, joint and sensor; an entry'
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 import re
 import tomllib
 import types
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
 
 import msgspec
@@ -24,7 +24,7 @@ from msgspec.structs import FieldInfo, fields
 from ..errors import CallerError
 from .problem import Problem, RobotError
 from .robot import Bus, Device, Joint, Robot, Sensor
-from .robot_checks import check
+from .robot_checks import check, near
 from .toml_lines import KeyLines
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -74,8 +74,23 @@ def parse_robot(
     text: str | bytes, file: str = "robot.toml", *, is_strict: bool = False
 ) -> tuple[Robot | None, list[Problem]]:
     """As `check_robot`, of a file's content; `file` is what problems call it."""
-    reader = _Reader(file)
-    robot = reader.read(text)
+    try:
+        content, lines = _parsed(text)
+    except _NotToml as error:
+        return None, [Problem(file, error.line, "", str(error))]
+    return make_robot(content, lambda path: (file, lines.of(path)), is_strict=is_strict)
+
+
+#: Where a key stands: file and line.
+Place = Callable[[Sequence[str]], tuple[str, int]]
+
+
+def make_robot(
+    content: Mapping[str, Any], place: Place, *, is_strict: bool = False
+) -> tuple[Robot | None, list[Problem]]:
+    """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
+    reader = _Reader(place)
+    robot = reader.read(content)
     problems = sorted(set(reader.problems))
     if is_strict:
         problems = [msgspec.structs.replace(problem, is_warning=False) for problem in problems]
@@ -87,28 +102,52 @@ def is_robot(content: Mapping[str, Any]) -> bool:
     return "buses" in content
 
 
-class _Reader:
-    """Reads one file and collects what is wrong with it."""
+class _NotToml(Exception):
+    """Not a TOML file of a size that a robot's may have."""
 
-    def __init__(self, file: str) -> None:
-        self.file = file
+    def __init__(self, line: int, text: str) -> None:
+        super().__init__(text)
+        self.line = line
+
+
+def _parsed(text: str | bytes) -> tuple[dict[str, Any], KeyLines]:
+    """A TOML file's content, and where its keys stand."""
+    if len(text) > LARGEST:
+        raise _NotToml(1, f"larger than a robot's file may be ({LARGEST >> 20} MB)")
+    try:
+        if isinstance(text, bytes):
+            text = text.decode("utf-8-sig")
+        return tomllib.loads(text), KeyLines(text)
+    except UnicodeDecodeError as error:
+        line = 1 + error.object[: error.start].count(b"\n")
+        raise _NotToml(line, "not a TOML file: not UTF-8 text") from None
+    except RecursionError:
+        raise _NotToml(1, "not a robot: nested too deeply") from None
+    except ValueError as error:  # TOMLDecodeError is one; so is a number of too many digits
+        assert isinstance(text, str)
+        place = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", str(error))
+        line = 1 if place is None else int(place[1]) if place[1] else text.count("\n") + 1
+        said = str(error).partition(";")[0] if place is None else str(error)[: place.start()]
+        column = f" (column {place[2]})" if place is not None and place[2] else ""
+        raise _NotToml(line, f"not a TOML file: {said}{column}") from None
+
+
+class _Reader:
+    """Makes one robot and collects what is wrong with it."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
         self.problems: list[Problem] = []
-        self.lines = KeyLines("")
-        #: Entries whose basic keys are wrong.
-        self.broken: set[tuple[str, str]] = set()
 
     def complain(self, path: Sequence[str], text: str, is_warning: bool = False) -> None:
-        key = ".".join(name if NAME.fullmatch(name) and "." not in name else f'"{name}"' for name in path)
-        self.problems.append(Problem(self.file, self.lines.of(path), key, text, is_warning))
+        names = [name if NAME.fullmatch(name) and "." not in name else f"{name!r:.60}" for name in path]
+        self.problems.append(Problem(*self.place(path), ".".join(names), text, is_warning))
 
-    def read(self, text: str | bytes) -> Robot | None:
-        content = self._parsed(text)
-        if content is None:
-            return None
-        known = [field.name for field in fields(Robot)]
+    def read(self, content: Mapping[str, Any]) -> Robot | None:
+        known = [field.name for field in _fields(Robot)]
         self._unknown_keys((), content, known, "a robot")
         values: dict[str, Any] = {}
-        for field in fields(Robot):
+        for field in _fields(Robot):
             if field.name not in ENTRIES:
                 values |= self._field(field, (), content)
         for section, kind in ENTRIES.items():
@@ -124,31 +163,6 @@ class _Reader:
         written = {s: set(content[s]) if isinstance(content.get(s), dict) else set[str]() for s in ENTRIES}
         check(robot, written, self.complain)
         return robot
-
-    def _parsed(self, text: str | bytes) -> dict[str, Any] | None:
-        if len(text) > LARGEST:
-            self.complain((), f"larger than a robot's file may be ({LARGEST >> 20} MB)")
-            return None
-        try:
-            if isinstance(text, bytes):
-                text = text.decode("utf-8-sig")
-            content = tomllib.loads(text)
-        except UnicodeDecodeError as error:
-            line = 1 + error.object[: error.start].count(b"\n")
-            self.problems.append(Problem(self.file, line, "", "not a TOML file: not UTF-8 text"))
-            return None
-        except RecursionError:
-            self.complain((), "not a robot: nested too deeply")
-            return None
-        except ValueError as error:  # TOMLDecodeError is one; so is a number of too many digits
-            place = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", str(error))
-            line = int(place[1]) if place and place[1] else text.count("\n") + 1 if place else 1
-            said = str(error)[: place.start()] if place else str(error)
-            column = f" (column {place[2]})" if place and place[2] else ""
-            self.problems.append(Problem(self.file, line, "", f"not a TOML file: {said}{column}"))
-            return None
-        self.lines = KeyLines(text)
-        return content
 
     # ------------------------------------------------------------------ entries
 
@@ -169,14 +183,12 @@ class _Reader:
             wrong = {problem.key.rpartition(".")[2] for problem in self.problems[before:]}
             if made is not None and not wrong & BASIC:
                 found[name] = made
-            else:
-                self.broken.add(path)
         return found
 
     def _struct(self, kind: type[T], path: tuple[str, ...], content: Any, **given: str) -> T | None:
         """One table as a struct; None when a key that it needs is missing or wrong."""
         what = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__.lower()}"
-        infos = [field for field in fields(kind) if field.name not in given]
+        infos = [field for field in _fields(kind) if field.name not in given]
         if not isinstance(content, dict):
             names = " = …, ".join(field.name for field in infos if field.required) or infos[0].name
             self.complain(path, f"expected {what}: a table, {{ {names} = … }}, not {_shown(content)}")
@@ -221,10 +233,10 @@ class _Reader:
                 )
 
 
-def near(name: str, known: Iterable[str]) -> str:
-    """`; did you mean 'x'?`, or nothing."""
-    found = difflib.get_close_matches(name, list(known), n=1)
-    return f"; did you mean {found[0]!r}?" if found else ""
+@cache
+def _fields(kind: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
+    """A struct's fields; msgspec evaluates annotations anew each time."""
+    return fields(kind)
 
 
 def _shown(value: Any) -> str:

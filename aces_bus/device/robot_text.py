@@ -40,13 +40,14 @@ def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
 
 
 def _stated(struct: msgspec.Struct) -> dict[str, Any]:
-    """The fields of a struct that are not what they are by default."""
-    values = {field.name: (getattr(struct, field.name), field) for field in fields(type(struct))}
-    return {
-        name: value
-        for name, (value, field) in values.items()
-        if field.required or (value != field.default and value is not None and value != {})
-    }
+    """The fields of a struct that are known and not what they are by default; a joint's channel always."""
+    stated: dict[str, Any] = {}
+    for field in fields(type(struct)):
+        value = getattr(struct, field.name)
+        if field.required or field.name == "channel" or value != field.default:
+            if value is not None and value != {}:
+                stated[field.name] = value
+    return stated
 
 
 def _value(value: Any, without: tuple[str, ...] = ()) -> str:

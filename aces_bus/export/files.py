@@ -110,9 +110,11 @@ def _remove(path: str) -> None:
 
 
 class FilePool:
-    """Files that are appended to, of which only the latest used are open."""
+    """Files that are appended to, of which only the latest used are open. What is refused is said of `name`: they have
+    temporary names, which nobody knows."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self._name = name
         self._open: OrderedDict[str, IO[bytes]] = OrderedDict()
 
     def handle(self, path: str) -> IO[bytes]:
@@ -123,20 +125,20 @@ class FilePool:
             return found
         while len(self._open) >= OPEN:
             self._open.popitem(last=False)[1].close()
-        with telling(path):
+        with telling(self._name):
             found = self._open[path] = open(path, "ab")  # noqa: SIM115 - `close` closes it
         return found
 
     def write(self, path: str, data: bytes | memoryview) -> None:
         """Append to a file."""
-        with telling(path):
+        with telling(self._name):
             self.handle(path).write(data)
 
     def release(self, path: str) -> None:
         """Close one file."""
         found = self._open.pop(path, None)
         if found is not None:
-            with telling(path):
+            with telling(self._name):
                 found.close()
 
     def close(self) -> None:

@@ -26,7 +26,7 @@ class Folder(Buffered):
 
     def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
         pyarrow()
-        self._pool = FilePool()
+        self._pool = FilePool(path)
         self._writers: dict[str, tuple[ArrowLayout, Any, str]] = {}
         super().__init__(path, options, variants)
 

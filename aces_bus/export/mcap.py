@@ -13,7 +13,7 @@ Needs the extra `[mcap]` (foxglove-sdk).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -49,7 +49,8 @@ class McapExport(Export):
         self._untimed = 0
         self._context = foxglove.Context()
         try:
-            self._writer = foxglove.open_mcap(self.place, allow_overwrite=True, context=self._context)
+            self._file = _File(self.place)
+            self._writer = foxglove.open_mcap(self._file, context=self._context)  # type: ignore[arg-type]
         except BaseException as error:
             self.abandon()
             raise CallerError(f"{path}: cannot be written: {error}") from error
@@ -106,6 +107,13 @@ class McapExport(Export):
                 time = self._latest
             self._latest = max(time, 0)
             channels[index].log(texts[index], log_time=self._latest)
+        self._check()
+
+    def _check(self) -> None:
+        if self._file.refused is not None:
+            raise CallerError(
+                f"{self.path}: cannot be written: {self._file.refused.strerror or self._file.refused}"
+            )
 
     def _objects_of(self, table: MessageTable, layout: Layout, source: str | None) -> list[dict[str, Any]]:
         tree: Tree = {}
@@ -150,14 +158,57 @@ class McapExport(Export):
             self._writer.close()
         except Exception as error:  # the library's own kinds
             raise CallerError(f"{self.path}: cannot be written: {error}") from error
+        self._file.close()
+        self._check()
 
     def _drop(self) -> None:
-        writer = getattr(self, "_writer", None)
-        if writer is not None:
+        for one in (getattr(self, "_writer", None), getattr(self, "_file", None)):
             try:
-                writer.close()
+                if one is not None:
+                    one.close()
             except Exception:  # whatever the library raises for a file that is given up
                 pass
+
+
+class _File:
+    """The file as the library writes to it, which must not see it fail: it would print each message that follows, and
+    panic. So what the system refuses is kept here, and from then on only places are counted."""
+
+    def __init__(self, path: str) -> None:
+        self._file = open(path, "wb")  # noqa: SIM115 - `close` closes it
+        self._place = self._end = 0
+        self.refused: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        """Write all of it."""
+        self._try(self._file.write, data)
+        self._place += len(data)
+        self._end = max(self._end, self._place)
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a place; returns it."""
+        self._place = (0, self._place, self._end)[whence] + offset
+        self._try(self._file.seek, self._place)
+        return self._place
+
+    def flush(self) -> None:
+        """Hand over to the system."""
+        self._try(self._file.flush)
+
+    def close(self) -> None:
+        """Write what waits, and close."""
+        try:
+            self._file.close()
+        except OSError as error:
+            self.refused = self.refused or error
+
+    def _try(self, act: Callable[..., Any], *values: Any) -> None:
+        if self.refused is None:
+            try:
+                act(*values)
+            except OSError as error:
+                self.refused = error
 
 
 def _plant(tree: Tree, path: str, values: Any) -> None:

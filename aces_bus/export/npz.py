@@ -40,7 +40,7 @@ class NpzExport(Buffered):
     suffix = ".npz"
 
     def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
-        self._pool = FilePool()
+        self._pool = FilePool(path)
         super().__init__(path, options, variants)
         self._spill = f"{self.place}.columns"
         os.mkdir(self._spill)

@@ -9,6 +9,7 @@ monotonic clock when the frame was read. An adapter's clock that goes back is to
 
 from __future__ import annotations
 
+import errno
 import heapq
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -41,6 +42,8 @@ HOLLOW = 50
 STRANGE = 20
 #: Frames that wait to be sent, at most.
 OUTBOX = 4096
+#: Seconds between attempts to send when the system's queue, often of ten frames, is full; and how many there are.
+FULL_S, FULL_TIMES = 0.001, 1000
 
 
 class Received(msgspec.Struct, frozen=True, gc=False):
@@ -169,11 +172,13 @@ class CanGate(Gate[Received]):
         """A frame and all that wait behind it; what reading them raised."""
         batch: list[Received] = []
         failed: Exception | None = None
-        for _ in range(BATCH):
+        for left in reversed(range(BATCH)):
             host = self.clock.now()
             frame = self._frame(message)
             if frame is not None:
                 batch.append(Received(frame, host))
+            if not left:
+                break  # what is not read now is read next
             try:
                 message = self._read(0)
             except Exception as error:
@@ -318,7 +323,7 @@ class CanGate(Gate[Received]):
             if self._is_echoing:
                 self._echoes.append((arbitration(frame), frame.data))
             try:
-                self._bus.send(
+                self._give(
                     can.Message(
                         arbitration_id=frame.arbitration_id,
                         data=frame.data,
@@ -328,13 +333,25 @@ class CanGate(Gate[Received]):
                         is_fd=frame.is_fd,
                         bitrate_switch=frame.bitrate_switch,
                         error_state_indicator=frame.error_state_indicator,
-                    ),
-                    timeout=1.0,
+                    )
                 )
                 self.counters.sent += 1
             except Exception as error:  # CanError, OSError, and whatever a backend lets through
+                if self._is_echoing:
+                    self._is_echo(frame)  # it will not come back
                 self.counters.send_failed += 1
                 self._tell("send failed", f"{frame.arbitration_id:#x}: {type(error).__name__}: {error}")
+
+    def _give(self, message: Any) -> None:
+        """Send a message. A full queue of the system, which SocketCAN tells as a failure at once, is waited for."""
+        for left in reversed(range(FULL_TIMES)):
+            try:
+                self._bus.send(message, timeout=1.0)
+                return
+            except Exception as error:
+                number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+                if number != errno.ENOBUFS or not left or self._stopping.wait(FULL_S):
+                    raise
 
 
 def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:

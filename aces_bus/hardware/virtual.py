@@ -23,7 +23,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -75,7 +75,7 @@ _media_lock = threading.Lock()
 
 
 @contextmanager
-def virtual_clock(*channels: str, clock: VirtualClock | None = None) -> Iterator[VirtualClock]:
+def virtual_clock(*channels: str, clock: VirtualClock | None = None) -> Generator[VirtualClock]:
     """Run these channels under a virtual clock, one for all: buses opened inside the block use it."""
     clock = clock if clock is not None else VirtualClock()
     with _media_lock:
@@ -101,7 +101,7 @@ class AcesBus(BusABC):
     With the address of a served bus as its channel this makes a `served.ServedBus`.
     """
 
-    def __new__(cls, channel: Any = "can0", *rest: Any, **options: Any) -> AcesBus:  # noqa: D102
+    def __new__(cls, channel: Any = "can0", *rest: Any, **options: Any) -> AcesBus:
         if is_served(channel):
             from .served.remote import ServedBus
 
@@ -283,12 +283,18 @@ class AcesBus(BusABC):
         with self._medium.changed:
             self.node.abort()
 
-    @property  # type: ignore[misc]  # python-can's can be set; this one is what the bus makes of the node
+    @property
     def state(self) -> BusState:
         """Error active, passive or bus-off."""
         with self._medium.changed:
             self._medium.move_on()
             return _STATES[self.node.state]
+
+    @state.setter
+    def state(self, new_state: BusState) -> None:
+        raise NotImplementedError(
+            "the state is what the bus makes of the node; open it with listen_only, or restart it"
+        )
 
     @property
     def load(self) -> float:

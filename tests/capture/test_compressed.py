@@ -133,8 +133,8 @@ def test_a_cut_file_gives_what_it_holds(kind: str) -> None:
     assert len(unpacked(gzip.compress(LOG)[: len(gzip.compress(LOG)) // 2])[0]) > len(LOG) // 3
 
 
-@pytest.mark.parametrize("as_columns", [False, True])
-def test_frames_before_the_damage_are_given_first(as_columns: bool) -> None:
+@pytest.mark.parametrize("batch", [None, 1, 1024])
+def test_frames_before_the_damage_are_given_first(batch: int | None) -> None:
     """Then one error; the counters say how far it went, and the line in the damage is not given."""
     packed = gzip.compress(LOG)
     capture = open_capture(io.BytesIO(packed[: len(packed) // 2]), link="can", name="walk.log.gz")
@@ -143,7 +143,7 @@ def test_frames_before_the_damage_are_given_first(as_columns: bool) -> None:
 
     def read() -> None:
         nonlocal count
-        for piece in capture.tables() if as_columns else capture.batches(1):
+        for piece in capture.tables() if batch is None else capture.batches(batch):
             count += len(piece)
 
     with pytest.raises(CaptureError, match=r"walk\.log\.gz: the gzip data ends too early"):

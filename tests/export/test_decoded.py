@@ -176,6 +176,21 @@ def test_a_path_is_opened_at_the_top() -> None:
         aces_bus.decode(EXAMPLES / "hubo2plus.log", "hubo", dialect="D99")
 
 
+def test_a_database_is_a_protocol_and_losses_are_told(tmp_path: Path) -> None:
+    """`aces_bus.decode` takes a DBC by its path; what cannot be read of it is a warning, of the recording a count."""
+    pytest.importorskip("cantools")
+    database = tmp_path / "car.dbc"
+    database.write_text(
+        'VERSION ""\nBU_: X\nBO_ 256 Engine: 8 X\n SG_ Speed : 0|16@1+ (0.25,0) [0|0] "rpm" X\nBO_ nonsense\n'
+    )
+    log = tmp_path / "drive.log"
+    log.write_text("(1.0) can0 100#0400000000000000\nnonsense\n")
+    with pytest.warns(UserWarning, match=r"car\.dbc: 1 of \d+ statements was left out; first: line 5"):
+        found = aces_bus.decode(log, str(database))
+    assert found["Engine"]["Speed"].values.tolist() == [1.0]
+    assert (found.capture.lines_unreadable, found.capture.problems[0].line) == (1, 2)
+
+
 # ---------------------------------------------------------------------- frames of other libraries
 
 

@@ -316,7 +316,7 @@ def test_many_messages_need_few_files(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_a_pool_reopens_what_it_closed(tmp_path: Path) -> None:
     """A file goes on where it was, however many others were written in between."""
-    pool = FilePool()
+    pool = FilePool("out")
     sinks = [Sink(pool, str(tmp_path / str(number))) for number in range(100)]
     for word in (b"a", b"b", b"c"):
         for sink in sinks:
@@ -381,6 +381,30 @@ def test_a_full_disk_leaves_nothing(form: str, tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(type(export), "_finish", full)
     with pytest.raises(CallerError, match="cannot be written: No space left"):
         export.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+@each_format
+def test_a_disk_that_fills_while_writing(
+    form: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The one error names the export and not its temporary files, no library says more beside it, and no file stays."""
+    resource = pytest.importorskip("resource")
+    path = f"{tmp_path}/{PLACES[form]}"
+    export = open_export(path, variants=[ARM])
+    several = [table for number in range(50) for table in tables(state(number, number))]
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
+    try:
+        with pytest.raises(CallerError) as raised:
+            for _ in range(40):
+                export.write(several)
+            export.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        export.abandon()
+    assert str(raised.value).startswith(f"{path.rstrip('/')}: cannot be written: ")
+    assert capfd.readouterr() == ("", "")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -25,6 +25,8 @@ import pytest
 from aces_bus.hardware.served import BusServer, ServedChannel
 from aces_bus.hardware.served.address import parse_host
 
+from .serving import sending
+
 ROOT = Path(__file__).resolve().parents[2]
 #: How long anything may take here, in seconds; reached only when something is broken.
 PATIENCE = 30.0
@@ -122,7 +124,7 @@ def test_python_can_player(bus: can.BusABC, tmp_path: Path) -> None:
         for number in range(100):
             got = bus.recv(PATIENCE)
             assert got is not None
-            assert (got.arbitration_id, got.data) == (number, bytes([number, 0x55]))
+            assert (got.arbitration_id, bytes(got.data)) == (number, bytes([number, 0x55]))
         assert player.process.wait(PATIENCE) == 0
 
 
@@ -152,21 +154,16 @@ def test_cantools_monitor(bus: can.BusABC, tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
     command = [sys.executable, "-m", "cantools", "monitor", *BUS, str(tmp_path / "car.dbc")]
-    with subprocess.Popen(
-        command,
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        env={**os.environ, "TERM": "xterm"},
-        close_fds=True,
-    ) as process:
+    wheel = can.Message(
+        arbitration_id=291, data=(5000).to_bytes(2, "little") + bytes(6), is_extended_id=False
+    )
+    with (
+        subprocess.Popen(
+            command, stdin=theirs, stdout=theirs, stderr=theirs, env={**os.environ, "TERM": "xterm"}
+        ) as process,
+        sending(bus, wheel, 0.02),
+    ):
         os.close(theirs)
-        task = bus.send_periodic(
-            can.Message(
-                arbitration_id=291, data=(5000).to_bytes(2, "little") + bytes(6), is_extended_id=False
-            ),
-            0.02,
-        )
         watchdog = threading.Timer(PATIENCE, process.kill)
         watchdog.start()
         screen = ""
@@ -181,7 +178,6 @@ def test_cantools_monitor(bus: can.BusABC, tmp_path: Path) -> None:
             assert "1250.0 rpm" in screen, screen
         finally:
             watchdog.cancel()
-            task.stop()
             os.close(ours)
         assert process.wait(PATIENCE) == 0
 

@@ -127,6 +127,18 @@ def test_every_subscriber_gets_every_frame(bench: Bench) -> None:
     assert bench.gate.counters.received == 3
 
 
+def test_more_frames_than_a_batch_holds_lose_none() -> None:
+    """What waits in the adapter is handed over in batches, and no frame falls between two of them."""
+    adapter = Adapter()
+    for number in range(1000):
+        adapter.words.put(message(number))
+    gate = CanGate(lambda: adapter, name="full")
+    inbox = gate.subscribe()
+    with gate:
+        got = take(inbox, 1000)
+    assert [item.frame.arbitration_id for item in got] == list(range(1000))
+
+
 def test_a_reader_that_raises_costs_nobody_else(bench: Bench) -> None:
     """Its exception is an event, it is called again, and others hear everything."""
     calls: queue.Queue[int] = queue.Queue()

@@ -15,7 +15,7 @@ import struct
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ def listeners(name: str = BUS) -> int:
 
 
 @contextmanager
-def heard_by(command: Sequence[str], name: str = BUS) -> Iterator[subprocess.Popen[str]]:
+def heard_by(command: Sequence[str], name: str = BUS) -> Generator[subprocess.Popen[str], None, None]:
     """A program that listens to an interface, from when it does so."""
     before = listeners(name)
     program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -69,7 +69,7 @@ def heard_by(command: Sequence[str], name: str = BUS) -> Iterator[subprocess.Pop
 
 
 @contextmanager
-def aces(*words: str, listens: bool = False) -> Iterator[Any]:
+def aces(*words: str, listens: bool = False) -> Generator[Any, None, None]:
     """Our command in a process of its own; a fork, as importing takes long in here."""
     from aces_tools.main import main
 

@@ -35,7 +35,7 @@ class Node:
 
     def received(self, timeout: float = 0.0) -> list[can.Message]:
         """What has come; with a timeout, at least one is waited for."""
-        found = []
+        found: list[can.Message] = []
         while (message := self.bus.recv(timeout if not found else 0)) is not None:
             found.append(message)
         return found

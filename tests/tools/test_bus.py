@@ -10,7 +10,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import can
@@ -32,6 +33,24 @@ PATIENCE = 30.0
 MESSAGE = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
 #: What it takes of the bus's time, with the pause behind it.
 BITS = frame_bits(Frame(1, bytes(8))).total + INTERMISSION
+
+
+@contextmanager
+def sending(bus: can.BusABC, message: can.Message, period_s: float) -> Generator[None]:
+    """A thread that sends the message again and again, and has ended with the block: unlike `send_periodic`'s."""
+    stop = threading.Event()
+
+    def send() -> None:
+        while not stop.wait(period_s):
+            bus.send(message)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
 
 
 @pytest.fixture(autouse=True)
@@ -103,9 +122,8 @@ def test_load_of_a_served_bus(aces: Aces, how: list[str]) -> None:
         can.Bus("unix:can0", "aces", listen_only=True),
         can.Bus("unix:can0", "aces"),
     ):
-        task = sender.send_periodic(MESSAGE, 0.002)
-        result = aces("bus", "load", *how, "--once", "--json")
-        task.stop()
+        with sending(sender, MESSAGE, 0.002):
+            result = aces("bus", "load", *how, "--once", "--json")
         (measure,) = result.objects
     assert result.status == 0
     assert 20 < measure["frames_per_s"] < 970
@@ -125,22 +143,8 @@ def test_load_as_text(aces: Aces) -> None:
 
 def test_load_of_another_bus_is_heard(aces: Aces) -> None:
     """For any bus of python-can the load is computed from what is heard and the bit rate that is given."""
-    ready, stop = threading.Event(), threading.Event()
-
-    def send() -> None:
-        with can.Bus("load", "virtual") as bus:
-            ready.set()
-            while not stop.wait(0.002):
-                bus.send(MESSAGE)
-
-    sender = threading.Thread(target=send)
-    sender.start()
-    try:
-        assert ready.wait(PATIENCE)
+    with can.Bus("load", "virtual") as bus, sending(bus, MESSAGE, 0.002):
         result = aces("bus", "load", "-i", "virtual", "-c", "load", "-b", "125000", "--once", "--json")
-    finally:
-        stop.set()
-        sender.join()
     (measure,) = result.objects
     assert 20 < measure["frames_per_s"] < 970
     assert measure["load"] == pytest.approx(measure["frames_per_s"] * BITS / 125_000, rel=0.01)

@@ -123,3 +123,18 @@ def test_what_cannot_be_shared_is_said(log: Path, tmp_path: Path, capfd: Any) ->
         assert main(["decode", str(log), "-p", "hubo", *more]) == 2
         assert wanted in capfd.readouterr().err
     assert list(tmp_path.glob("a.*")) == []
+
+
+def test_a_full_disk_is_said_once(log: Path, tmp_path: Path, capfd: Any) -> None:
+    """Whichever process meets it, the error names the output, ends the run, and leaves nothing."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    out = tmp_path / "out.parquet"
+    try:
+        status, said, found = decoded(log, out, "--jobs", "2", capfd=capfd)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert (status, found) == (2, {})
+    assert [line for line in said if "written" in line] == [f"aces: {out}: cannot be written: File too large"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.log"]

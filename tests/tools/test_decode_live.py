@@ -113,6 +113,18 @@ def test_a_reader_that_leaves_ends_it(live: Running) -> None:
     assert said.startswith("frames=")
 
 
+def test_a_silent_line_ends_what_is_incomplete(tmp_path: Path) -> None:
+    """Half a packet is shown after the protocol's gap, though the pipe stays open and nothing follows."""
+    live = Running("decode", "-", "-p", "robotis", "--direction", "from", "--format", "jsonl")
+    live.write(bytes.fromhex("FFFF0105"))
+    lost = [json.loads(live.line()) for _ in range(2)]
+    live.write(bytes.fromhex("FFFF010200FC"))
+    found = json.loads(live.line())
+    live.close()
+    assert [(one["reason"], one["size"]) for one in lost] == [("malformed: incomplete", 1), ("skipped", 3)]
+    assert (found["message"], found["offset"]) == ("Status", 4)
+
+
 def test_head_on_a_file(arm: str, tmp_path: Path) -> None:
     """So does `aces decode big.log … | head -2`."""
     log = tmp_path / "big.log"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -96,3 +98,27 @@ def test_a_wrong_call_is_one_line(aces: Aces, arguments: list[str]) -> None:
 def test_main_returns_and_never_exits() -> None:
     """A program can call `main`."""
     assert main(["decode", "--no-such-option"]) == 2
+
+
+@pytest.mark.parametrize("arguments", [["plot", "--help"], ["protocols", "hubo", "Encoder"]])
+def test_an_output_without_unicode(arguments: list[str]) -> None:
+    """What cannot be written there becomes a question mark, and no traceback."""
+    program = "import sys; from aces_tools.main import main; sys.exit(main())"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        capture_output=True,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"?" in done.stdout
+
+
+def test_files_behind_two_dashes(
+    aces: Aces, log: Path, arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name that begins like an option is one of a file there."""
+    log.rename(tmp_path / "-walk.log")
+    monkeypatch.chdir(tmp_path)
+    result = aces("decode", "-q", "-p", arm, "--", "-walk.log")
+    assert (result.status, result.summary["frames"]) == (0, 12)

@@ -472,7 +472,12 @@ def test_damage_is_said_as_by_decode(aces: Aces, log: Path, arm: str) -> None:
     [
         (["--ylim", "5"], "write LOW:HIGH"),
         (["--ylim", "5:5"], "write LOW:HIGH"),
+        (["--ylim", "0:nan"], "write LOW:HIGH"),
+        (["--ymin", "5", "--ymax", "5"], "--ymin 5 is not below --ymax 5"),
+        (["--ymin", "inf"], "'inf' is no number"),
+        (["--break-time", "nan"], "'nan' is no number"),
         (["-o", "x.bmp"], r"one of \.png, \.svg, \.pdf"),
+        (["-o", "nowhere/x.png"], "there is no folder"),
         (["-o", "x.png", "--show"], "choose one of"),
         (["--style", "ggplot"], "--style is for pictures"),
     ],
@@ -485,6 +490,41 @@ def test_wrong_calls_are_one_line(
     assert result.status == 2
     assert re.search(said, result.err)
     assert result.err.count("\n") == 1
+
+
+def test_captures_stand_before_signals(aces: Aces, walk: Path, arm: str) -> None:
+    """A file behind a signal is no signal that was misspelt."""
+    result = aces("plot", walk, "State.load", walk, "-p", arm)
+    assert result.status == 2
+    assert "captures come first, signals after them" in result.err
+
+
+@pytest.mark.parametrize("limit", ["--ymin", "--ymax"])
+@pytest.mark.parametrize("value", ["1e300", "-1e300", "-12345.5", "0"])
+def test_a_limit_far_from_all_values_is_drawn(
+    limit: str, value: str, aces: Aces, walk: Path, arm: str
+) -> None:
+    """An axis without a value on it, and no error."""
+    result = aces("plot", walk, "State.load", "-p", arm, f"{limit}={value}")
+    assert result.status == 0, result.err
+
+
+def test_a_picture_that_cannot_be_written_leaves_what_was_there(aces: Aces, walk: Path, arm: str) -> None:
+    """The picture of before, and no part of the new one."""
+    resource = pytest.importorskip("resource")
+    out = walk.with_name("walk.png")
+    out.write_bytes(b"before")
+    files = sorted(walk.parent.iterdir())
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        result = aces("plot", walk, "State.load", "-p", arm, "-o", out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert result.status == 2
+    assert f"{out}: cannot be written" in result.err
+    assert out.read_bytes() == b"before"
+    assert sorted(walk.parent.iterdir()) == files
 
 
 def test_without_matplotlib_only_files_are_refused(

@@ -14,6 +14,7 @@ import pytest
 
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.frame import Frame
+from aces_tools.live import LivePatience, Outgoing
 from aces_tools.live_text import notation
 from aces_tools.protocols_arg import parse_protocols
 from aces_tools.send import raw_word
@@ -103,7 +104,8 @@ def test_packets_of_a_line_are_shown_in_hexadecimal(aces: Aces) -> None:
     [
         ("Encoder", ["board=3", "position=[120,-4]"], {"board": 3, "position": [120, -4]}),
         ("Encoder", ["position.1=-4", "position.0=0x78"], {"position": [120, -4]}),
-        ("State", ["mode=torque", "error=hot|cold", "angle=-1.5"], {"mode": "torque", "error": ["hot", "cold"], "angle": -1.5}),
+        ("State", ["mode=torque", "angle=-1.5"], {"mode": "torque", "angle": -1.5}),
+        ("State", ["error=hot|cold"], {"error": ["hot", "cold"]}),
         ("State", ["mode=2", "error=9", "load=1e3"], {"mode": 2, "error": 9, "load": 1000.0}),
         ("State", ["error={hot}"], {"error": ["hot"]}),
         ("Raw", ["data=0a00"], {"data": b"\x0a\0"}),
@@ -161,7 +163,7 @@ def test_nested_records_are_read() -> None:
         (["#0"], "hexadecimal digits, two a byte"),
         (["#"], "no bytes to send"),
         (["Stop", "board=1", "--count", "3"], "say how often: --every 10ms"),
-        (["Stop", "board=1", "--every", "0.5ms"], "is 2000 frames/s, and at most 1000 are allowed; if the bus stands it: --rate 2000"),
+        (["Stop", "board=1", "--every", "0.5ms"], "is 2000 frames/s, and at most 1000 are allowed"),
         (["Stop", "board=1", "--every", "1s", "--count", "0"], "at least once"),
         (["Stop", "board=1", "--rate", "0"], "a rate is a number above 0"),
         (["Stop", "board=1", "--reply"], "without --tx nothing is sent"),
@@ -202,25 +204,14 @@ def test_raw_frames_are_written_as_they_are_read(text: str) -> None:
     assert notation(word) == text
 
 
-def test_raw_words_never_raise_anything_else() -> None:
+@pytest.mark.parametrize(
+    "text", ["#", "##", "1#", "123#R9", "123##", "FFFFFFFF#", "123#é", "\0#", "123#00 X", "x#y", "123#00_9"]
+)
+def test_what_is_no_raw_frame(text: str) -> None:
     """Whatever is typed is a frame, bytes, or one clear complaint."""
-    for text in (
-        "#",
-        "##",
-        "1#",
-        "123#R9",
-        "123##",
-        "FFFFFFFF#",
-        "123#é",
-        "\0#",
-        "123#00 R",
-        "x#y",
-        "123#00_9",
-    ):
-        try:
-            raw_word(text)
-        except CallerError as error:
-            assert len(str(error).splitlines()) == 1
+    with pytest.raises(CallerError) as raised:
+        raw_word(text)
+    assert len(str(raised.value).splitlines()) == 1
 
 
 # ---------------------------------------------------------------------- with --tx
@@ -291,7 +282,6 @@ def test_deadlines_are_absolute(aces: Aces, node: Node, monkeypatch: pytest.Monk
     now = [1_000_000_000]
     due: list[int] = []
     from aces_tools import send
-    from aces_tools.live import LivePatience
 
     original = LivePatience.wait_until
 
@@ -315,7 +305,7 @@ def test_deadlines_are_absolute(aces: Aces, node: Node, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(LivePatience, "wait_until", wait_until)
     monkeypatch.setattr(send, "time", Clock)
-    monkeypatch.setattr(send.Outgoing, "pending", property(lambda _: 0))
+    monkeypatch.setattr(Outgoing, "pending", property(lambda _: 0))
     found = aces("send", "123#00", *node.options, "--tx", "--every", "10ms", "--count", 6)
     assert [instant // 1_000_000 for instant in due[:5]] == [10, 20, 30, 50, 60]
     assert found.summary["late"] == 1
@@ -324,7 +314,7 @@ def test_deadlines_are_absolute(aces: Aces, node: Node, monkeypatch: pytest.Monk
 def test_for_a_time(aces: Aces, node: Node) -> None:
     """`--for` bounds what `--every` sends."""
     found = aces("send", "123#00", *node.options, "--tx", "--every", "5ms", "--for", "52ms")
-    assert found.summary["sent"] + found.summary["late"] == 11
+    assert found.summary["sent"] <= 11 <= found.summary["sent"] + found.summary["late"]
     assert len(node.received(WAIT_S)) == found.summary["sent"]
 
 
@@ -453,11 +443,9 @@ def test_a_datagram_and_its_reply(aces: Aces) -> None:
     assert found.out.endswith("[3]  03 02 01\n")
 
 
-def test_every_complaint_is_of_the_tree() -> None:
-    """What values cannot be is a `CallerError`, however odd the text."""
-    (variant,) = parse_protocols(["robotis"])
-    message = variant.messages["SyncWrite"]
-    for text in (
+@pytest.mark.parametrize(
+    "text",
+    [
         "servos=" + "[" * 99 + "]" * 99,
         "servos=[",
         "servos={",
@@ -465,8 +453,13 @@ def test_every_complaint_is_of_the_tree() -> None:
         "servos='",
         "servos.x.0=1",
         "servos.=1",
-    ):
-        try:
-            variant.encoder.encode("SyncWrite", start=0, size=1, **parse_fields(message, [text]))
-        except AcesError as error:
-            assert len(str(error).splitlines()) == 1
+    ],
+)
+def test_every_complaint_is_of_the_tree(text: str) -> None:
+    """What values cannot be is an `AcesError` of one line, however odd the text."""
+    (variant,) = parse_protocols(["robotis"])
+    with pytest.raises(AcesError) as raised:
+        variant.encoder.encode(
+            "SyncWrite", start=0, size=1, **parse_fields(variant.messages["SyncWrite"], [text])
+        )
+    assert len(str(raised.value).splitlines()) == 1

@@ -23,10 +23,10 @@ import aces_tools.live_text
 import aces_tools.recorder
 import aces_tools.sniff
 from aces_bus.capture import open_capture
+from aces_bus.capture.write.candump import CandumpWriter
 from aces_bus.errors import CallerError
 from aces_bus.frame import Frame
-from aces_bus.hardware import AcesBus, BusEvent, CanGate
-from aces_bus.hardware.inbox import Inbox
+from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
 from aces_tools.live import Told, parse_duration
 from aces_tools.live_text import CandumpLines, Times
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
@@ -265,7 +265,7 @@ def test_nothing_is_ever_sent(
     def bus(*arguments: Any, **options: Any) -> Any:
         found = create(*arguments, **options)
         made.append(options)
-        found.send = sent.append  # type: ignore[method-assign]
+        monkeypatch.setattr(found, "send", sent.append)
         return found
 
     monkeypatch.setattr(can, "Bus", bus)
@@ -344,9 +344,9 @@ def test_what_comes_too_fast_is_counted(
     aces: Aces, node: Node, opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A full queue drops the oldest frames; the summary and a line on stderr say how many."""
-    subscribed = CanGate.subscribe
+    subscribed: Any = CanGate.subscribe
 
-    def subscribe(gate: CanGate, **options: Any) -> Inbox[Any]:
+    def subscribe(gate: CanGate, **options: Any) -> Any:
         return subscribed(gate, **{**options, "limit": 2})
 
     monkeypatch.setattr(CanGate, "subscribe", subscribe)
@@ -355,8 +355,6 @@ def test_what_comes_too_fast_is_counted(
         (gate,) = opened.gates
         frames = [can.Message(arbitration_id=n, is_extended_id=False, timestamp=1.0) for n in range(10)]
         received = [gate._frame(frame) for frame in frames]
-        from aces_bus.hardware import Received
-
         gate._put([Received(frame, 1) for frame in received])
         interrupt()
 
@@ -380,6 +378,18 @@ def test_a_flood_of_events_is_counted_and_not_printed(capsys: pytest.CaptureFixt
     assert told.counts == {"bad input": 1000}
 
 
+def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -> None:
+    """An error-passive sender is alone or at another bit rate; who only listens is told the bare fact."""
+    for listen_only in (True, False):
+        gate = CanGate(dict, name="can0", listen_only=listen_only)
+        told = Told(gate)
+        gate.events.tell(BusEvent("error-passive", 0, "can0"))
+        told.tell(last=True)
+    bare, hinted = capsys.readouterr().err.splitlines()
+    assert bare == "aces: can0: error-passive"
+    assert hinted.startswith("aces: can0: error-passive; is another node there")
+
+
 # ---------------------------------------------------------------------- recording
 
 
@@ -388,7 +398,7 @@ def test_recordings_of_any_format(aces: Aces, node: Node, opened: Opened, tmp_pa
     """The suffix says the format, and nothing else stays behind."""
     opened.then(walk(node))
     record = tmp_path / name
-    found = aces("sniff", *node.options, "-n", 5, "-q", "--record", record, "--for", "100ms")
+    found = aces("sniff", *node.options, "-n", 5, "-q", "--record", record)
     assert found.status == 0
     frames = list(open_capture(record, link="can"))
     assert [frame.arbitration_id for frame in frames] == [0x060, 0x300, 0x060, 0x7FE, 0x061]
@@ -428,7 +438,7 @@ def test_a_recording_that_fails_ends_the_run(
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(aces_tools.recorder.CandumpWriter, "write", full)
+    monkeypatch.setattr(CandumpWriter, "write", full)
     opened.then(walk(node))
     found = aces("sniff", *node.options, "--record", tmp_path / "walk.log")
     assert found.status == 2

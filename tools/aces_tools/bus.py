@@ -171,7 +171,7 @@ def parse_faults(text: str | None, seed: int) -> Faults:
     for part in (text or "").split(","):
         if not part.strip():
             continue
-        name, equals, number = (word.strip() for word in part.partition("="))
+        name, _, number = (word.strip() for word in part.partition("="))
         if name not in ("drop", "corrupt", "duplicate", "delay", "delay_us"):
             raise UnknownNameError("fault", name, ["drop", "corrupt", "duplicate", "delay", "delay_us"])
         try:

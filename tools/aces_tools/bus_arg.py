@@ -49,6 +49,8 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     for action in set(parser._actions) - before:
         if action.dest == "timing":
             _hush(action)
+        elif action.dest == "interface":
+            action.metavar = "INTERFACE"  # or all thirty stand in the help, in a line
     group = parser.add_argument_group("serial line, datagrams")
     add = group.add_argument
     add("--serial", metavar="URL", help="a port, socket://HOST:PORT, rfc2217://…")

@@ -6,9 +6,11 @@
   aces decode walk.log -p hubo --message Encoder --where board=3 -o encoder.csv
   aces decode walk.log -p hubo -o walk.parquet
 
-A FILE is a candump log, the hex dump of the vendor's serial monitor, or raw
-serial bytes; `-` is standard input. What it is, its content says. With
-protocols of several links, each file goes to those of its own.
+A FILE is a recording of CAN (candump, BLF, ASC, TRC, MF4, pcap, pcapng, CSV,
+python-can's SQLite and others: `aces convert --help` lists them) or of a serial
+line (.slog, the vendor's hex dump, raw bytes), also packed with gzip or zstd.
+What it is, its content says; `-` is standard input. With protocols of several
+links, each file goes to those of its own. More: docs/captures.md.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from aces_bus.capture import CanCapture, Capture, SerialCapture
 from aces_bus.capture.serial import RawCapture
 from aces_bus.errors import CallerError
 from aces_bus.export.open import FORMATS, format_of
+from aces_bus.export.open import SUFFIXES as TABLES
 from aces_bus.frame import Frame
 from aces_bus.frame_table import to_ns
 from aces_bus.protocol import Scanner, Unknown, make_scanner
@@ -36,7 +39,16 @@ from .where import Where
 
 Format = Literal["text", "jsonl", "csv"]
 
-SUFFIXES: Mapping[str, Format] = {".jsonl": "jsonl", ".ndjson": "jsonl", ".csv": "csv"}
+SUFFIXES: Mapping[str, Format] = {
+    ".jsonl": "jsonl",
+    ".ndjson": "jsonl",
+    ".csv": "csv",
+    ".txt": "text",
+    ".text": "text",
+    ".log": "text",
+    ".out": "text",
+    "": "text",
+}
 #: Formats that are written value by value, in the order of the recording.
 LIVE: tuple[str, ...] = ("text", "jsonl", "csv")
 BATCH = 1024
@@ -50,6 +62,10 @@ protocols (-p):
                       as 0x00 = 2; base = "NAME" on top changes a shipped one
   my_spec.py[:NAME]   declared in a Python file. It is executed with your
                       rights: name only what you trust
+  car.dbc             a database: .dbc .kcd .sym .arxml, or CANopen's .eds .dcf;
+                      `aces protocols car.dbc` lists what cannot be used of it
+  can0=car.dbc        any of these for one channel only, named as in the text
+                      output: can0 in a candump log, 0 in BLF and ASC
 
 conditions (--where):
   board=3  position.1<0  servos.id=3  mode=torque  error=overload  data=0a00
@@ -210,12 +226,21 @@ def table_format(arguments: argparse.Namespace) -> str | None:
     chosen: str | None = arguments.format
     of_path = format_of(path) if path is not None else None
     if chosen is None:
+        if path is not None and of_path is None and _suffix(path) not in SUFFIXES:
+            raise CallerError(
+                f"-o {path}: no format has the suffix {_suffix(path)!r}; there are"
+                f" {' '.join(suffix for suffix in (*SUFFIXES, *TABLES) if suffix)} .csv/; or say --format text"
+            )
         return of_path
     if chosen in LIVE and not (chosen == "csv" and of_path == "csv"):
         return None
     if path is None or path == "-":
         raise CallerError(f"--format {chosen} goes to a file or folder; name it with --output")
     return chosen
+
+
+def _suffix(path: str) -> str:
+    return os.path.splitext(path)[1].lower()
 
 
 class LiveDecoding(Decoding):
@@ -236,7 +261,7 @@ class LiveDecoding(Decoding):
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         path: str = arguments.output or ""
-        form: Format = arguments.format or SUFFIXES.get(os.path.splitext(path)[1].lower(), "text")
+        form: Format = arguments.format or SUFFIXES.get(_suffix(path), "text")
         stated = self.direction if self.direction != "both" else None
         if form == "jsonl":
             from .output.jsonl import JsonLines
@@ -342,8 +367,9 @@ class LiveDecoding(Decoding):
                     if "from device" not in used:
                         used["from device"] = other = self._scanner("serial", "from device")
                         other.reset()
+                    replies: Any = used["from device"]
                     for packet, time in requests.of(chunk.data, chunk.time):
-                        used["from device"].sent(packet, time)
+                        replies.sent(packet, time)
                 if self.window is not None:
                     self.window.see(to_ns(chunk.time))
                 feed: Any = used[direction].feed

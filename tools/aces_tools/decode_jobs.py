@@ -63,6 +63,8 @@ class Done:
     problems: list[Problem] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     error: str = ""
+    #: Whether the error is of the capture; otherwise of the output, and ends the run.
+    is_of_capture: bool = True
 
 
 class JobsDecoding(ColumnDecoding):
@@ -162,7 +164,7 @@ class JobsDecoding(ColumnDecoding):
     def _adopt(self, capture: CanCapture, scanner: Any, done: Done, totals: Totals) -> None:
         """Go on behind a piece: its files, its counts, its complaints, and the frames that it left."""
         if done.error:
-            raise CaptureError(done.error)
+            raise CaptureError(done.error) if done.is_of_capture else CallerError(done.error)
         export: Any = self.export
         export.adopt()
         self._seen(done.channels)
@@ -287,7 +289,9 @@ def _work(task: Any, place: str) -> Done:
     try:
         return _worker.work(task, place)
     except AcesError as error:
-        return Done(None, Totals(), set(), error=str(error))
+        # The piece has a temporary name, which nobody knows.
+        said = str(error).replace(place, _worker.arguments.output)
+        return Done(None, Totals(), set(), error=said, is_of_capture=isinstance(error, CaptureError))
 
 
 class Worker(JobsDecoding):

@@ -31,6 +31,15 @@ DIRECTIONS: Mapping[str | None, Direction | None] = {
     "both": "both",
     None: None,
 }
+#: Options that leave something out, by the names of their arguments.
+FILTERS = (
+    ("start", "--from"),
+    ("stop", "--to"),
+    ("filter", "--filter"),
+    ("message", "--message"),
+    ("where", "--where"),
+    ("signals", "--signals"),
+)
 #: Unreadable lines that are shown, of each file.
 SHOWN = 3
 
@@ -119,10 +128,10 @@ class Decoding(ABC):
         self.status = 0
         #: Whether it has been said that two protocols claim one frame.
         self.is_warned = False
-        #: Interfaces that --filter names; those that occurred are taken out.
-        self.absent = (
-            {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
-        )
+        #: Channels that -p and --filter name; those that occurred are taken out.
+        self.bound = {variant.channel for variant in variants if variant.channel is not None}
+        named = self.filter.sets if self.filter is not None else ()
+        self.absent = self.bound | {one.interface for one in named if one.interface}
         #: All that occurred, while one is missing.
         self.present: set[str] = set()
         #: Unreadable lines of this file that have been named.
@@ -212,6 +221,7 @@ class Decoding(ABC):
             if self.window is not None:
                 self.window.begin()
             totals = self.totals.setdefault(capture.link, Totals())
+            before = totals["total"]
             self._opened(capture)
             try:
                 if isinstance(capture, CanCapture):
@@ -219,6 +229,8 @@ class Decoding(ABC):
                 else:
                     self._serial(capture, totals, patience)
                 self._done()
+                if totals["total"] == before and not capture.live and not patience.is_over:
+                    say(f"{capture.name}: holds no {'frames' if capture.link == 'can' else 'bytes'}")
             except CaptureError as error:
                 self._complain(str(error))
             finally:
@@ -282,8 +294,10 @@ class Decoding(ABC):
         totals: dict[Link, Totals] = self.totals
         if not totals:
             totals = {link: Totals() for link, variants in self.variants.items() if variants}
+        there = ", ".join(sorted(self.present - {"None"})) or "none with a name"
         for name in sorted(self.absent) if self.present else ():
-            say(f"--filter: no frame came from {name!r} (there are: {', '.join(sorted(self.present))})")
+            option = "-p" if name in self.bound else "--filter"
+            say(f"{option}: no frame came from {name!r} (there are: {there})")
         if self.window is not None and self.window.untimed:
             say(f"--from and --to need times: {self.window.untimed} items have none, and are filtered")
         for total in totals.values():
@@ -291,8 +305,12 @@ class Decoding(ABC):
                 say(f"the recorder says that it lost {total.dropped} frames")
             if total.missed:
                 say(f"rolling counters say that {total.missed} messages are missing")
-            if self.plans and total["total"] and not total["decoded"] and not total["filtered"]:
+            if not self.plans or not total["total"] or total["decoded"]:
+                continue
+            if not total["filtered"]:
                 say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
+            elif given := [option for name, option in FILTERS if getattr(self.arguments, name, None)]:
+                say(f"nothing that was decoded passed {', '.join(given)}")
         faults = [fault for total in totals.values() for fault in total.faults]
         if self.arguments.strict and faults:
             say(f"--strict: {', '.join(faults)}")

@@ -33,6 +33,12 @@ FEW, PAUSE_S = 3, 1.0
 #: What nobody needs to be told: it was asked for.
 EXPECTED = frozenset({"opened", "closed"})
 
+#: Events of one who sends → what to look at.
+HINTS: Mapping[str, str] = {
+    "error-passive": "is another node there, at the same bit rate? One that only sniffs acknowledges nothing",
+    "bus-off": "the controller left the bus after too many errors; look at bit rate, wires and terminators",
+}
+
 _DURATION = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(ns|us|µs|ms|s|min|h)?")
 _UNITS: Mapping[str | None, float] = {
     "ns": 1,
@@ -88,6 +94,7 @@ class Told:
 
     def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
         self._queue: deque[BusEvent] = deque(maxlen=4096)
+        self._hints = {} if gate.listen_only else HINTS
         gate.on_event(self._queue.append)
         #: How many events of each kind were told.
         self.counts: dict[str, int] = {}
@@ -105,7 +112,8 @@ class Told:
                 continue
             self._shown[event.kind] = shown = self._shown.get(event.kind, 0) + 1
             if shown <= FEW:
-                say(str(event))
+                hint = self._hints.get(event.kind)
+                say(f"{event}; {hint}" if hint else str(event))
                 said = True
             else:
                 key = event.bus, event.kind
@@ -170,15 +178,16 @@ class Outgoing:
         counters = self.gate.counters
         return self._queued - counters.sent - counters.send_failed
 
-    def drain(self, patience: LivePatience, most: int = 0, seconds: float = 2.0) -> bool:
-        """Wait until no more than `most` is pending; False when nothing has left for so long, or on Ctrl-C."""
+    def drain(self, patience: LivePatience | None = None, most: int = 0, seconds: float = 2.0) -> bool:
+        """Wait until no more than `most` is pending; False when nothing has left for so long, or `patience` is over."""
         before, until = self.pending, time.monotonic() + seconds
         while (left := self.pending) > most:
             now = time.monotonic()
             if left != before:
                 before, until = left, now + seconds
-            if now > until or not patience.wait_until(time.monotonic_ns() + 500_000):
+            if now > until or (patience is not None and patience.is_over):
                 return False
+            time.sleep(0.0005)
         return True
 
 

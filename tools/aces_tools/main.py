@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from typing import NoReturn
 
 from aces_bus import __version__
@@ -28,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "send": ("send", "send a message, once or every so often; only with --tx"),
     "play": ("play", "play recordings onto a bus at their pace; only with --tx"),
     "bus": ("bus", "serve a virtual bus to other programs; list buses; measure a bus's load"),
+    "robot": ("robot", "robots as files: check, show, list; import from HuboCan and hubo-ach"),
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
     "spec": ("spec", "tools for the authors of protocols: stubs for editors"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
@@ -47,6 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # python-can imports asammdf where it is installed, for a format that we read in a process of its own: a second
         # of every start. In this program it is not to be found.
         sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how import is told
+        if isinstance(sys.stdout, TextIOWrapper):  # where there is no Unicode, "?" stands for what cannot be written
+            sys.stdout.reconfigure(errors="replace")
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
         if sys.stdout is not None:
@@ -86,7 +90,15 @@ def _run(arguments: list[str]) -> int:
         allow_abbrev=False,
     )
     module.add_arguments(parser)
-    return int(module.run(parser.parse_intermixed_args(arguments[1:])))
+    return int(module.run(parser.parse_intermixed_args(_plain(arguments[1:]))))
+
+
+def _plain(arguments: list[str]) -> list[str]:
+    """Without `--`, which the parser mistakes between options: what stands behind it are files, even `-x.log`."""
+    if "--" not in arguments:
+        return arguments
+    end = arguments.index("--")
+    return arguments[:end] + [f"./{a}" if a[:1] == "-" and a != "-" else a for a in arguments[end + 1 :]]
 
 
 def _help() -> str:

@@ -1,10 +1,10 @@
-"""Play recordings onto a bus, at their pace. Without --tx it only says what would be sent.
+"""Play recordings onto a bus, at their pace. Without --tx it only tells of them.
 
   aces play walk.log
   aces play walk.log -i socketcan -c can0 --tx
   aces play monday.blf tuesday.blf -i aces -c unix:can0 --tx --speed 2 --gap 1s
-  aces play walk.log --map can0=vcan1 --map can1=vcan0 -i socketcan --tx --loop 0
-  aces play session.slog --direction to --serial /dev/ttyUSB0 --tx
+  aces play walk.log --map can0=vcan1 --map can1=vcan0 -i socketcan --tx
+  aces play session.slog --direction to --serial /dev/ttyUSB0 --tx --loop 0
 
 Any recording that 'aces decode' reads: CAN frames go onto a CAN bus, bytes of
 a serial line onto a line or into datagrams.

@@ -12,6 +12,7 @@ Without SIGNALs each message that occurs gets a subplot.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ from aces_bus.protocol.scan.message_table import MessageTable
 
 from .console import Output, Patience, say, terminal_width, wants_colour
 from .decoding import Decoding, Direction, Totals
-from .plotting.picture import Limits, Names, Panel, Picture, panels_of
+from .plotting.picture import LARGEST, Limits, Names, Panel, Picture, panels_of
 from .plotting.select import Declared, Pattern, Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Clock, Collector, Series
 
@@ -81,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--break-time",
         "-t",
-        type=float,
+        type=a_number,
         default=LONGEST_GAP_S,
         metavar="SECONDS",
         help="interrupt a line where nothing came for so long; -1: never (default: %(default)g)",
@@ -103,8 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOW:HIGH",
         help="either may be empty; once for all, or once an axis, in order; write --ylim=-5:5",
     )
-    add("--ymin", type=float, metavar="LOW", help="of all axes")
-    add("--ymax", type=float, metavar="HIGH", help="of all axes")
+    add("--ymin", type=a_number, metavar="LOW", help="of all axes")
+    add("--ymax", type=a_number, metavar="HIGH", help="of all axes")
     parser.set_defaults(message=[], filter=[], strict=False)  # of `decode`
     add("--style", metavar="STYLE", help="a style of matplotlib, such as ggplot")
     add("--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal")
@@ -123,6 +124,9 @@ class Plotting(Decoding):
         self.declared = declared([variant for variants in self.variants.values() for variant in variants])
         self.groups = parse_groups(texts)
         self.limits = [parse_limits(text) for text in arguments.ylim]
+        low, high = arguments.ymin, arguments.ymax
+        if low is not None and high is not None and not low < high:
+            raise CallerError(f"--ymin {low:g} is not below --ymax {high:g}")
         wanted = self._wanted()
         self._check_output()
         self.clock = Clock()
@@ -171,6 +175,8 @@ class Plotting(Decoding):
         try:
             for table in patience.each(capture.tables()):
                 self.clock.see(table.time)
+                if self.absent:
+                    self._seen({str(table.channels.names[n]) for n in np.unique(table.channel).tolist()})
                 if self.window is not None:
                     known = table.time[table.time != NO_TIME]
                     if len(known):
@@ -355,8 +361,8 @@ def parse_limits(text: str) -> Limits:
     """`LOW:HIGH`, either of which may be empty; raises `CallerError`."""
     low, colon, high = text.partition(":")
     try:
-        limits = (float(low) if low.strip() else None, float(high) if high.strip() else None)
-    except ValueError:
+        limits = (a_number(low) if low.strip() else None, a_number(high) if high.strip() else None)
+    except argparse.ArgumentTypeError:
         colon = ""
         limits = (None, None)
     bottom, top = limits
@@ -365,6 +371,17 @@ def parse_limits(text: str) -> Limits:
             f"--ylim {text!r}: write LOW:HIGH, such as 0:10, or --ylim=-5: for the lower end only"
         )
     return limits
+
+
+def a_number(text: str) -> float:
+    """A number that an axis can go to; for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < LARGEST:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number")
+    return value
 
 
 def _one_a_message(series: Sequence[Series]) -> list[list[list[Pattern]]]:

@@ -3,7 +3,7 @@
     hubo                    an installed protocol (`aces protocols` lists them), default dialect and configuration
     hubo:D08                a dialect
     hubo:D08@hubo2          a configuration that ships with the protocol
-    hubo@robot.toml         a configuration of your own, from a file
+    hubo@robot.toml         a configuration of your own, from a file: a robot's (docs/robots.md), or bare tables
     my_spec.py              the one protocol that a Python file declares; my_spec.py:NAME where there are several;
                             dialect and configuration follow as above (my_spec.py:NAME:D08@robot.toml)
     car.dbc                 a database of messages: .dbc, .kcd, .sym, .arxml; CANopen: .eds, .dcf
@@ -13,7 +13,8 @@ What of a database cannot be taken over is said once, on stderr.
 
 A Python file is executed, with all your rights, like any program that you start: name only files that you trust.
 
-A configuration file holds the tables that the protocol's configurations hold, and with `base` only what differs:
+A robot's file says which board is what, and in which dialect it speaks where none is named. A file of bare tables holds
+those of the protocol's configurations, and with `base` only what differs:
 
     base = "hubo2plus"      # optional: start from this shipped configuration, change the entries below
     [channels]
@@ -68,7 +69,8 @@ class Named(NamedTuple):
         if configuration is None or not configuration.lower().endswith(".toml"):
             found = self.protocol.variant(self.dialect, configuration)
         else:
-            found = self.protocol.variant(self.dialect, read_configuration(configuration, self.protocol))
+            tables, dialect = _configured(configuration, self.protocol)
+            found = self.protocol.variant(dialect if self.dialect is None else self.dialect, tables or None)
         return found if self.channel is None else found.on(self.channel)
 
 
@@ -226,14 +228,37 @@ def _said(error: Exception) -> str:
 
 def read_configuration(path: str, protocol: Protocol) -> dict[str, Mapping[int, Any]]:
     """The configuration tables of a TOML file; raises `CallerError` naming file and entry."""
+    return _configured(path, protocol)[0]
+
+
+def _configured(path: str, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
+    """The configuration tables of a TOML file, and the dialect that it names; None: none."""
     import tomllib
 
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        data = Path(path).read_bytes()
+        content = tomllib.loads(data.decode("utf-8-sig"))
     except OSError as error:
         raise CallerError(f"{path}: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # tomllib's own, decoding, numbers too long
         raise CallerError(f"{path}: not a TOML file: {error}") from error
+    if "buses" in content:  # as `aces_bus.device.is_robot` has it, not yet imported
+        return _of_robot(path, data, protocol)
+    return _of_tables(path, content, protocol), None
+
+
+def _of_robot(path: str, data: bytes, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
+    """What a robot's file says of a protocol; raises `CallerError` with all that is wrong with the file."""
+    from aces_bus.device import RobotError, parse_robot
+
+    robot, problems = parse_robot(data, path)
+    if robot is None:
+        raise RobotError([problem for problem in problems if not problem.is_warning])
+    return {**robot.tables(protocol)}, robot.dialect(protocol.name)
+
+
+def _of_tables(path: str, content: Mapping[str, Any], protocol: Protocol) -> dict[str, Mapping[int, Any]]:
+    """The tables of a file that holds nothing else."""
     needed = {key for tables in protocol.configurations.values() for key in tables}
     needed |= {condition.key for message in protocol.declared for condition in message.when}
     if not needed:

@@ -46,7 +46,8 @@ class Recorder:
     """A recording in the making. Raises `CallerError` when the file cannot be written, or is there already."""
 
     def __init__(self, path: str, link: Link) -> None:
-        self.path, self.link = path, link
+        self.path = path
+        self.link: Link = link
         if path == "-":
             raise CallerError("--record - : standard output is for the lines; name a file")
         kept, suffix = KEPT[link]

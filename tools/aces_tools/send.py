@@ -1,9 +1,11 @@
-"""Send a message, once or every so often. Without --tx it only shows what would be sent.
+"""Send a message, once or every so often. Without --tx it only shows it.
 
   aces send ControlOn board=3 -p hubo
   aces send ControlOn board=3 -p hubo -i socketcan -c can0 --tx
-  aces send Reference board=2 position=[100,-40] -p hubo -i aces -c unix:can0 --tx --every 10ms --for 5s
-  aces send Read id=1 start=36 count=2 -p robotis --serial /dev/ttyUSB0 --half-duplex --tx --reply
+  aces send Reference board=2 position=[100,-40] -p hubo -c can0 --tx \\
+       --every 10ms --for 5s
+  aces send Read id=1 start=36 count=2 -p robotis --serial /dev/ttyUSB0 \\
+       --half-duplex --tx --reply
   aces send 123#DEADBEEF 18FEF100#R8 -i socketcan -c can0 --tx
   aces send '#FFFF010201FB' --serial /dev/ttyUSB0 --tx
 
@@ -19,8 +21,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import msgspec
-
 from aces_bus.capture.candump_line import Unreadable, read_line
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frame import Frame
@@ -29,14 +29,12 @@ from aces_bus.protocol.spec.message import Message
 
 from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
 from .console import Output, abandon_stdout, say, terminal_width, wants_colour
-from .live import LINGER_S, LivePatience, Outgoing, Told, heard_frame, parse_duration
-from .live_text import CandumpLines, LiveText, Times, notation
+from .live import LINGER_S, LivePatience, Outgoing, Told, parse_duration
+from .live_text import LiveText, Times, notation
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
+from .replies import Replies, Word
 from .values import parse_fields
-
-#: A frame (CAN), or the bytes of a packet.
-Word = Frame | bytes
 
 RATE = 1000.0
 REPLY = "0.5s"
@@ -124,7 +122,7 @@ class Sending:
                 raise CallerError(f"these are {what}, and {self.bus.name} is {where}")
         self.plans = plans_of(self.variants)
         self.output = Output(None)
-        self.replies = self.late = 0
+        self.late = 0
 
     # ------------------------------------------------------------------ what is sent
 
@@ -251,17 +249,17 @@ class Sending:
         assert self.bus is not None
         gate = self.bus.gate(listen_only=False, send_rate=self.arguments.rate if self.is_can else None)
         told = Told(gate)
-        replies = _Replies(self, gate) if self.reply_ns is not None else None
+        replies = self._replies(gate)
         outgoing = Outgoing(gate)
         status = 0
         with LivePatience() as patience:
             self.bus.start(gate)
             try:
                 self._send(outgoing, patience, told, replies)
-                if not outgoing.drain(patience):
+                if not outgoing.drain():
                     say(f"{self.bus.name}: what was to be sent last did not leave")
                 patience.wait_until(time.monotonic_ns() + round(LINGER_S * 1e9))
-                if replies is not None and self.every is None:
+                if replies is not None:
                     replies.wait(patience)
                 self.output.close()
             except BrokenPipeError:
@@ -275,19 +273,28 @@ class Sending:
                 gate.stop()
                 told.tell(last=True)
             counters = gate.counters
-            if replies is not None and not self.replies:
+            if replies is not None and not replies.count:
                 say(f"{self.bus.name}: no reply within {self.arguments.reply}")
                 status = status or 1
             unit = "bytes" if gate.items == "pieces" else gate.items
             line = f"sent={counters.sent} failed={counters.send_failed} late={self.late}"
             if unit == "bytes":
                 line = f"packets={outgoing.items} {line}"
-            say(line + (f" replies={self.replies}" if replies is not None else ""), who="")
+            say(line + (f" replies={replies.count}" if replies is not None else ""), who="")
             if counters.send_failed or outgoing.pending:
                 status = status or 1
         return status
 
-    def _send(self, outgoing: Outgoing, patience: LivePatience, told: Told, replies: _Replies | None) -> None:
+    def _replies(self, gate: Any) -> Replies | None:
+        if self.reply_ns is None:
+            return None
+        writer = self.writer() if self.variants else None
+        made = Replies(self.output, writer, gate, self.link, wait_ns=self.reply_ns)
+        if self.variants:
+            made.decode(self.variants, self.variant, self.message, self.fields)
+        return made
+
+    def _send(self, outgoing: Outgoing, patience: LivePatience, told: Told, replies: Replies | None) -> None:
         words = self.first
         due = time.monotonic_ns()
         until = None if self.until is None else due + self.until
@@ -375,104 +382,6 @@ class _Untitled(LiveText):
     def _title(self) -> list[str]:
         self._is_titled = True
         return []
-
-
-class _Replies:
-    """What is heard after sending, decoded."""
-
-    def __init__(self, sending: Sending, gate: Any) -> None:
-        self._sending, self._name = sending, gate.name
-        self._inbox = gate.subscribe()
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
-        self._scanner: Any = None
-        if sending.variants:
-            message = sending.message
-            facing: Any = (
-                "from device" if message is not None and message.direction == "to device" else "both"
-            )
-            self._scanner = make_scanner(sending.variants, direction=facing)
-        self._expected = _answers(sending.variant, sending.message)
-        self._is_broadcast = _is_broadcast(sending.variant, sending.fields)
-        self._writer: Any = sending.writer() if sending.variants else None
-        self._lines = CandumpLines(Times("z"), encoding=sending.output.encoding)
-        self._is_begun = False
-
-    def sent(self, word: Word) -> None:
-        """Remember what the reply will be to; both are told by this machine's clock."""
-        self.take(0)
-        if self._scanner is None:
-            return
-        now = (time.monotonic_ns() + self._epoch_ns) / 1e9
-        if isinstance(word, Frame):
-            self._scanner.sent(msgspec.structs.replace(word, timestamp=now, channel=self._name))
-        else:
-            self._scanner.sent(word, now)
-
-    def wait(self, patience: LivePatience) -> None:
-        """Until the first reply, or until the time is up; of a broadcast all that come in time."""
-        assert self._sending.reply_ns is not None
-        until = time.monotonic_ns() + self._sending.reply_ns
-        while not patience.is_over and (not self._sending.replies or self._is_broadcast):
-            left = until - time.monotonic_ns()
-            if left <= 0:
-                return
-            self.take(min(left / 1e9, 0.05))
-
-    def take(self, timeout: float) -> None:
-        """Print the replies that have come."""
-        sending = self._sending
-        assert sending.bus is not None
-        for item in self._inbox.get(timeout):
-            if self._scanner is None:
-                self._unnamed(item)
-                continue
-            seconds = (item.host_ns + self._epoch_ns) / 1e9
-            if sending.is_can:
-                frame = msgspec.structs.replace(item.frame, timestamp=seconds, channel=self._name)
-                items = self._scanner.feed([frame])
-            else:
-                is_whole = sending.bus.kind == "datagram"
-                items = (self._scanner.datagram if is_whole else self._scanner.feed)(item.data, seconds)
-            wanted = [one for one in items if not self._expected or type(one).__name__ in self._expected]
-            if wanted:
-                if not self._is_begun:
-                    self._is_begun = True
-                    start = wanted[0].meta.time
-                    sending.output.write(self._writer.begin(self._name, sending.link, start))
-                sending.output.write(self._writer.items(wanted))
-                sending.output.flush()
-                sending.replies += len(wanted)
-
-    def _unnamed(self, item: Any) -> None:
-        sending = self._sending
-        if sending.is_can:
-            data = self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
-        else:
-            from aces_bus.capture import Chunk
-
-            chunk = Chunk(item.data, (item.host_ns + self._epoch_ns) / 1e9)
-            data = self._lines.chunks([chunk], self._name)
-        sending.output.write(data)
-        sending.output.flush()
-        sending.replies += 1
-
-
-def _answers(variant: Variant | None, message: Message | None) -> frozenset[str]:
-    """The messages that the protocol says answer this one."""
-    if variant is None or message is None:
-        return frozenset()
-    return frozenset(
-        other.name
-        for other in variant.messages.values()
-        if any(request.message.name == message.name for request in (*other.reply_to, *other.after))
-    )
-
-
-def _is_broadcast(variant: Variant | None, fields: dict[str, Any]) -> bool:
-    """Whether these fields address every device."""
-    if variant is None:
-        return False
-    return any(fields.get(name) == number for name, number in variant.protocol.broadcast.items())
 
 
 __all__ = ["Sending", "add_arguments", "raw_word", "run"]

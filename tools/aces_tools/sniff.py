@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--where", action="append", default=[], metavar="CONDITION", help="only records such as field=value")
     add("--unknown", choices=["show", "hide", "only"], help="print what is not decoded, as of 'aces decode'")
     add("-t", "--time", dest="time_mode", choices=list(TIME_MODES), default="z", help="times (default: z)")
-    add("-n", "--count", type=int, metavar="N", help="end after so many lines")
+    add("-n", "--count", type=int, metavar="N", help="end after so many lines (-q: that would be)")
     add("--for", dest="duration", metavar="DURATION", help="end after so long: 10s, 500ms, 2min")
     add("--format", choices=["text", "jsonl", "csv"], help="default: by the suffix of --output, else text")
     add("--output", "-o", metavar="FILE", help="write there instead of standard output")
@@ -127,7 +127,11 @@ class Sniffing(LiveDecoding):
         self.lines: CandumpLines | None = None
         #: How many lines were shown.
         self.printed = 0
+        #: Nothing is printed; what would be is counted all the same.
+        self.is_quiet: bool = arguments.quiet
+        arguments.quiet = False
         super().__init__(arguments)
+        arguments.quiet = self.is_quiet
         self.name = utf8(self.bus.name)
         self.scanner: Any = self._own_scanner()
         self.scanner.reset()
@@ -287,8 +291,9 @@ class Sniffing(LiveDecoding):
             else:
                 self._reject(item, 1, self.total)
         if kept and self.shows_losses:
-            self.output.write(lines.frames(kept))
             self.printed += len(kept)
+            if not self.is_quiet:
+                self.output.write(lines.frames(kept))
 
     def _bytes(self, item: Any) -> None:
         """Bytes of a serial line, or a datagram."""
@@ -298,8 +303,9 @@ class Sniffing(LiveDecoding):
             if self.times.start is None:
                 self.times.start = seconds
             if self.shows_losses:
-                self.output.write(self.lines.chunks([Chunk(item.data, seconds, self._stated)], self.name))
                 self.printed += 1
+                if not self.is_quiet:
+                    self.output.write(self.lines.chunks([Chunk(item.data, seconds, self._stated)], self.name))
             return
         if self.bus.kind == "datagram":
             self._emit(self.scanner.datagram(item.data, seconds), self.total, is_can=False)
@@ -327,7 +333,8 @@ class Sniffing(LiveDecoding):
         if self.count is not None:
             items = items[: self.count - self.printed]
         self.printed += len(items)
-        super()._show(items)
+        if not self.is_quiet:
+            super()._show(items)
 
     def _close(self, recorder: Recorder | None) -> None:
         if recorder is None:

@@ -161,7 +161,7 @@ class ServedChannel:
         return member
 
     def leave(self, member: Member) -> None:
-        """Take a member off the bus. What it has given to the bus is still sent, if that takes no longer than `LINGER_NS`."""
+        """Take a member off the bus. What it has given to the bus is still sent, for up to `LINGER_NS`."""
         if member in self.members:
             self.members.remove(member)
         node = member.node

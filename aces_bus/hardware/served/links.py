@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..wire import WireEvent
 from . import packets
 from .channel import MAILBOXES, Member
-from .packets import CLASSIC, CLASSIC_RECORD, HEAD, LONG, PacketError
+from .packets import CLASSIC, CLASSIC_RECORD, FRAMES, HEAD, PacketError
 
 if TYPE_CHECKING:
     from .server import BusServer
@@ -141,7 +141,7 @@ class PacketLink(Link):
         """Packets from the client."""
         found, self._buffer = packets.split(self._buffer + data if self._buffer else data)
         for kind, body in found:
-            if kind == CLASSIC or kind == LONG:
+            if kind in FRAMES:
                 self._frames(kind, body)
             else:
                 self._other(kind, body)

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from struct import Struct, error
-from typing import NamedTuple
-
-from can import Message
+from typing import TYPE_CHECKING, NamedTuple
 
 from ...errors import AcesError, CallerError
 from ...frame import FD_LENGTHS, Frame
+
+if TYPE_CHECKING:
+    from can import Message
 
 VERSION = 1
 MAGIC = b"ACES"
@@ -30,6 +31,8 @@ MOST = 0xFFFF
 HELLO, WELCOME, REFUSED, CLASSIC, LONG, REPORT, EVENT, RESTART, ABORT, QUERY, STATUS = range(1, 12)
 NEIGHBOUR, AUDIENCE, COUNT = range(12, 15)
 _LAST = COUNT
+#: Those that hold frames.
+FRAMES = (CLASSIC, LONG)
 
 HEAD = Struct("<HBx")
 #: Time (ns since 1970), identifier, flags, length, data.

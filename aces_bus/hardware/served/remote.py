@@ -32,7 +32,7 @@ from ...errors import AcesError, CallerError
 from ..wire import WireEvent
 from . import packets
 from .address import parse_address
-from .packets import BITRATE_SWITCH, CLASSIC, ERROR_STATE, EXTENDED, FD, LONG, OWN, REMOTE, PacketError
+from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, FRAMES, OWN, REMOTE, PacketError
 from .shortcut import Neighbour
 from .stream import ANSWER_S, Stream, Waiter, read_status, wait
 
@@ -191,7 +191,7 @@ class ServedBus(BusABC):
                 self._direct_received += 1
                 return
             for kind, body in near.split(data):
-                if kind == CLASSIC or kind == LONG:
+                if kind in FRAMES:
                     self._direct_received += self._keep_all(kind, body)
                 elif kind == packets.REPORT:
                     lost = packets.read_report(body)[2]
@@ -214,7 +214,7 @@ class ServedBus(BusABC):
         self._waiter.watch((self._stream.number, *self._near))
 
     def _understand(self, kind: int, body: bytes) -> None:
-        if kind == CLASSIC or kind == LONG:
+        if kind in FRAMES:
             self._keep_all(kind, body)
         elif kind == packets.REPORT:
             self._taken, self.rejected, dropped = packets.read_report(body)
@@ -266,7 +266,7 @@ class ServedBus(BusABC):
     # ------------------------------------------------------------------ sending
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """Give a frame to the bus. With all mailboxes full it waits up to `timeout` seconds (None: not at all) for a free one.
+        """Give a frame to the bus; with all mailboxes full, wait up to `timeout` seconds (None: not at all) for a free one.
 
         Raises `CanOperationError` when the server has gone, the bus is closed, only listens, is off or cannot take more.
         """
@@ -365,12 +365,18 @@ class ServedBus(BusABC):
 
     # ------------------------------------------------------------------ the rest
 
-    @property  # type: ignore[misc]  # python-can's can be set; this one is what the bus makes of the node
+    @property
     def state(self) -> BusState:
         """Error active, passive or bus-off, as last heard."""
         if self._is_open and self._why is None:
             self._look()
         return _STATES[self._state]
+
+    @state.setter
+    def state(self, new_state: BusState) -> None:
+        raise NotImplementedError(
+            "the state is what the bus makes of the node; open it with listen_only, or restart it"
+        )
 
     def status(self) -> dict[str, Any]:
         """What the server knows about itself and its channels. Raises `CanOperationError` when it does not answer."""

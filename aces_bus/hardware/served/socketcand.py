@@ -4,14 +4,14 @@
 2. What cannot be understood is counted, and no frame is made of it.
 
 *Facts* (linux-can/socketcand, doc/protocol.md and state_raw.c): the server greets with `< hi >`; `< open can0 >`,
-`< rawmode >` and `< bcmmode >` are answered with `< ok >`. Frames come as `< frame 123 23.424242 11223344 >`, remote ones as
-`< rtr 123 23.424242 4 >`, FD ones as `< fdframe 123 FLAGS 23.424242 1122… >`, errors as `< error CLASS 23.424242 >` with the
-class of linux/can/error.h. `< send 123 2 11 22 >`, `< sendrtr 123 4 >` and `< fdsend 123 FLAGS 2 11 22 >` send; an identifier
-of eight digits is extended; `< echo >` comes back. In BCM mode only subscribed identifiers come.
-*Fact* (python-can 4.6): its client takes what it reads after `< rawmode >` for the answer alone; a frame in the same piece of
-the stream ends it.
-*Choice*: so frames are held back for `_SETTLE_NS` after that answer. Cyclic sending, content filters, statistics and ISO-TP
-of the broadcast manager are not offered; they are answered as an unknown command is.
+`< rawmode >` and `< bcmmode >` are answered with `< ok >`. Frames come as `< frame 123 23.424242 11223344 >`, remote ones
+as `< rtr 123 23.424242 4 >`, FD ones as `< fdframe 123 FLAGS 23.424242 1122… >`, errors as `< error CLASS 23.424242 >` with
+the class of linux/can/error.h. `< send 123 2 11 22 >`, `< sendrtr 123 4 >` and `< fdsend 123 FLAGS 2 11 22 >` send; an
+identifier of eight digits is extended; `< echo >` comes back. In BCM mode only subscribed identifiers come.
+*Fact* (python-can 4.6): its client takes what it reads after `< rawmode >` for the answer alone; a frame in the same piece
+of the stream ends it.
+*Choice*: so frames are held back for `_SETTLE_NS` after that answer. Cyclic sending, content filters, statistics and
+ISO-TP of the broadcast manager are not offered; they are answered as an unknown command is.
 """
 
 from __future__ import annotations

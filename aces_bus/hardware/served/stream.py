@@ -130,10 +130,10 @@ class Stream:
         """Send a packet. Raises `TimeoutError` when the socket takes nothing for so long (None: for ever)."""
         if self._rest:
             self._push(timeout)
-        while True:
+        count = 0
+        while not count:
             try:
                 count = self._socket.send(packet)
-                break
             except BlockingIOError:
                 if not wait_to_write(self.number, timeout):
                     raise TimeoutError("the server takes nothing") from None

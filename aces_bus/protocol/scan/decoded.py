@@ -34,6 +34,7 @@ class Decoded(Mapping[str, MessageTable]):
         decoded["Encoder"]["position.0"].values     # an array, in the sheet's unit
         decoded.to_pandas("Encoder")
         decoded.counts                              # where every frame or byte went
+        decoded.capture.lines_unreadable            # of `aces_bus.decode(path, …)`; also .problems, .others
 
     The table named "" is what was not decoded, where that was asked for (`everything`).
     """
@@ -41,6 +42,8 @@ class Decoded(Mapping[str, MessageTable]):
     def __init__(self, variant: Variant, tables: Mapping[str, MessageTable], counts: Counts) -> None:
         self.variant = variant
         self.counts = counts
+        #: The recording, read and closed, where it was opened here: what of it could not be read is counted there.
+        self.capture: Any = None
         self._tables = dict(tables)
         self._objects = Objects([variant])
 

@@ -25,8 +25,8 @@ class ColumnKind:
     """What is known of a column before any value: its name and meaning. All tables of a message have the same kinds.
 
     `name` is the value's path in the record (`speed`, `position.0`, `servos.1.id`). `unit` is the sheet's. `names` maps
-    the column's numbers to names (an enumeration), `flags` flag names to bit numbers. `is_object` says that values are Python
-    objects: bytes, texts, and whatever has no fixed shape. `optional` says that values may be absent.
+    the column's numbers to names (an enumeration), `flags` flag names to bit numbers. `is_object` says that values are
+    Python objects: bytes, texts, and whatever has no fixed shape. `optional` says that values may be absent.
     """
 
     name: str

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from .message_table import Array, Column, ColumnKind
 
 #: The first n bytes of a little-endian word.
 _MASKS = np.array([(1 << 8 * n) - 1 for n in range(9)], np.uint64)
@@ -60,6 +60,30 @@ def cells_of(rows: Array, sizes: Array, start: int, size: int | None, tail: int)
             some = np.flatnonzero(sizes == length)
             found[some] = _cells(take_rows(rows, some), start, length - tail - start)
     return found
+
+
+class ByteColumn(Column):
+    """A column of bytes that are still where they were: objects are made when `values` is asked for, and kept.
+
+    Made of rows, the sizes of their packets, and where in them the bytes stand (see `cells_of`).
+    """
+
+    def __init__(
+        self, kind: ColumnKind, rows: Array, sizes: Array, start: int, size: int | None, tail: int
+    ) -> None:
+        put = object.__setattr__  # a frozen dataclass
+        put(self, "kind", kind)
+        put(self, "absent", None)
+        put(self, "_where", (rows, sizes, start, size, tail))
+
+    @cached_property
+    def values(self) -> Array:
+        """Bytes objects."""
+        where: tuple[Array, Array, int, int | None, int] = self.__dict__["_where"]
+        return cells_of(*where)
+
+    def __len__(self) -> int:
+        return len(self.__dict__["_where"][1])
 
 
 def _cells(rows: Array, start: int, size: int) -> Any:

@@ -21,7 +21,7 @@ from ..spec.message import Message
 from .decider import Decider
 from .gather import Gatherer, leaves_of
 from .message_table import Array, Column, ColumnKind, MessageTable
-from .packet_rows import cells_of, rows_of, take_rows
+from .packet_rows import rows_of, take_rows
 from .rows import RowDecoder, Rows
 
 #: How many bytes of rows are made at once.
@@ -124,19 +124,10 @@ class _Kind:
         self.gatherer = Gatherer(records_of(variant)[message.name], self.plan, raw=raw)
         # Fields that are there only for some values of a selector may stand behind the packet's end.
         self.extent = _extent(self.plan) if self.plan.lengths_by is not None else 0
-        #: Fields of bytes that are always there: they are cut out for all packets of a length at once.
-        self._cells = {
-            path: node
-            for path, _, node, _, whens in leaves_of(self.plan)
-            if isinstance(node, p.Scalar) and node.kind == "bytes" and not whens
-        }
 
     def column(self, kind: ColumnKind, rows: Rows) -> Column:
         """One column of these packets."""
-        node = self._cells.get(kind.name)
-        if node is None:
-            return self.decoder.column(kind, rows)
-        return Column(kind, cells_of(rows.data, rows.lengths, node.offset, node.size, self.plan.tail))
+        return self.decoder.column(kind, rows)
 
     def accepted(self, batch: Batch, which: Array, rows: Rows) -> tuple[Array | None, list[Any]]:
         """Which packets are the message (None: all), and of a message that goes one by one their records."""

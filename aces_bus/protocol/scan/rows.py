@@ -22,6 +22,7 @@ from ..spec.message import Message
 from .check_columns import can_compute, check_holds
 from .gather import dtype_of, kinds_of, leaves_of
 from .message_table import Array, Column, ColumnKind
+from .packet_rows import ByteColumn, cells_of
 
 #: Integers up to here are exact in float64.
 EXACT = 1 << 53
@@ -169,6 +170,10 @@ class RowDecoder:
     def _column(
         self, node: p.Node, whens: tuple[tuple[str, tuple[int, ...]], ...]
     ) -> Callable[[ColumnKind, Rows], Column]:
+        if isinstance(node, p.Scalar) and node.kind in ("bytes", "text") and not whens:
+            if node.kind == "bytes" or self.raw:
+                where = node.offset, node.size, self.plan.tail
+                return lambda kind, rows: ByteColumn(kind, rows.data, rows.lengths, *where)
         values = self._values(node)
 
         def column(kind: ColumnKind, rows: Rows) -> Column:
@@ -209,15 +214,7 @@ class RowDecoder:
             if size is None and (not len(rows) or int(rows.lengths.max()) - tail <= start):
                 out[:] = "" if is_text else b""
                 return out, None
-            width = rows.data.shape[1]
-            raw = rows.data.tobytes()
-            if size is not None:
-                cells = [raw[at : at + size] for at in range(start, start + len(rows) * width, width)]
-            else:
-                cells = [
-                    raw[index * width + start : index * width + max(start, length - tail)]
-                    for index, length in enumerate(rows.lengths.tolist())
-                ]
+            cells = cells_of(rows.data, rows.lengths, start, size, tail)
             if is_text:
                 texts = [cell.decode("latin-1") for cell in cells]
                 out[:] = [text.rstrip("\0") for text in texts] if size is not None else texts

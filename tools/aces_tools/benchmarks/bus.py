@@ -14,7 +14,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -49,45 +49,52 @@ def run(*, quick: bool = False) -> Iterable[Row]:
 
 
 def in_process(*, rounds: int, count: int) -> Iterable[Row]:
-    """A frame is sent and received before the next one."""
+    """A frame is sent and received before the next one: by one other node, and by four."""
     message = can.Message(arbitration_id=0x123, data=_DATA, is_extended_id=False)
+    kinds: dict[str, dict[str, Any]] = {
+        "python-can's virtual": {"interface": "virtual", "channel": "bench"},
+        "aces, no physics": {"interface": "aces", "channel": "bench", "physics": False},
+        "aces, physics, virtual clock": {
+            "interface": "aces",
+            "channel": "bench physics",
+            "bitrate": 1_000_000,
+        },
+    }
     targets = {"aces, no physics": 4.0, "aces, physics, virtual clock": 1.5}
-    with ExitStack() as stack:
+    for receivers in (1, 4):
+        with ExitStack() as stack:
+            stack.enter_context(virtual_clock("bench physics"))
+            contenders = {
+                name: partial(
+                    _exchange,
+                    message,
+                    count,
+                    *[stack.enter_context(can.Bus(**options)) for _ in range(receivers + 1)],
+                )
+                for name, options in kinds.items()
+            }
+            best = {name: count / seconds for name, seconds in fastest(contenders, rounds=rounds).items()}
+        peer = best["python-can's virtual"]
+        for name, rate in best.items():
+            target = targets.get(name) if receivers == 1 else None
+            yield Row(
+                f"in process, one sends, {receivers} receive{'s' if receivers == 1 else ''}",
+                name,
+                rate,
+                "frames/s",
+                rate / peer if name in targets else None,
+                f"≥ {target:g} × virtual" if target else "",
+                rate / peer >= target if target else None,
+            )
 
-        def pair(**options: Any) -> Callable[[], object]:
-            left = stack.enter_context(can.Bus(**options))
-            right = stack.enter_context(can.Bus(**options))
 
-            def exchange() -> None:
-                send, recv = left.send, right.recv
-                for _ in range(count):
-                    send(message)
-                    if recv(1) is None:
-                        raise AssertionError("a frame was lost")
-
-            return exchange
-
-        stack.enter_context(virtual_clock("bench physics"))
-        contenders = {
-            "python-can's virtual": pair(interface="virtual", channel="bench"),
-            "aces, no physics": pair(interface="aces", channel="bench", physics=False),
-            "aces, physics, virtual clock": pair(
-                interface="aces", channel="bench physics", bitrate=1_000_000
-            ),
-        }
-        best = {name: count / seconds for name, seconds in fastest(contenders, rounds=rounds).items()}
-    peer = best["python-can's virtual"]
-    for name, rate in best.items():
-        target = targets.get(name)
-        yield Row(
-            "in process, send and receive",
-            name,
-            rate,
-            "frames/s",
-            rate / peer if target else None,
-            f"≥ {target:g} × virtual" if target else "",
-            rate / peer >= target if target else None,
-        )
+def _exchange(message: can.Message, count: int, sender: can.BusABC, *receivers: can.BusABC) -> None:
+    send, receive = sender.send, [bus.recv for bus in receivers]
+    for _ in range(count):
+        send(message)
+        for recv in receive:
+            if recv(1) is None:
+                raise AssertionError("a frame was lost")
 
 
 # ---------------------------------------------------------------------- across processes

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.export.files import Staging, telling
 
 from .picture import Line, Panel, Picture, lone, steps, values_range
 from .series import thin
@@ -46,9 +47,10 @@ def load() -> Any:
 
 
 def check_output(path: str) -> None:
-    """Raises `CallerError` unless the file's suffix names a format."""
+    """Raises `CallerError` unless the file's suffix names a format, and its folder is there."""
     if os.path.splitext(path)[1].lower() not in SUFFIXES:
         raise CallerError(f"-o {path}: the suffix says the format, one of {', '.join(SUFFIXES)}")
+    Staging(path, is_folder=False).discard()
     load()
 
 
@@ -63,7 +65,8 @@ def check_style(style: str | None) -> None:
 
 
 def save(picture: Picture, path: str) -> None:
-    """Draw into a file, whose suffix says the format. Raises `CallerError` when it cannot be written."""
+    """Draw into a file, whose suffix says the format. Raises `CallerError` when it cannot be written, and leaves what
+    was there before."""
     check_output(path)
     from matplotlib.figure import Figure
 
@@ -75,10 +78,13 @@ def save(picture: Picture, path: str) -> None:
     with _styled(picture):
         figure = Figure(figsize=(WIDTH, height_of(picture)), layout="constrained")
         draw(picture, figure)
+        staging = Staging(path, is_folder=False)
         try:
-            figure.savefig(path, format=kind, dpi=DPI, metadata=metadata)
-        except OSError as error:
-            raise CallerError(f"{path}: cannot be written: {error.strerror or error}") from error
+            with telling(path):
+                figure.savefig(staging.temporary, format=kind, dpi=DPI, metadata=metadata)
+            staging.commit()
+        finally:
+            staging.discard()
 
 
 def show(picture: Picture) -> None:

@@ -290,6 +290,10 @@ def lone(y: Array) -> Array:
     return out
 
 
+#: As far as an axis goes: the difference of two such numbers is a number still.
+LARGEST = 8e307
+
+
 def values_range(lines: Sequence[Line], limits: Limits) -> tuple[float, float]:
     """From where to where a vertical axis goes: all values with a margin, or what the caller said."""
     values = [line.y[~np.isnan(line.y)] for line in lines]
@@ -301,9 +305,9 @@ def values_range(lines: Sequence[Line], limits: Limits) -> tuple[float, float]:
     if not margin > 0:
         margin = max(abs(low) * 0.05, 0.5)
     given_low, given_high = limits
-    bottom = low - margin if given_low is None else given_low
-    top = high + margin if given_high is None else given_high
+    bottom = max(low - margin, -LARGEST) if given_low is None else given_low
+    top = min(high + margin, LARGEST) if given_high is None else given_high
     if not top > bottom:
-        top = bottom + 1 if given_high is None else top
-        bottom = top - 1 if given_low is None else bottom
+        top = bottom + max(abs(bottom) * 0.05, 1) if given_high is None else top
+        bottom = top - max(abs(top) * 0.05, 1) if given_low is None else bottom
     return bottom, top

@@ -13,6 +13,7 @@ it in brackets: `Get[selector=*].value`.
 from __future__ import annotations
 
 import difflib
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -283,4 +284,6 @@ def _missing(pattern: Pattern, messages: dict[tuple[str, str], Declared]) -> str
     near = list(dict.fromkeys(lower[name] for name in close))[:NEAR]
     hint = f"; near: {', '.join(near)}" if near else ""
     also = ", and no file has that name" if pattern.text == wanted and not pattern.is_wild else ""
+    if os.path.isfile(pattern.text):
+        also, hint = "; if the file is meant: captures come first, signals after them", ""
     return f"no signal matches {pattern.text!r}{also}{hint}; --list shows those that occur"

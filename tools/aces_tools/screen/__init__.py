@@ -28,7 +28,8 @@ def check_screen() -> None:
     """Raises `CallerError` where no screen can be shown: textual is missing, or there is no terminal."""
     if importlib.util.find_spec("textual") is None:
         raise CallerError("the live screen needs textual: pip install 'aces-bus[screen]'")
-    is_terminal = all(file is not None and file.isatty() for file in (sys.stdin, sys.stdout))
+    # Pictures go to stderr: that is where textual draws.
+    is_terminal = all(file is not None and file.isatty() for file in (sys.__stdin__, sys.__stderr__))
     if not is_terminal or os.environ.get("TERM") == "dumb":
         raise CallerError(
             "--screen needs a terminal; without it lines are printed, also into files and pipes"
@@ -52,8 +53,9 @@ def run_screen(
 
     `scanner` has to be made with `everything`; None, or one without protocols, decodes nothing (CAN only). `filter` is
     applied before anything is counted; `show` is a filter as it can be typed, of words. `record` gives what the head says
-    of a recording. `bitrate` and `data_bitrate` in bit/s are what the load is a share of; without them it is shown in
-    bit/s. `open_gate` opens the gate instead of `gate.start()`. The screen ends by itself when `end` says so.
+    of a recording. `bitrate` and `data_bitrate` in bit/s are what the load is a share of; without them it is the
+    protocols' bit rate, and where they have none, bit/s are shown. `open_gate` opens the gate instead of
+    `gate.start()`. The screen ends by itself when `end` says so.
 
     Raises `CallerError` before anything is opened, where no screen can be shown (`check_screen`), and whatever opening
     the gate raises.
@@ -103,6 +105,9 @@ def make_screen(
 
     if isinstance(gate, SerialGate):
         bitrate = gate.baud
+    elif bitrate is None:  # what the protocols' sheets say, where it is one
+        rates = {variant.protocol.bitrate for variant in getattr(scanner, "variants", ())}
+        bitrate = rates.pop() if len(rates) == 1 else None
     model = Model(scanner, name=gate.name, bitrate=bitrate, data_bitrate=data_bitrate)
     feed = idle = None
     if isinstance(gate, CanGate):

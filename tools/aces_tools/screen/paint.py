@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from rich.cells import cell_len, set_cell_size
@@ -210,13 +210,22 @@ def columns(needs: Needs, width: int) -> list[Column]:
         if has_length:
             found.append(Column("length", "Len", 3, True))
         found.append(Column("data", "Data", max(4, data)))
-        left = width - sum(column.width + 1 for column in found)
-        if left >= (LEAST_VALUES if needs.is_decoded else 0):
+        if _left(found, width) >= (LEAST_VALUES if needs.is_decoded else 0):
             break
-    left = width - sum(column.width + 1 for column in found)
-    if needs.is_decoded and left >= 4:
+    if needs.is_decoded and (left := _left(found, width) - 1) >= 4:
         found.append(Column("values", "Values", left))
+    if _left(found, width) < 0:
+        found = [column for column in found if column.name != "rate"]
+    while len(found) > 1 and _left(found, width) < 0:
+        last = found.pop()
+        if (room := last.width + _left([*found, last], width)) >= 4:
+            found.append(replace(last, width=room))
     return found
+
+
+def _left(found: Sequence[Column], width: int) -> int:
+    """What the columns leave of a line."""
+    return width - sum(column.width + 1 for column in found)
 
 
 def title(found: Sequence[Column], sort: str, *, is_reversed: bool) -> list[Span]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from aces_bus.errors import CallerError
 
 from ..live import LivePatience, Told, losses
-from . import check_screen, make_screen
+from . import check_screen, run_screen
 
 if TYPE_CHECKING:
     from ..recorder import Recorder
@@ -36,8 +36,23 @@ def run_on_screen(sniffing: Sniffing) -> int:
     told, recorder = Told(gate), sniffing._recorder()
     until = None if sniffing.duration is None else time.monotonic_ns() + sniffing.duration
     with LivePatience() as patience:
+
+        def opened() -> None:
+            try:
+                if recorder is not None:
+                    recorder.start(gate, sniffing.name, sniffing.epoch_ns, sniffing._stated)
+                bus.start(gate)
+            except BaseException:
+                if recorder is not None:
+                    recorder.abandon()
+                raise
+
+        def is_over() -> bool:
+            is_late = until is not None and time.monotonic_ns() >= until
+            return patience.is_over or is_late or (recorder is not None and recorder.failure is not None)
+
         try:
-            screen = make_screen(
+            status = run_screen(
                 gate,
                 sniffing.scanner,
                 filter=sniffing.filter,
@@ -45,32 +60,19 @@ def run_on_screen(sniffing: Sniffing) -> int:
                 record=None if recorder is None else _said(recorder),
                 bitrate=bus.options.get("bitrate"),
                 data_bitrate=bus.options.get("data_bitrate"),
+                open_gate=opened,
                 show=sorted(sniffing.messages),
-                end=lambda: (
-                    patience.is_over
-                    or (until is not None and time.monotonic_ns() >= until)
-                    or (recorder is not None and recorder.failure is not None)
-                ),
+                end=is_over,
             )
-            if recorder is not None:
-                recorder.start(gate, sniffing.name, sniffing.epoch_ns, sniffing._stated)
-            bus.start(gate)
-        except BaseException:
-            if recorder is not None:
-                recorder.abandon()
-            raise
-        try:
-            screen.run()
         except KeyboardInterrupt:
-            patience.is_over = True
-        finally:
-            gate.stop()
+            status = 0
         told.tell(last=True)
         sniffing._close(recorder)
         sniffing.total.count(sniffing.scanner.counts)
-        sniffing.lost = losses(gate, screen.inbox.dropped)
+        dropped = gate.counters.dropped - (recorder.dropped if recorder is not None else 0)
+        sniffing.lost = losses(gate, dropped)
         sniffing._summarise()
-    return sniffing.status or int(screen.return_code or 0)
+    return sniffing.status or status
 
 
 def _said(recorder: Recorder) -> Callable[[], str]:

@@ -1,0 +1,280 @@
+"""Fields of an MDF 4 bus log become frames, whoever read the fields, and the frames of all groups one sequence.
+
+1. What is no frame is told with its record's number and the reason, and the rest stands.
+2. Nothing is kept: a piece comes, a piece goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..frame import FD_LENGTHS
+from ..frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
+
+#: The channels that a group of frames has one of.
+KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
+_OTHERS = {
+    "CAN_OverloadFrame": "CAN overload frames",
+    "LIN_Frame": "LIN frames",
+    "ETH_Frame": "Ethernet frames",
+    "FLX_Frame": "FlexRay frames",
+    "MOST_Message": "MOST messages",
+}
+_BUSES = {3: "LIN", 4: "MOST", 5: "FlexRay", 6: "K-line", 7: "Ethernet", 8: "USB"}
+
+_LENGTHS = np.array(FD_LENGTHS, np.uint8)
+_IS_FD_LENGTH = np.zeros(256, bool)
+_IS_FD_LENGTH[list(FD_LENGTHS)] = True
+#: By length: 0xFF for bytes that count.
+_MASKS = (np.arange(64) < np.arange(65)[:, None]) * np.uint8(0xFF)
+_MASKS_8 = np.ascontiguousarray(_MASKS[:9, :8]).view(np.uint64)[:, 0]
+
+_NO_MORE = 1 << 63
+
+Fault = tuple[Ints, str]
+
+
+class Piece(NamedTuple):
+    """Frames as columns; `key` never goes down."""
+
+    key: Ints
+    time: Ints
+    channel: Ints
+    id: Ints
+    flags: Ints
+    length: Ints
+    data: Ints
+
+    def rows(self, start: int, end: int) -> Piece:
+        return Piece._make(column[start:end] for column in self)
+
+
+class Fields(NamedTuple):
+    """Columns of n records: uint32 identifiers, lengths in a type of their own, 0 or 1 for the rest, None if not there."""
+
+    id: Ints
+    length: Ints
+    is_wide: Ints
+    is_fd: Ints | None
+    bitrate_switch: Ints | None
+    error_state: Ints | None
+    is_sent: Ints | None
+    data: Ints | None
+
+
+def group_kind(names: Sequence[str]) -> str | None:
+    """Which frames a group of these channels holds; None for anything else."""
+    return next((name for name in KINDS if name in names), None)
+
+
+def other_words(names: Sequence[str], is_bus: bool, bus: int) -> str:
+    """What a group holds that has no frames."""
+    words = next((_OTHERS[name] for name in names if name in _OTHERS), None)
+    if words is None:
+        words = f"{_BUSES[bus]} events" if is_bus and bus in _BUSES else "samples of other groups"
+    return words
+
+
+def broken_off(kind: str, group: int, announced: int | None, there: int, reason: str = "") -> str:
+    """What to say of a group that has less records than it should."""
+    text = f"{kind} group {group} breaks off: "
+    text += (
+        f"{announced} records are announced, {there} are there" if announced else f"{there} records are there"
+    )
+    return f"{text} ({reason})" if reason else text
+
+
+def no_log(groups: int) -> str:
+    """What to say of a file without bus logging."""
+    return f"it holds no bus logging, but measured signals in {groups} groups; it is no CAN log"
+
+
+def fields_of(
+    kind: str, number: Callable[[str], Ints | None], data: Ints | None, is_sent: Ints | None, n: int
+) -> Fields:
+    """The fields of n records of a kind. `number` gives integers for a field's name, None when there is no such field.
+
+    Raises `ValueError` when they cannot be frames.
+    """
+    raw = number("ID")
+    if raw is None:
+        if kind != "CAN_ErrorFrame":
+            raise ValueError("the group has no identifiers")
+        raw = np.zeros(n, np.uint32)
+    raw = raw.astype(np.uint32, copy=False)
+    wide = number("IDE")
+    is_wide = raw >= 1 << 31 if wide is None else wide != 0
+    is_fd = _truth(number("EDL"))
+    if is_fd is not None and not is_fd.any():
+        is_fd = None
+    code, said = number("DLC"), number("DataLength")
+    if kind == "CAN_RemoteFrame":
+        length = code if code is not None else said
+    elif said is not None:
+        length = said
+    else:
+        length = code
+        if code is not None:
+            length = np.minimum(code, 8)
+            if is_fd is not None:
+                length = np.where(is_fd, _LENGTHS[np.clip(code, 0, 15)], length)
+    length = np.zeros(n, np.uint8) if length is None else length
+    if length.dtype != np.uint8:
+        length = np.minimum(length, 255)
+        length = np.where(length < 0, 255, length).astype(np.uint8)
+    return Fields(
+        raw & np.uint32(0x1FFF_FFFF),
+        length,
+        is_wide,
+        is_fd,
+        None if is_fd is None else _truth(number("BRS")),
+        None if is_fd is None else _truth(number("ESI")),
+        is_sent,
+        data,
+    )
+
+
+def _truth(values: Ints | None) -> Ints | None:
+    return None if values is None else values != 0
+
+
+def piece_of(kind: str, key: Ints, time: Ints, channel: Ints, fields: Fields) -> tuple[Piece, list[Fault]]:
+    """The frames among records, and what is wrong with the others: their rows, each but once, and why."""
+    identifier, length, is_wide, is_fd = fields.id, fields.length, fields.is_wide, fields.is_fd
+    n = len(identifier)
+    is_remote, is_error = kind == "CAN_RemoteFrame", kind == "CAN_ErrorFrame"
+    room = 64 if is_remote else 0 if fields.data is None else min(64, fields.data.shape[1])
+
+    faults: list[Fault] = []
+    good: Ints | None = None
+    wrongs: list[Fault] = []
+    if n and int(length.max()) > min(room, 8):
+        wrongs.append((length > room, "more data bytes than the record holds"))
+        is_long = length > 8
+        wrongs.append(
+            (is_long if is_fd is None else is_long & ~is_fd, "a classic frame of more than 8 bytes")
+        )
+    if is_fd is not None:
+        wrongs.append((is_fd & ~_IS_FD_LENGTH[length], "a length that CAN FD does not have"))
+    if not is_error:
+        wrongs.append(((identifier > 0x7FF) & ~is_wide, "an 11-bit identifier above 0x7FF"))
+    if is_fd is not None and is_remote:
+        wrongs.append((is_fd, "a remote frame in CAN FD"))
+    for wrong, reason in wrongs:
+        if wrong.any():
+            faults.append((np.flatnonzero(wrong if good is None else wrong & good), reason))
+            good = ~wrong if good is None else good & ~wrong
+
+    flags = np.full(n, KINDS[kind], np.uint8)
+    if not is_error:
+        flags |= is_wide * np.uint8(EXTENDED)
+    if is_fd is not None:
+        flags |= is_fd * np.uint8(FD)
+        for bits, flag in ((fields.bitrate_switch, BITRATE_SWITCH), (fields.error_state, ERROR_STATE)):
+            if bits is not None:
+                flags |= (is_fd & bits) * np.uint8(flag)
+    if fields.is_sent is not None:
+        flags |= np.where(fields.is_sent, np.uint8(TX), np.uint8(RX))
+
+    carried = length if good is None else np.where(good, length, np.uint8(0))
+    piece = Piece(key, time, channel, identifier, flags, length, _data(fields.data, carried))
+    if good is not None:
+        piece = Piece._make(values[good] for values in piece)
+    return piece, [fault for fault in faults if len(fault[0])]
+
+
+def _data(data: Ints | None, length: Ints) -> Ints:
+    """Rows of 8 or 64 bytes, zero behind the length."""
+    n = len(length)
+    if data is None:
+        return np.zeros((n, 8), np.uint8)
+    width = 64 if int(length.max(initial=0)) > 8 else 8
+    have = data.shape[1]
+    if have >= width:
+        item = np.dtype(
+            "<u8" if width == 8 else (np.void, width)
+        )  # whole rows are moved faster than their bytes
+        rows: Ints = data[:, :width].view(item)[:, 0].copy().view(np.uint8).reshape(n, width)
+    else:
+        rows = np.zeros((n, width), np.uint8)
+        rows[:, :have] = data
+    if width == 8:
+        words = rows.view(np.uint64)[:, 0]
+        words &= _MASKS_8[length]
+    else:
+        rows &= _MASKS[length]
+    return rows
+
+
+def instants(since: Ints, start_ns: int) -> Ints:
+    """int64 nanoseconds since 1970, of integer nanoseconds since `start_ns`. Raises `ValueError` where they do not fit."""
+    if len(since) and not (
+        int(since.min()) + start_ns > -_NO_MORE and int(since.max()) + start_ns < _NO_MORE
+    ):
+        raise ValueError("times that are no instants")
+    return since.astype(np.int64) + start_ns
+
+
+def instants_of_seconds(since: Ints, start_ns: int) -> Ints:
+    """The same of seconds."""
+    if not np.all(np.abs(since) < 4e9):
+        raise ValueError("times that are no instants")
+    return instants(np.rint(since * 1e9).astype(np.int64), start_ns)
+
+
+def channels_of(numbers: Ints, number_of: Callable[[str], int]) -> Ints:
+    """The numbers of channels, whose names are the numbers in the file."""
+    n = len(numbers)
+    low, high = (int(numbers.min()), int(numbers.max())) if n else (0, 0)
+    if low == high:
+        return np.full(n, number_of(str(low)), np.uint16)
+    some, places = np.unique(numbers, return_inverse=True)
+    return np.array([number_of(str(number)) for number in some.tolist()], np.uint16)[places]
+
+
+def merged(sources: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
+    """Pieces in the order of their keys; of equal keys, those of the first source come first."""
+    live = [(source, piece) for source in sources if (piece := next(source, None)) is not None]
+    while live:
+        if len(live) == 1:
+            yield live[0][1]
+            yield from live[0][0]
+            return
+        ends = [int(piece.key[-1]) for _, piece in live]
+        edge = min(ends)
+        first = ends.index(
+            edge
+        )  # behind its piece there may be more with this key, and they come before the next ones'
+        parts: list[Piece] = []
+        rest: list[tuple[Iterator[Piece], Piece]] = []
+        for place, (source, piece) in enumerate(live):
+            end = int(np.searchsorted(piece.key, edge, "right" if place <= first else "left"))
+            if end:
+                parts.append(piece.rows(0, end))
+            after = piece.rows(end, len(piece.key)) if end < len(piece.key) else next(source, None)
+            if after is not None:
+                rest.append((source, after))
+        live = rest
+        yield _joined(parts)
+
+
+def _joined(parts: Sequence[Piece]) -> Piece:
+    if len(parts) == 1:
+        return parts[0]
+    width = max(part.data.shape[1] for part in parts)
+    data = np.zeros((sum(len(part.key) for part in parts), width), np.uint8)
+    at = 0
+    for part in parts:
+        data[at : at + len(part.data), : part.data.shape[1]] = part.data
+        at += len(part.data)
+    columns: list[Any] = [
+        np.concatenate(column) for column in zip(*(part[:-1] for part in parts), strict=True)
+    ]
+    order = np.argsort(columns[0], kind="stable")
+    rows = data.view(np.dtype("<u8" if width == 8 else (np.void, width)))[:, 0]
+    return Piece._make(
+        (*(column[order] for column in columns), rows[order].view(np.uint8).reshape(-1, width))
+    )

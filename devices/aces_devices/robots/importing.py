@@ -1,0 +1,137 @@
+"""Robots from other programs' descriptions: HuboCan's `.dd` trees, hubo-ach's tables.
+
+1. What a file is, its content says. Several files make one robot: a joint table, a sensor table, a .home table.
+2. The robot is checked as one of ours is; what is wrong names the file and line that it came from.
+3. Nothing is made up: what the files do not say is absent. A .home table alone is laid over a robot that ships.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from aces_bus.device import Problem, Robot, RobotError, make_robot
+from aces_bus.errors import CallerError, UnknownNameError
+
+from . import _hubo, _hubo_ach, _hubocan
+from ._hubocan import Places
+from ._words import Line, read_lines
+
+
+class Imported(NamedTuple):
+    """A robot, and what is worth saying about how it was read."""
+
+    robot: Robot
+    notes: tuple[str, ...]
+    warnings: tuple[Problem, ...]
+
+
+def import_robot(
+    paths: Sequence[str | Path], *, base: str | None = None, name: str | None = None
+) -> Imported:
+    """The robot that these files describe.
+
+    `base` is a robot that ships, for what a .home table is laid over; `name` is what the robot is to be called.
+    Raises `RobotError` with all that is wrong, and `CallerError` for files that are no descriptions or do not go together.
+    """
+    kinds: dict[str, list[Path]] = {}
+    for given in paths:
+        path = Path(given)
+        kinds.setdefault(_kind(path), []).append(path)
+    for kind, found in kinds.items():
+        if len(found) > 1:
+            raise CallerError(f"{found[0]} and {found[1]} are both a {kind}: name one")
+    if "tree" in kinds and {"joint table", "sensor table"} & kinds.keys():
+        raise CallerError("a .dd tree and a table both say which joints and sensors there are: name one")
+    homes = next(iter(kinds.get("home table", ())), None)
+    notes: list[str] = []
+    problems: list[Problem] = []
+    places: Places = {}
+    content: dict[str, Any]
+    if "tree" in kinds:
+        content, places, problems = _hubocan.read_tree(kinds["tree"][0])
+    elif {"joint table", "sensor table"} & kinds.keys():
+        if base is not None:
+            raise CallerError("--base is for a .home table alone: the other files say which joints there are")
+        content = {"name": Path(paths[0]).name.partition(".")[0]}
+        content |= {"buses": {}, "devices": {}, "joints": {}, "sensors": {}}
+        for path in kinds.get("joint table", ()):
+            problems += _hubo_ach.read_joints(path, content, places)
+        for path in kinds.get("sensor table", ()):
+            problems += _hubo_ach.read_sensors(path, content, places)
+        used = {device["bus"] for device in content["devices"].values()}
+        content["buses"] = {name: _hubo.bus(i) for i, name in _hubo.BUSES.items() if name in used}
+    else:
+        assert homes is not None
+        content = _base(homes, base, notes)
+    if homes is not None:
+        more, said = _hubo_ach.read_homes(homes, content, places)
+        problems += more
+        notes += said
+    sources = [content["source"]] if "source" in content else []
+    content["source"] = ", ".join([*sources, *(Path(path).name for path in paths)])
+    if name is not None:
+        content["name"] = name
+    first = str(paths[0])
+
+    def place(path: Sequence[str]) -> tuple[str, int]:
+        wanted = tuple(path)
+        while wanted and wanted not in places:
+            wanted = wanted[:-1]
+        return (places[wanted].file, places[wanted].number) if wanted in places else (first, 1)
+
+    robot, found_problems = make_robot(content, place)
+    errors = [*problems, *(problem for problem in found_problems if not problem.is_warning)]
+    if errors or robot is None:
+        raise RobotError(sorted(set(errors)))
+    return Imported(robot, tuple(notes), tuple(p for p in found_problems if p.is_warning))
+
+
+def _kind(path: Path) -> str:
+    """What a file is; raises `CallerError` when it is no description that is known."""
+    lines = read_lines(path)
+    words: tuple[str, ...] = lines[0].words if lines else ()
+    if words[:1] in (("begin",), ("include",)):
+        return "tree"
+    if words[:1] == ("JointName",) or (len(words) == 7 and words[6] in ("raw", "rad")):
+        return "home table"
+    if len(words) == len(_hubo_ach.JOINT_COLUMNS):
+        return "joint table"
+    if len(words) == len(_hubo_ach.SENSOR_COLUMNS):
+        return "sensor table"
+    raise CallerError(
+        f"{path}: not a description that can be read: a .dd tree of HuboCan (begin TYPE …),"
+        " or a joint.table, sensor.table or .home of hubo-ach"
+    )
+
+
+def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
+    """The file of a robot that ships, which has the joints of a .home table."""
+    from . import list_robots
+
+    texts = list_robots()
+    if base is not None:
+        if base not in texts:
+            raise UnknownNameError("robot", base, texts)
+        return tomllib.loads(texts[base])
+    wanted = {line.words[0] for line in _rows(read_lines(homes))}
+    for robot, text in texts.items():
+        content = tomllib.loads(text)
+        if wanted <= _names(content["joints"]) and any(
+            b.get("protocol") == "hubo" for b in content["buses"].values()
+        ):
+            notes.append(f"{homes} is laid over {robot}, which has all its joints (--base chooses another)")
+            return content
+    raise CallerError(
+        f"{homes}: no robot that ships has all its joints; name --base ROBOT ({', '.join(texts)}), or a joint table too"
+    )
+
+
+def _rows(lines: Sequence[Line]) -> list[Line]:
+    return [line for line in lines if line.words[0] != "JointName"]
+
+
+def _names(joints: Mapping[str, Any]) -> set[str]:
+    return set(joints) | {alias for joint in joints.values() for alias in joint.get("aliases", ())}

@@ -1,0 +1,421 @@
+"""A robot's file: read whole or refused with everything that is wrong, each at its line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aces_bus.device import Home, Joint, Robot, RobotError, check_robot, load_robot, parse_robot, print_robot
+from aces_bus.device.robot_checks import addresses
+from aces_bus.device.toml_lines import KeyLines
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.protocol import load_protocol
+
+ARM = """\
+name = "arm"
+rate_hz = 200
+
+[buses]
+upper = { link = "can", protocol = "hubo", dialect = "D12", bitrate = 1_000_000, channel = "can1" }
+
+[devices]
+JMC8 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x08 }, channels = 2 }
+HAND = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x24 }, channels = 3, kind = "hand" }
+FOOT = { driver = "hubo_ft", bus = "upper", credentials = { board = 0x30, sensor = 1 }, kind = "foot", active = false }
+
+[joints]
+RSP = { device = "JMC8", gear = [11, 16], harmonic = 100, encoder = 4000, lower = -3.14, upper = 3.14 }
+RSR = { device = "JMC8", channel = 1, aliases = ["SR"] }
+
+[joints.RWR]
+device = "HAND"
+channel = 0
+direction = -1
+home = { offset = -200, direction = "ccw" }
+
+[sensors]
+RFFT = { device = "FOOT", kind = "force_torque", signs = [-1, -1, 1] }
+"""
+
+
+def read(text: str) -> Robot:
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    return robot
+
+
+def errors(text: str) -> list[str]:
+    robot, problems = parse_robot(text, "r.toml")
+    assert robot is None
+    return [str(problem) for problem in problems if not problem.is_warning]
+
+
+def changed(old: str, new: str) -> str:
+    assert ARM.count(old) == 1, old
+    return ARM.replace(old, new)
+
+
+# ---------------------------------------------------------------------- a right file
+
+
+def test_a_file_becomes_frozen_data() -> None:
+    """Every entry is there under its name, and none can be changed."""
+    robot = read(ARM)
+    assert (robot.name, robot.rate_hz) == ("arm", 200)
+    assert robot.buses["upper"].bitrate == 1_000_000
+    assert robot.devices["HAND"].credentials == {"board": 0x24}
+    assert robot.joints["RWR"] == Joint(
+        name="RWR", device="HAND", channel=0, direction=-1, home=Home(offset=-200, direction="ccw")
+    )
+    assert robot.sensors["RFFT"].signs == (-1, -1, 1)
+    with pytest.raises(AttributeError):
+        robot.joints["RSP"].lower = 0.0  # type: ignore[misc]
+
+
+def test_what_is_unknown_is_none() -> None:
+    """A limit, gear or zero that the file does not state is absent, not 0."""
+    joint = read(ARM).joints["RSR"]
+    assert (joint.lower, joint.upper, joint.gear, joint.zero, joint.max_speed) == (None,) * 5
+    assert joint.counts_per_unit is None
+
+
+def test_names_aliases_and_who_is_where() -> None:
+    """Joints are found by name and alias, devices by bus, joints and sensors by device."""
+    robot = read(ARM)
+    assert robot.joint("SR") is robot.joint("RSR") is robot.joints["RSR"]
+    with pytest.raises(UnknownNameError, match="RSP"):
+        robot.joint("RPS")
+    assert [joint.name for joint in robot.joints_of("JMC8")] == ["RSP", "RSR"]
+    assert [sensor.name for sensor in robot.sensors_of("FOOT")] == ["RFFT"]
+    assert [device.name for device in robot.devices_on("upper")] == ["JMC8", "HAND", "FOOT"]
+
+
+def test_counts_a_rad() -> None:
+    """driven ÷ drive × harmonic × encoder ÷ 2π."""
+    assert read(ARM).joints["RSP"].counts_per_unit == pytest.approx(92599.239617, abs=1e-6)
+    assert (
+        Joint(name="x", device="y", gear=(1, 1), harmonic=1, encoder=4096).counts_per_unit == 4096 / math.tau
+    )
+
+
+def test_tables_of_a_protocol() -> None:
+    """Kinds, else channels, keyed by the credential that the table maps; inactive devices too."""
+    hubo = load_protocol("hubo")
+    assert read(ARM).tables(hubo) == {
+        "channels": {0x08: 2, 0x24: "hand", 0x30: "foot"},
+        "sensors": {1: "foot"},
+    }
+    kinds = changed('kind = "foot"', 'kind = { channels = "foot", sensors = "ft" }')
+    assert read(kinds).tables(hubo)["sensors"] == {1: "ft"}
+    with pytest.raises(CallerError, match=r"nothing that speaks robotis \(it speaks: hubo\)"):
+        read(ARM).tables(load_protocol("robotis"))
+
+
+def test_the_dialect_of_a_protocol() -> None:
+    """The bus says it, a device may differ; several cannot be answered with one."""
+    assert read(ARM).dialect("hubo") == "D12"
+    mixed = changed("channels = 2 }", 'channels = 2, dialect = "D08" }')
+    with pytest.raises(CallerError, match=r"several dialects \(D12, D08\)"):
+        read(mixed).dialect("hubo")
+
+
+def test_what_is_printed_reads_the_same() -> None:
+    """Names that need quotes, text of any kind, hexadecimal credentials."""
+    robot = read(changed('name = "arm"', 'name = "arm"\ndoc = "a \\"b\\"\\n\\t\\\\ \\u0007 é"'))
+    text = print_robot(robot, ["made by hand"])
+    assert text.startswith("# made by hand\n")
+    assert "board = 0x24" in text
+    assert read(text) == robot
+
+
+@given(st.text(), st.floats(allow_nan=False, allow_infinity=False), st.integers(-(2**62), 2**62))
+def test_any_text_and_number_is_printed_and_read(doc: str, lower: float, offset: int) -> None:
+    """Printing loses nothing, whatever the characters and digits."""
+    source = read(ARM)
+    joint = Joint(
+        name="RSP", device="JMC8", doc=doc or None, lower=lower, home=Home(offset=offset), aliases=("a.b",)
+    )
+    robot = Robot(
+        name="arm", buses=source.buses, devices=source.devices, joints={"RSP": joint}, sensors=source.sensors
+    )
+    assert read(print_robot(robot)) == robot
+
+
+# ---------------------------------------------------------------------- a wrong file
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('name = "arm"\n', "", "r.toml:1: name: is missing: expected text in quotes"),
+        ("rate_hz = 200", "rate_hz = -200", "r.toml:2: rate_hz: expected a number above 0 (Hz), not -200"),
+        ("rate_hz", "rate", "r.toml:2: rate: a robot has no such key; did you mean 'rate_hz'?"),
+        ('link = "can"', 'link = "cna"', 'r.toml:5: buses.upper.link: expected "can", "serial" or "datagram"'),
+        ('link = "can"', 'link = "serial"', "r.toml:5: buses.upper.link: hubo is spoken on can, not on serial"),
+        ('protocol = "hubo"', 'protocol = "hubbo"', "buses.upper.protocol: no protocol named 'hubbo'; did you mean 'hubo'?"),
+        ('"D12"', '"D13"', "r.toml:5: buses.upper.dialect: no dialect of hubo named 'D13'; did you mean 'D12'?"),
+        ("bitrate = 1_000_000", "baud = 9600", "r.toml:5: buses.upper.baud: belongs to link = 'serial'"),
+        ("bitrate = 1_000_000", "bitrate = true", "buses.upper.bitrate: expected a whole number above 0, not true"),
+        ('JMC8 = { driver = "hubo_motor", bus = "upper"', 'JMC8 = { driver = "hubo_motor", bus = "uper"',
+         "r.toml:8: devices.JMC8.bus: no bus named 'uper'; did you mean 'upper'? (there are: upper)"),
+        ("{ board = 0x24 }", "{ board = 0x08 }",
+         "r.toml:9: devices.HAND.credentials.board: board 0x08 on bus upper is device JMC8 already: two devices would answer"),
+        ("{ board = 0x24 }", "{ board = 0x40 }", "r.toml:9: devices.HAND.credentials.board: hubo has no board 0x40 (0x00…0x3f)"),
+        ("{ board = 0x24 }", "{ bord = 0x24 }", "devices.HAND.credentials.bord: hubo has no field 'bord'; did you mean 'board'?"),
+        ("{ board = 0x24 }", "{}", "devices.HAND.credentials: expected what identifies it on the bus"),
+        ('"hand"', '"hamd"', "r.toml:9: devices.HAND.kind: hubo has no channels 'hamd' (there are: 'foot', 'ft', 'hand'"),
+        ("channels = 2 }", "channels = 9 }", "r.toml:8: devices.JMC8.channels: hubo has no channels 9"),
+        ("[11, 16]", "[11, 0]", "r.toml:13: joints.RSP.gear: expected two numbers above 0: [drive, driven], such as [10, 25], not [11, 0]"),
+        ("[11, 16]", "[11]", "r.toml:13: joints.RSP.gear: expected two numbers"),
+        ("gear =", "gera =", "r.toml:13: joints.RSP.gera: a joint has no such key; did you mean 'gear'?"),
+        ("lower = -3.14", "lower = nan", "r.toml:13: joints.RSP.lower: expected a number in rad (m for a prismatic joint), not nan"),
+        ("lower = -3.14", "lower = 3.15", "r.toml:13: joints.RSP.lower: 3.15 is not below upper = 3.14"),
+        ("encoder = 4000", "encoder = 4000.5", "r.toml:13: joints.RSP.encoder: expected a whole number above 0, not 4000.5"),
+        ("encoder = 4000", "encoder = 99999999999999999999", "joints.RSP.encoder: expected a whole number above 0"),
+        ("channel = 1,", "channel = 0,", "r.toml:14: joints.RSR.channel: channel 0 of JMC8 is joint RSP already"),
+        ("channel = 1,", "channel = 2,", "r.toml:14: joints.RSR.channel: JMC8 has no channel 2 (it has: 0…1)"),
+        ('["SR"]', '["RSP"]', "r.toml:14: joints.RSR.aliases: 'RSP' is joint RSP already"),
+        ('device = "HAND"\n', 'device = "HNAD"\n', "r.toml:17: joints.RWR.device: no device named 'HNAD'; did you mean 'HAND'?"),
+        ('device = "HAND"\n', "", "r.toml:16: joints.RWR.device: is missing: expected text in quotes"),
+        ("direction = -1\n", "direction = 0\n", "r.toml:19: joints.RWR.direction: expected 1 or -1, not 0"),
+        ('home = {', 'home = { ofset = 3,', "r.toml:20: joints.RWR.home.ofset: a home has no such key; did you mean 'offset'?"),
+        ('"ccw"', '"left"', 'r.toml:20: joints.RWR.home.direction: expected "cw" or "ccw", not \'left\''),
+        ("home = {", "type = \"continuous\"\nupper = 1.0\nhome = {", "r.toml:21: joints.RWR.upper: a continuous joint turns without end"),
+        ("[-1, -1, 1]", "[-1, 0, 1]", "r.toml:23: sensors.RFFT.signs: expected a list of 1 and -1, one an axis, not [-1, 0, 1]"),
+        ("[-1, -1, 1]", "[1, 1], matrix = [[1, 2], [3]]", "r.toml:23: sensors.RFFT.matrix: rows of a matrix are all of one length"),
+        ('RFFT = { device = "FOOT"', 'RFFT = { device = "foot"', "r.toml:23: sensors.RFFT.device: no device named 'foot'"),
+        ("RSP = {", "\"R SP\" = {", "r.toml:13: joints.'R SP': a name has letters, digits, _ . and -"),
+        ("RSP = {", "RSP = 3 #", "r.toml:13: joints.RSP: expected a joint: a table, { device = … }, not 3"),
+        ("[sensors]\nRFFT =", "[sensors.RFFT]\nname =", "r.toml:23: sensors.RFFT.name: a sensor has no such key"),
+    ],
+)  # fmt: skip
+def test_one_fault_is_said_with_its_line(old: str, new: str, said: str) -> None:
+    """File, line, key and what is expected; nothing else is complained about."""
+    found = errors(changed(old, new))
+    assert any(said in one for one in found), found
+    assert len(found) <= 3, found
+
+
+def test_a_section_that_is_no_table() -> None:
+    """And one whose entries are not tables."""
+    (said,) = errors("joints = [1]\n" + ARM[: ARM.index("[joints]")])
+    assert "r.toml:1: joints: expected a table, [joints], with one entry a line, not [1]" in said
+
+
+def test_all_faults_are_said_at_once() -> None:
+    """In the file's order, from every section, keys alone and keys together."""
+    text = ARM
+    for old, new in [
+        ("rate_hz = 200", 'rate_hz = "fast"'),
+        ("bitrate = 1_000_000", "bitrate = 0"),
+        ("{ board = 0x24 }", "{ board = 0x08 }"),
+        ("[11, 16]", "[0, 16]"),
+        ("channel = 1,", "channel = 0,"),
+        ("offset = -200", "offset = 0.5"),
+        ("force_torque", ""),
+    ]:
+        text = text.replace(old, new)
+    found = errors(text)
+    assert [int(one.split(":")[1]) for one in found] == [2, 5, 9, 9, 13, 14, 20, 23]
+
+
+def test_an_error_carries_all_problems(tmp_path: Path) -> None:
+    """`load_robot` raises once, with one line a problem."""
+    path = tmp_path / "arm.toml"
+    path.write_text(changed("[11, 16]", "[0, 16]").replace("rate_hz = 200", "rate_hz = 0"))
+    with pytest.raises(RobotError) as raised:
+        load_robot(path)
+    assert str(raised.value).splitlines() == [str(problem) for problem in raised.value.problems]
+    assert [(Path(p.file).name, p.line, p.key) for p in raised.value.problems] == [
+        ("arm.toml", 2, "rate_hz"),
+        ("arm.toml", 13, "joints.RSP.gear"),
+    ]
+    path.write_text(ARM)
+    assert load_robot(path) == read(ARM)
+
+
+def test_what_is_not_installed_is_a_warning() -> None:
+    """Another machine may have it: said once, and an error only under strict."""
+    text = changed('driver = "hubo_ft"', 'driver = "nobodys_driver"')
+    robot, problems = parse_robot(text)
+    assert robot is not None
+    (one,) = [p for p in problems if "nobodys_driver" in p.text]
+    assert one.is_warning
+    assert "is not installed" in one.text
+    assert "warning: devices.FOOT.driver" in str(one)
+    robot, problems = parse_robot(text, is_strict=True)
+    assert robot is None
+    assert not any(problem.is_warning for problem in problems)
+    robot, problems = parse_robot(ARM.replace('"hubo"', '"nobodys_protocol"'))
+    assert robot is not None
+    assert [p.key for p in problems if "'nobodys_protocol' is not installed" in p.text] == [
+        "buses.upper.protocol"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("lower = -3.14", "lower = -180", "joints.RSP.lower"),
+        ("upper = 3.14", "upper = 180", "joints.RSP.upper"),
+        ("bitrate = 1_000_000", "bitrate = 1000", "buses.upper.bitrate"),
+        ("rate_hz = 200", "rate_hz = 1e6", "rate_hz"),
+        ("[11, 16]", "[1, 1e6]", "joints.RSP.gear"),
+        ("channel = 1,", "channel = 1, max_speed = 360,", "joints.RSR.max_speed"),
+        ("channel = 1,", "channel = 1, zero = 150.0,", "joints.RSR.zero"),
+    ],
+)
+def test_numbers_of_another_unit_are_warned_of(old: str, new: str, key: str) -> None:
+    """Degrees for rad, kbit/s for bit/s: possible, and unlikely."""
+    robot, problems = parse_robot(changed(old, new))
+    assert robot is not None
+    assert key in {problem.key for problem in problems if problem.is_warning}
+
+
+def test_an_inactive_joint_claims_no_channel() -> None:
+    """A spare entry may name a channel that is taken or not there."""
+    spare = '\n[joints.SPARE]\ndevice = "JMC8"\nchannel = 0\nactive = false\n'
+    assert read(ARM + spare).joints["SPARE"].channel == 0
+    assert errors(ARM + spare.replace("false", "true"))
+
+
+def test_credentials_may_refine_one_another() -> None:
+    """Two axes of a node share its number and differ in another: a warning, as both may answer to the number."""
+    axes = changed("{ board = 0x24 }", "{ board = 0x30, sensor = 2 }").replace('"hand"', '"foot"')
+    robot, problems = parse_robot(axes)
+    assert robot is not None
+    assert "devices.FOOT.credentials.board" in {p.key for p in problems if p.is_warning}
+
+
+def test_one_number_is_one_thing_on_all_buses() -> None:
+    """A protocol's table has one entry a number: boards of equal number on two buses must be of one kind."""
+    lower = 'lower = { link = "can", protocol = "hubo" }\n[devices]\nX = { driver = "d", bus = "lower", credentials = { board = 8 }, '
+    assert read(changed("[devices]\n", lower + "channels = 2 }\n")).tables(load_protocol("hubo"))
+    (said,) = errors(changed("[devices]\n", lower + "channels = 1 }\n"))
+    assert "devices.JMC8.channels: 0x08 is 2 here and 1 as X: hubo has one table of channels" in said
+
+
+def test_addresses_of_protocols() -> None:
+    """Captures limit a credential; else its bytes do; the number that addresses everybody is nobody's."""
+    robotis = addresses(load_protocol("robotis"))["id"]
+    assert [robotis.holds(number) for number in (0, 253, 254, 255)] == [True, True, False, False]
+    hubo = addresses(load_protocol("hubo"))
+    assert hubo["board"].holds(0x3F)
+    assert not hubo["sensor"].holds(0xFF)
+
+
+# ---------------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = \n", "r.toml:1: not a TOML file: Invalid value"),
+        ('x = 1\n"', "r.toml:2: not a TOML file"),
+        ("x = 1\nx = 2\n", "r.toml:2: not a TOML file: Cannot overwrite a value"),
+        (b"a = 1\n\xff", "r.toml:2: not a TOML file: not UTF-8 text"),
+        ("a = " + "[" * 100_000, "not a robot: nested too deeply"),
+        ("a = " + "9" * 5000, "not a TOML file"),
+        (b"#" * (4 * 2**20 + 1), "larger than a robot's file may be"),
+        ("", "r.toml:1: name: is missing"),
+        ('name = "x"\n', "r.toml:1: a robot has buses: [buses], with lines such as"),
+    ],
+    ids=lambda value: str(value)[:12],
+)
+def test_what_is_no_robot_says_so(text: str | bytes, said: str) -> None:
+    """One clear line, whatever the bytes."""
+    robot, problems = parse_robot(text, "r.toml")
+    assert robot is None
+    assert said in "\n".join(map(str, problems))
+    assert len(problems) < 3
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    """A missing file and a folder are the caller's errors; a byte order mark is none."""
+    with pytest.raises(CallerError, match=r"none.toml: No such file"):
+        check_robot(tmp_path / "none.toml")
+    with pytest.raises(CallerError, match="directory"):
+        check_robot(tmp_path)
+    (tmp_path / "bom.toml").write_text("\ufeff" + ARM, encoding="utf-8")
+    assert load_robot(tmp_path / "bom.toml") == read(ARM)
+
+
+@given(st.one_of(st.text(max_size=200), st.text("[]{}=\"'\\#.,\n ab1", max_size=80)))
+def test_no_text_makes_trouble(text: str) -> None:
+    """Whatever a file holds: an answer, no exception, no endless loop, and lines that exist."""
+    KeyLines(text)
+    robot, problems = parse_robot(text)
+    assert robot is None
+    assert all(1 <= problem.line <= text.count("\n") + 1 for problem in problems)
+
+
+@given(st.data())
+def test_a_damaged_file_makes_no_trouble(data: st.DataObject) -> None:
+    """A file with a piece cut out or doubled is a robot or has problems."""
+    start = data.draw(st.integers(0, len(ARM)))
+    end = data.draw(st.integers(start, min(len(ARM), start + 40)))
+    text = ARM[:start] + ARM[start:end] * data.draw(st.sampled_from([0, 2])) + ARM[end:]
+    robot, problems = parse_robot(text)
+    assert (robot is None) == any(not problem.is_warning for problem in problems)
+
+
+# ---------------------------------------------------------------------- lines
+
+
+def test_lines_of_keys() -> None:
+    """Tables, dotted keys, inline tables, strings and arrays over several lines, comments."""
+    text = '''\
+# a = 1
+"a b".c = """
+x = 1
+[no]"""
+[one."t\\"wo"]  # [three]
+list = [ # ]
+  "]", { x = [1], y = 2 }, 3,
+]
+in.line = { p = '#', "q.r" = { s = 1 } }
+[[many]]
+deep = 1
+'''
+    lines = KeyLines(text)
+    assert lines.of(("a b", "c")) == 2
+    assert lines.of(("x",)) == 1  # not there: the file's first
+    assert lines.of(("one", 't"wo')) == 5
+    assert lines.of(("one", 't"wo', "list")) == 6
+    assert lines.of(("one", 't"wo', "in", "line", "q.r", "s")) == 9
+    assert lines.of(("many", "deep")) == 11
+    assert lines.of(("many", "deep", "deeper")) == 11
+    assert KeyLines(text.replace("\n", "\r\n")).of(("many", "deep")) == 11
+
+
+VALUES = [
+    "1",
+    '"]{"',
+    "'''\n[x]\n'''",
+    '"""\n\\"""\n"""',
+    "[1,\n# ]\n[2]]",
+    "{ a = { b = [ '}' ] } }",
+    "2021-01-01 07:00:00",
+]
+
+
+@given(st.lists(st.tuples(st.booleans(), st.sampled_from(VALUES), st.integers(0, 2)), max_size=12))
+def test_every_key_has_its_line(statements: list[tuple[bool, str, int]]) -> None:
+    """However values and blank lines stand between them."""
+    text, table, expected = "", "", dict[tuple[str, ...], int]()
+    for number, (is_table, value, blank) in enumerate(statements):
+        text += "\n" * blank
+        line = text.count("\n") + 1
+        if is_table:
+            table = f"t{number}"
+            text += f"[{table}] # k = 1\n"
+            expected[table,] = line
+        else:
+            text += f"  k{number} = {value} # [x]\n"
+            expected[(*filter(None, [table]), f"k{number}")] = line
+    lines = KeyLines(text)
+    assert {path: lines.of(path) for path in expected} == expected

@@ -1,0 +1,81 @@
+"""The packets of served buses: frames survive them, and nonsense is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aces_bus.frame import FD_LENGTHS, Frame
+from aces_bus.hardware.served import packets
+
+FRAMES = st.builds(
+    lambda identifier, extended, data, remote: Frame(
+        identifier if extended else identifier & 0x7FF,
+        b"" if remote else data,
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        dlc=len(data) if remote else None,
+    ),
+    st.integers(0, 0x1FFF_FFFF),
+    st.booleans(),
+    st.binary(max_size=8),
+    st.booleans(),
+) | st.builds(
+    lambda identifier, size, seed, brs, esi: Frame(
+        identifier,
+        bytes((seed + at) % 256 for at in range(size)),
+        is_fd=True,
+        bitrate_switch=brs,
+        error_state_indicator=esi,
+    ),
+    st.integers(0, 0x7FF),
+    st.sampled_from(FD_LENGTHS),
+    st.integers(0, 255),
+    st.booleans(),
+    st.booleans(),
+)
+
+
+@given(st.lists(st.tuples(FRAMES, st.integers(0, 2**62)), max_size=60), st.data())
+def test_frames_survive_packets(frames: list[tuple[Frame, int]], data: st.DataObject) -> None:
+    """Frames come out of packets as they went in, in order, wherever the stream is cut."""
+    stream = b"".join(packets.packed(packets.frame_record(frame, when) for frame, when in frames))
+    cut = data.draw(st.integers(0, len(stream)))
+    first, rest = packets.split(stream[:cut])
+    second, rest = packets.split(rest + stream[cut:])
+    assert rest == b""
+    found = [
+        (packets.to_frame(identifier, flags, length, padded), when)
+        for kind, body in first + second
+        for when, identifier, flags, length, padded in packets.records(kind, body)
+    ]
+    assert found == frames
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_break_a_reader(data: bytes) -> None:
+    """Whatever comes is packets or a `PacketError`; frames that come out can exist."""
+    readers: dict[int, Callable[[bytes], object]] = {
+        packets.HELLO: packets.read_hello,
+        packets.WELCOME: packets.read_welcome,
+        packets.REPORT: packets.read_report,
+        packets.EVENT: packets.read_event,
+    }
+    for kind, read in readers.items():
+        try:
+            read(data)
+        except packets.PacketError:
+            pass
+        assert kind
+    for kind in (packets.CLASSIC, packets.LONG):
+        try:
+            for _, identifier, flags, length, padded in packets.records(kind, data):
+                packets.to_frame(identifier, flags, length, padded)
+        except packets.PacketError:
+            pass
+    try:
+        packets.split(data)
+    except packets.PacketError:
+        pass

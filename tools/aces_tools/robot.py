@@ -1,0 +1,357 @@
+"""Robots as TOML files: check one, look at one, make one from another program's description.
+
+  aces robot list                     the robots that ship
+  aces robot show hubo2plus           its buses, devices, joints and sensors
+  aces robot check robot.toml         everything that is wrong, each with its
+                                      line; 1 when something is an error
+  aces robot import Hubo2Plus.dd > robot.toml
+                                      from a HuboCan tree
+  aces robot import x.joint.table x.sensor.table x.home -o robot.toml
+                                      from hubo-ach's tables; a .home alone is
+                                      laid over a robot that ships (--base)
+
+A name is a robot that ships; what ends in .toml is a file. The file says which
+board is what too: aces decode walk.log -p hubo@robot.toml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
+
+from .console import Output, say
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("what", choices=["check", "list", "show", "import"], help="what to do")
+    parser.add_argument("robots", nargs="*", metavar="NAME|FILE", help="robots; import: descriptions")
+    parser.add_argument("--json", action="store_true", help="for programs")
+    parser.add_argument(
+        "--strict", action="store_true", help="check: what is not installed or looks wrong is an error"
+    )
+    parser.add_argument("-o", "--output", metavar="FILE.toml", help="import: write there (default: stdout)")
+    parser.add_argument("--base", metavar="NAME", help="import: the robot that a .home table is laid over")
+    parser.add_argument("--name", metavar="NAME", help="import: what to call the robot")
+    parser.add_argument(
+        "--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    what, names = arguments.what, list[str](arguments.robots)
+    for option, verbs in {
+        "strict": ("check",),
+        "output": ("import",),
+        "base": ("import",),
+        "name": ("import",),
+    }.items():
+        if getattr(arguments, option) and what not in verbs:
+            raise CallerError(f"--{option} belongs to 'aces robot {verbs[0]}'")
+    if what == "list":
+        if names:
+            raise CallerError("'aces robot list' takes no names; 'aces robot show NAME' shows one")
+        return _list(arguments)
+    if not names:
+        raise CallerError(
+            f"name {'a description file' if what == 'import' else 'a robot or a file'}: aces robot {what} …"
+        )
+    if what == "import":
+        return _import(names, arguments)
+    return _check(names, arguments) if what == "check" else _show(names, arguments)
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, ensure_ascii=False, indent=2))
+
+
+def _count(number: int, one: str) -> str:
+    return f"{number} {one}{'' if number == 1 else 'es' if one.endswith('s') else 's'}"
+
+
+# ---------------------------------------------------------------------- check
+
+
+def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
+    """Problems on stdout, as they are the result; the status says whether one is an error."""
+    status, objects = 0, list[dict[str, Any]]()
+    for name in names:
+        robot, problems = _checked(name, arguments.strict)
+        is_right = robot is not None
+        status = status if is_right else 1
+        objects.append(
+            {
+                "robot": name,
+                "ok": is_right,
+                "counts": _counts(robot) if robot is not None else None,
+                "problems": [
+                    {
+                        "file": one.file,
+                        "line": one.line,
+                        "key": one.key,
+                        "text": one.text,
+                        "level": "warning" if one.is_warning else "error",
+                    }
+                    for one in problems
+                ],
+            }
+        )
+        if not arguments.json:
+            for one in problems:
+                print(one)
+            errors = sum(not one.is_warning for one in problems)
+            facts = _facts(robot) if robot is not None else _count(errors, "error")
+            print(f"{name}: {'ok: ' if is_right else ''}{facts}")
+    if arguments.json:
+        _print_json(objects)
+    return status
+
+
+def _checked(name: str, is_strict: bool = False) -> Any:
+    from aces_bus.device import check_robot, parse_robot
+    from aces_devices.robots import is_path, list_robots
+
+    if is_path(name):
+        return check_robot(name, is_strict=is_strict)
+    texts = list_robots()
+    if name not in texts:
+        raise UnknownNameError("robot", name, texts)
+    return parse_robot(texts[name], f"{name}.toml", is_strict=is_strict)
+
+
+def _counts(robot: Any) -> dict[str, int]:
+    return {
+        "joints": len(robot.joints),
+        "devices": len(robot.devices),
+        "sensors": len(robot.sensors),
+        "buses": len(robot.buses),
+    }
+
+
+def _facts(robot: Any) -> str:
+    singular = {"joints": "joint", "devices": "device", "sensors": "sensor", "buses": "bus"}
+    return ", ".join(_count(number, singular[what]) for what, number in _counts(robot).items() if number)
+
+
+# ---------------------------------------------------------------------- list, show
+
+
+def _page(arguments: argparse.Namespace) -> Any:
+    from .protocols import Page
+
+    return Page(arguments.color)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from aces_devices.robots import list_robots, load_robot
+
+    status, found = 0, list[Any]()
+    for name in list_robots():
+        try:
+            found.append(load_robot(name))
+        except AcesError as error:
+            say(str(error))
+            status = 1
+    if arguments.json:
+        _print_json(
+            [
+                {
+                    "name": one.name,
+                    "doc": one.doc,
+                    "source": one.source,
+                    "protocols": list(one.protocols),
+                    **_counts(one),
+                }
+                for one in found
+            ]
+        )
+        return status
+    _page(arguments).table(
+        ("robot", "speaks", "has", ""),
+        [(one.name, ", ".join(_spoken(one)), _facts(one), one.doc or "") for one in found],
+    )
+    return status
+
+
+def _spoken(robot: Any) -> list[str]:
+    return [
+        f"{protocol}:{dialect}" if dialect else protocol
+        for protocol, dialects in robot.protocols.items()
+        for dialect in dialects
+    ]
+
+
+def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
+    from aces_devices.robots import load_robot
+
+    robots = [load_robot(name) for name in names]
+    if arguments.json:
+        import msgspec
+
+        shown = [msgspec.to_builtins(robot) for robot in robots]
+        _print_json(shown[0] if len(shown) == 1 else shown)
+        return 0
+    page = _page(arguments)
+    for index, robot in enumerate(robots):
+        if index:
+            page.lines([""])
+        facts = [robot.doc, f"source: {robot.source}" if robot.source else None, _facts(robot)]
+        if robot.rate_hz is not None:
+            facts.append(f"{robot.rate_hz:g} Hz")
+        page.beside(robot.name, [_plain(fact) for fact in facts if fact], "message")
+        for head, rows in _tables(robot):
+            if rows:
+                page.lines([""])
+                page.table(head, rows)
+    return 0
+
+
+def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]:
+    """The tables of `show`: head and rows; what is unknown is an empty cell."""
+    yield (
+        ("bus", "link", "protocol", "speed", "channel"),
+        [
+            tuple(map(_plain, (b.name, b.link, _joined(b.protocol, b.dialect), _speed(b), b.channel or "")))
+            for b in robot.buses.values()
+        ],
+    )
+    yield (
+        ("device", "driver", "bus", "identified by", "channels", "kind", "", "joints and sensors"),
+        [
+            tuple(
+                map(
+                    _plain,
+                    (
+                        d.name,
+                        d.driver,
+                        d.bus,
+                        ", ".join(f"{key} {number:#04x}" for key, number in d.credentials.items()),
+                        _cell(d.channels),
+                        _cell(d.kind),
+                        _inactive(d),
+                        " ".join(one.name for one in (*robot.joints_of(d.name), *robot.sensors_of(d.name))),
+                    ),
+                )
+            )
+            for d in robot.devices.values()
+        ],
+    )
+    yield (
+        (
+            "joint",
+            "device",
+            "channel",
+            "command",
+            "gear",
+            "harmonic",
+            "encoder",
+            "direction",
+            "zero",
+            "lower",
+            "upper",
+            "",
+            "max speed",
+            "also",
+        ),
+        [
+            tuple(
+                map(
+                    _plain,
+                    (
+                        j.name,
+                        j.device,
+                        str(j.channel),
+                        "" if j.command == "position" else j.command,
+                        "" if j.gear is None else f"{j.gear[0]:g}/{j.gear[1]:g}",
+                        _cell(j.harmonic),
+                        _cell(j.encoder),
+                        f"{j.direction:+d}",
+                        _cell(j.zero),
+                        _cell(j.lower),
+                        _cell(j.upper),
+                        ""
+                        if j.lower is None and j.upper is None
+                        else "m"
+                        if j.type == "prismatic"
+                        else "rad",
+                        _cell(j.max_speed),
+                        " ".join([*j.aliases, *filter(None, [_inactive(j)])]),
+                    ),
+                )
+            )
+            for j in robot.joints.values()
+        ],
+    )
+    yield (
+        ("sensor", "device", "kind", "signs", ""),
+        [
+            tuple(
+                map(
+                    _plain,
+                    (s.name, s.device, s.kind, " ".join(f"{n:+d}" for n in s.signs or ()), _inactive(s)),
+                )
+            )
+            for s in robot.sensors.values()
+        ],
+    )
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_cell(one)}" for key, one in value.items())
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _plain(text: str) -> str:
+    """Nothing of a file reaches the terminal as a control character."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def _inactive(one: Any) -> str:
+    return "" if one.active else "inactive"
+
+
+def _joined(protocol: str, dialect: str | None) -> str:
+    return f"{protocol}:{dialect}" if dialect else protocol
+
+
+def _speed(bus: Any) -> str:
+    if bus.bitrate is not None:
+        return f"{bus.bitrate / 1000:g} kbit/s"
+    return f"{bus.baud} baud" if bus.baud is not None else ""
+
+
+# ---------------------------------------------------------------------- import
+
+
+def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
+    from aces_bus.device import print_robot
+    from aces_devices.robots import import_robot
+
+    imported = import_robot(paths, base=arguments.base, name=arguments.name)
+    for note in imported.notes:
+        say(note)
+    for warning in imported.warnings:
+        if "is not installed" not in warning.text:
+            say(str(warning))
+    if arguments.json:
+        import msgspec
+
+        text = json.dumps(msgspec.to_builtins(imported.robot), ensure_ascii=False, indent=2) + "\n"
+    else:
+        text = print_robot(
+            imported.robot,
+            [
+                f"Made by `aces robot import` from {imported.robot.source}.",
+                "What those files do not say is not here: the power board, for one.",
+            ],
+        )
+    output = Output(arguments.output, paths)
+    try:
+        output.write(text.encode())
+    finally:
+        output.close()
+    return 0
