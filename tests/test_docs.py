@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/captures.md", "docs/language.md"]
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "docs/architecture.md",
+    "docs/captures.md",
+    "docs/language.md",
+    "docs/robots.md",
+]
 
 
 @pytest.mark.parametrize("page", PAGES)

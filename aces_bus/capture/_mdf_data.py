@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, BinaryIO
@@ -103,6 +104,13 @@ def records(source: Bytes, size: int, total: int | None, rows: int) -> Iterator[
         left = None if left is None else left - got
 
 
+def numbers_of(rows: Ints) -> Ints:
+    """The numbers that rows of 1 to 8 bytes are, the lowest byte first."""
+    numbers = np.zeros((len(rows), 8), np.uint8)
+    numbers[:, : rows.shape[1]] = rows
+    return numbers.view("<u8")[:, 0]
+
+
 class Sorted:
     """The records of a stream by their groups: those of wanted groups in a file of their own, all of them counted.
 
@@ -114,14 +122,14 @@ class Sorted:
     ) -> None:
         self.segments: dict[int, list[Segment]] = {number: [] for number in wanted}
         self.counts: dict[int, int] = {group.number: 0 for group in stream.groups}
+        self.fault = ""
         self._out, self._most, self._end = out, most, out.seek(0, 2)
-        self._width = stream.number_bytes
-        self._steps = {group.number: self._width + group.size for group in stream.groups}
+        sizes = {group.number: group.size for group in stream.groups}
+        self._finder = Finder(stream.number_bytes, sizes)
         source = Bytes(file, stream.segments, stream.fault)
-        longest = max(self._steps.values(), default=0)
+        longest = stream.number_bytes + max(sizes.values(), default=0)
         buffer = bytearray(min(max(_PIECE, 2 * longest), source.size + longest + 1))
         kept = 0
-        self.fault = ""
         while not self.fault:
             end = kept + source.fill(memoryview(buffer)[kept:])
             done = self._split(buffer, end)
@@ -133,20 +141,18 @@ class Sorted:
 
     def _split(self, buffer: bytearray, end: int) -> int:
         """Store the whole records of the buffer; where the first begins that is not whole."""
+        finder = self._finder
         chunk = np.frombuffer(buffer, np.uint8, end)
-        starts, at = _starts(buffer, chunk, self._width, self._steps)
-        if at + self._width <= end and _number(buffer, at, self._width) not in self._steps:
-            self.fault = f"a record of a group {_number(buffer, at, self._width)} that there is not"
-        numbers = _numbers(chunk, starts, self._width)
-        for number, count in zip(*np.unique(numbers, return_counts=True), strict=True):
-            group = int(number)
-            self.counts[group] += int(count)
-            if group in self.segments:
-                size = self._steps[group] - self._width
-                rows = starts if count == len(starts) else starts[numbers == number]
-                self._store(
-                    group, np.lib.stride_tricks.sliding_window_view(chunk, size)[rows + self._width].tobytes()
-                )
+        starts, places, at = finder.find(buffer, chunk)
+        if at + finder.width <= end and finder.number(buffer, at) not in finder.steps:
+            self.fault = f"a record of a group {finder.number(buffer, at)} that there is not"
+        for place, count in enumerate(np.bincount(places, minlength=len(finder.numbers)).tolist()):
+            group = finder.numbers[place]
+            self.counts[group] += count
+            if count and group in self.segments:
+                rows = starts if count == len(starts) else starts[places == place]
+                windows = np.lib.stride_tricks.sliding_window_view(chunk, finder.steps[group] - finder.width)
+                self._store(group, windows[rows + finder.width].tobytes())
         return at
 
     def _store(self, group: int, data: bytes) -> None:
@@ -163,54 +169,70 @@ class Sorted:
         self._end += len(data)
 
 
-def _number(buffer: bytearray, at: int, width: int) -> int:
-    return int.from_bytes(buffer[at : at + width], "little")
+class Finder:
+    """Where records begin that have their group's number, of `width` bytes, in front. `sizes` are by that number.
 
-
-def numbers_of(rows: Ints) -> Ints:
-    """The numbers that rows of 1 to 8 bytes are, the lowest byte first."""
-    numbers = np.zeros((len(rows), 8), np.uint8)
-    numbers[:, : rows.shape[1]] = rows
-    return numbers.view("<u8")[:, 0]
-
-
-def _numbers(chunk: Ints, starts: Ints, width: int) -> Ints:
-    """The numbers in front of the records that begin there."""
-    return np.asarray(chunk[starts]) if width == 1 else numbers_of(chunk[starts[:, None] + np.arange(width)])
-
-
-def _starts(buffer: bytearray, chunk: Ints, width: int, steps: Mapping[int, int]) -> tuple[Ints, int]:
-    """Where whole records begin, and where the first begins that is not whole, or of no group.
-
-    Where records of one size follow each other they are found at once, and otherwise one by one.
+    A group's place is that of its number among `numbers`, which go up; `steps` are from one record to the next.
     """
-    end = len(chunk)
-    found: list[Ints] = []
-    alike: dict[int, Ints] = {}
-    for step in set(steps.values()):
-        alike[step] = np.array([number for number, other in steps.items() if other == step], np.uint64)
-    at, ahead = 0, _AHEAD
-    while at + width <= end:
-        step = steps.get(_number(buffer, at, width), 0)
-        if not step or at + step > end:
-            break
-        run = np.arange(at, min(at + ahead * step, end - step + 1), step)
-        is_alike = np.isin(_numbers(chunk, run, width), alike[step])
-        count = len(run) if is_alike.all() else int(is_alike.argmin())
-        found.append(run[:count])
-        at += count * step
-        if count == ahead:
-            ahead = min(2 * ahead, 1 << 16)
-        elif count < ahead // 2 and at + width <= end:
-            ahead = _AHEAD
-            single: list[int] = []
-            for _ in range(_SINGLE):
-                if at + width > end:
-                    break
-                step = steps.get(buffer[at] if width == 1 else _number(buffer, at, width), 0)
-                if not step or at + step > end:
-                    break
-                single.append(at)
-                at += step
-            found.append(np.array(single, np.int64))
-    return (np.concatenate(found) if found else np.zeros(0, np.int64)), at
+
+    def __init__(self, width: int, sizes: Mapping[int, int]) -> None:
+        self.width = width
+        self.numbers = sorted(sizes)
+        self.steps = {number: width + size for number, size in sizes.items()}
+        self._format = struct.Struct({1: "<B", 2: "<H", 4: "<I", 8: "<Q"}[width])
+        self._known = np.array(self.numbers, np.uint64)
+        self._steps = np.array([*(self.steps[number] for number in self.numbers), 0], np.int64)
+        self._table = np.full(256, len(sizes), np.int64)
+        for place, number in enumerate(self.numbers):
+            if number < 256:
+                self._table[number] = place
+
+    def number(self, buffer: bytearray, at: int) -> int:
+        """The number that stands there."""
+        return int(self._format.unpack_from(buffer, at)[0])
+
+    def _places(self, chunk: Ints, starts: Ints) -> Ints:
+        """The places of the groups of records that begin there; one behind the last for a number that is none's."""
+        if self.width == 1:
+            return np.asarray(self._table[chunk[starts]])
+        numbers = numbers_of(chunk[starts[:, None] + np.arange(self.width)])
+        places = np.searchsorted(self._known, numbers)
+        places[places == len(self._known)] = 0
+        places[self._known[places] != numbers] = len(self._known)
+        return np.asarray(places)
+
+    def find(self, buffer: bytearray, chunk: Ints) -> tuple[Ints, Ints, int]:
+        """Where whole records begin in `chunk`, which is `buffer` as far as it is full, and the places of their groups.
+
+        The last number is where the first record begins that is not whole, or of no group. Where records of one size
+        follow each other they are found at once, and otherwise one by one.
+        """
+        width, end, steps = self.width, len(chunk), self.steps
+        unpack = self._format.unpack_from
+        found = [np.zeros(0, np.int64)]
+        at, ahead = 0, _AHEAD
+        while at + width <= end:
+            step = steps.get(self.number(buffer, at), 0)
+            if not step or at + step > end:
+                break
+            run = np.arange(at, min(at + ahead * step, end - step + 1), step)
+            is_alike = self._steps[self._places(chunk, run)] == step
+            count = len(run) if is_alike.all() else int(is_alike.argmin())
+            found.append(run[:count])
+            at += count * step
+            if count == ahead:
+                ahead = min(2 * ahead, 1 << 16)
+            elif count < ahead // 2:
+                ahead = _AHEAD
+                single: list[int] = []
+                for _ in range(_SINGLE):
+                    if at + width > end:
+                        break
+                    step = steps.get(unpack(buffer, at)[0], 0)
+                    if not step or at + step > end:
+                        break
+                    single.append(at)
+                    at += step
+                found.append(np.array(single, np.int64))
+        starts = np.concatenate(found)
+        return starts, self._places(chunk, starts), at

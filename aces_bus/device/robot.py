@@ -23,7 +23,10 @@ from ..protocol import Protocol
 
 # What may stand in a file; the description is what a complaint says is expected.
 Text = Annotated[str, Meta(min_length=1, max_length=100_000, description="text in quotes")]
-Names = Annotated[tuple[Text, ...], Meta(description='a list of names, such as ["TSY", "HPY"]')]
+Name = Annotated[str, Meta(min_length=1, max_length=100, description="a name in quotes")]
+Names = Annotated[
+    tuple[Name, ...], Meta(max_length=100, description='a list of names, such as ["TSY", "HPY"]')
+]
 Whole = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1, description="a whole number")]
 Count = Annotated[int, Meta(ge=0, le=2**31, description="a whole number, 0 or more")]
 Positive = Annotated[int, Meta(gt=0, le=2**31, description="a whole number above 0")]
@@ -39,7 +42,7 @@ Gear = Annotated[
 ]
 Sign = Annotated[Literal[-1, 1], Meta(description="1 or -1")]
 Signs = Annotated[
-    tuple[Sign, ...], Meta(min_length=1, max_length=6, description="a list of 1 and -1, one an axis")
+    tuple[Sign, ...], Meta(min_length=1, max_length=16, description="a list of 1 and -1, one an axis")
 ]
 Matrix = Annotated[
     tuple[tuple[float, ...], ...],
@@ -62,8 +65,8 @@ class Bus(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     link: Annotated[Literal["can", "serial", "datagram"], Meta(description='"can", "serial" or "datagram"')]
-    protocol: Text
-    dialect: Text | None = None
+    protocol: Name
+    dialect: Name | None = None
     bitrate: Positive | None = None  # bit/s, CAN
     baud: Positive | None = None  # serial
     interface: Text | None = None
@@ -79,13 +82,13 @@ class Device(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    driver: Text
-    bus: Text
+    driver: Name
+    bus: Name
     credentials: Credentials
     channels: Count | None = None
     kind: Kind | None = None
-    protocol: Text | None = None  # where it is not its bus's
-    dialect: Text | None = None
+    protocol: Name | None = None  # where it is not its bus's
+    dialect: Name | None = None
     model: Text | None = None  # its maker's name for it
     active: Flag = True
     settings: Settings = msgspec.field(default_factory=dict[str, Any])
@@ -133,7 +136,7 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    device: Text
+    device: Name
     channel: Count = 0
     type: Annotated[
         Literal["revolute", "prismatic", "continuous"],
@@ -184,8 +187,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    device: Text
-    kind: Text
+    device: Name
+    kind: Name
     model: Text | None = None  # its maker's name for it
     channel: Count | None = None
     signs: Signs | None = None
@@ -199,7 +202,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
 class Robot(msgspec.Struct, frozen=True, kw_only=True):
     """A whole robot. Mappings keep the file's order; it is the order of joints in trajectories and tables."""
 
-    name: Text
+    name: Name
     doc: Text | None = None
     source: Text | None = None
     rate_hz: Annotated[float, Meta(gt=0, description="a number above 0 (Hz)")] | None = None

@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Mapping
 from importlib.metadata import entry_points
+from itertools import islice
 from typing import Final, NamedTuple
 from typing import Protocol as Interface
 
@@ -23,6 +24,8 @@ from .robot import Device, Joint, Robot
 DRIVERS: Final = "aces_bus.devices"
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
 SLIP: Final = 0.8
+#: More names than are searched and sorted for one complaint.
+MANY: Final = 300
 
 
 class Complain(Interface):
@@ -49,13 +52,15 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
 
 
 def near(name: str, known: Collection[str], cutoff: float = 0.6) -> str:
-    """`; did you mean 'x'?`, or nothing."""
+    """`; did you mean 'x'?`, or nothing. Of very many names none is looked for: it would take minutes."""
+    if len(name) > 100 or len(known) > MANY:
+        return ""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def _listed(known: Collection[str]) -> str:
-    names = sorted(known)
+    names = sorted(known) if len(known) <= MANY else list(islice(known, 13))
     return ", ".join(names[:12]) + (", …" if len(names) > 12 else "") if names else "none"
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import reprlib
 import tomllib
 import types
 from collections.abc import Callable, Mapping, Sequence
@@ -29,8 +30,12 @@ from .toml_lines import KeyLines
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-#: Bytes of a file; the largest that ships has 12 kB.
-LARGEST: Final = 4 * 2**20
+#: Bytes of a file; the largest that ships has 15 kB.
+LARGEST: Final = 2**20
+#: Problems of a file; then it is given up.
+MOST: Final = 1000
+#: Tables and lists within one another, in a value.
+DEEPEST: Final = 8
 ENTRIES: Final[Mapping[str, type[Bus] | type[Device] | type[Joint] | type[Sensor]]] = {
     "buses": Bus,
     "devices": Device,
@@ -39,7 +44,7 @@ ENTRIES: Final[Mapping[str, type[Bus] | type[Device] | type[Joint] | type[Sensor
 }
 #: Where one of these is wrong, what depends on them is not looked at.
 BASIC: Final = {"link", "protocol", "dialect", "bus", "credentials", "channels", "kind", "device", "channel"}
-NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 
 def load_robot(path: str | os.PathLike[str]) -> Robot:
@@ -90,7 +95,10 @@ def make_robot(
 ) -> tuple[Robot | None, list[Problem]]:
     """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
     reader = _Reader(place)
-    robot = reader.read(content)
+    try:
+        robot = reader.read(content)
+    except _Enough:
+        robot = None
     problems = sorted(set(reader.problems))
     if is_strict:
         problems = [msgspec.structs.replace(problem, is_warning=False) for problem in problems]
@@ -132,6 +140,10 @@ def _parsed(text: str | bytes) -> tuple[dict[str, Any], KeyLines]:
         raise _NotToml(line, f"not a TOML file: {said}{column}") from None
 
 
+class _Enough(Exception):
+    """So much is wrong that the rest does not matter."""
+
+
 class _Reader:
     """Makes one robot and collects what is wrong with it."""
 
@@ -142,6 +154,11 @@ class _Reader:
     def complain(self, path: Sequence[str], text: str, is_warning: bool = False) -> None:
         names = [name if NAME.fullmatch(name) and "." not in name else f"{name!r:.60}" for name in path]
         self.problems.append(Problem(*self.place(path), ".".join(names), text, is_warning))
+        if len(self.problems) == MOST:
+            self.problems.append(
+                Problem(*self.place(()), "", f"{MOST} problems: the rest of the file is not looked at")
+            )
+            raise _Enough
 
     def read(self, content: Mapping[str, Any]) -> Robot | None:
         known = [field.name for field in _fields(Robot)]
@@ -177,7 +194,10 @@ class _Reader:
         for name, entry in content.items():
             path = (section, name)
             if not NAME.fullmatch(name):
-                self.complain(path, "a name has letters, digits, _ . and -, and no other characters")
+                self.complain(
+                    path,
+                    "a name has letters, digits, _ . and -, no other characters, and 100 of them at most",
+                )
             before = len(self.problems)
             made = self._struct(kind, path, entry, name=name)
             wrong = {problem.key.rpartition(".")[2] for problem in self.problems[before:]}
@@ -209,6 +229,9 @@ class _Reader:
                 self.complain((*path, field.name), f"is missing: expected {_expected(field.type)}")
             return {}
         value = content[field.name]
+        if not _is_shallow(value):
+            self.complain(at, f"tables and lists within one another, deeper than {DEEPEST}")
+            return {}
         nested = _struct_in(field.type)
         if nested is not None:
             made = self._struct(nested, at, value)
@@ -241,8 +264,31 @@ def _fields(kind: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
 
 def _shown(value: Any) -> str:
     """A value of the file, short."""
-    text = repr(value) if not isinstance(value, bool) else str(value).lower()
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int) and value.bit_length() > 128:
+        return "so large a number"
+    text = _REPR.repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+_REPR: Final = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxstring, _REPR.maxother = 3, 60, 60
+
+
+def _is_shallow(value: Any) -> bool:
+    """Whether tables and lists are nested no deeper than `DEEPEST`."""
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [
+            one
+            for part in level
+            if isinstance(part, (dict, list))
+            for one in (part.values() if isinstance(part, dict) else part)
+        ]
+        if not level:
+            return True
+    return False
 
 
 def _is_finite(value: Any) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from datetime import date, time
 from typing import Any, Final
 
 import msgspec
@@ -66,7 +67,7 @@ def _value(value: Any, without: tuple[str, ...] = ()) -> str:
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))
-    return repr(value)  # numbers, and TOML's dates
+    return value.isoformat() if isinstance(value, (date, time)) else repr(value)
 
 
 def _hex(credentials: Mapping[str, int]) -> str:

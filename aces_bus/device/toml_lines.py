@@ -13,8 +13,11 @@ import re
 import tomllib
 from bisect import bisect_right
 from collections.abc import Iterable
+from typing import Final
 
 KeyPath = tuple[str, ...]
+#: Tables within tables that are told apart.
+DEEPEST: Final = 8
 
 _BLANK = re.compile(r"[ \t]*")
 _GAP = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -62,13 +65,17 @@ class KeyLines:
     def _key(self, at: int, table: KeyPath) -> tuple[KeyPath, int]:
         """A dotted key below `table`, noted with all its prefixes."""
         path = table
+        is_deep = False
         while True:
             at = self._match(_BLANK, at)
             found = _KEY.match(self._text, at)
             if found is None:
                 raise _Puzzled
-            path = (*path, _plain(found[0]))
-            self._lines.setdefault(path, bisect_right(self._starts, at))
+            if is_deep := is_deep or len(path) >= DEEPEST:
+                pass  # of what lies deeper, the line of its table is told
+            else:
+                path = (*path, _plain(found[0]))
+                self._lines.setdefault(path, bisect_right(self._starts, at))
             at = self._match(_BLANK, found.end())
             if not self._text.startswith(".", at):
                 return path, at

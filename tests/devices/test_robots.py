@@ -142,7 +142,7 @@ def test_it_is_whole(name: str, joints: int, inactive: int) -> None:
 
 
 #: Counts a rad by drive/driven, harmonic, encoder: the worked table of the protocol's facts.
-COUNTS = {
+COUNTS: dict[tuple[object, ...], float] = {
     (10, 25, 100, 4000): 159154.943092,
     (324, 1024, 160, 4000): 321925.257731,
     (324, 1024, 100, 4000): 201203.286082,
@@ -254,10 +254,15 @@ def test_hubo2_has_what_its_scripts_have() -> None:
 
 def test_minihubo_servos() -> None:
     """21 servos a robot, with the ids, zeros and directions of its script."""
-    for number, first, knee in ((1, (64, 2.618, 1), (45, 3.747, 1)), (2, (114, 2.605, -1), (111, 4.146, -1)), (3, (113, 2.60, -1), (75, 1.04, 1))):  # fmt: skip
+    scripts = {
+        1: {"HY": (64, 2.618, 1), "LKP": (45, 3.747, 1), "REP": (61, 2.641, 1)},
+        2: {"HY": (114, 2.605, -1), "LKP": (111, 4.146, -1), "REP": (89, 2.559, -1)},
+        3: {"HY": (113, 2.60, -1), "LKP": (75, 1.04, 1), "REP": (104, 2.61, 1)},
+    }
+    for number, joints in scripts.items():
         robot = load_robot(f"minihubo_{number}")
         assert len(robot.joints) == len(robot.devices) == 21
-        for name, expected in (("HY", first), ("LKP", knee)):
+        for name, expected in joints.items():
             joint = robot.joints[name]
             assert (robot.devices[joint.device].credentials["id"], joint.zero, joint.direction) == expected
         assert all(joint.lower is None and joint.zero is not None for joint in robot.joints.values())

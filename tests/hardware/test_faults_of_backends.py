@@ -2,6 +2,10 @@
 
 1. The backends are python-can's own, on a pseudo-terminal or on this machine's loopback; the faults are real.
 2. Nothing sleeps: what is waited for is an event, a frame or a counter.
+
+Elsewhere: SocketCAN's small receive buffer and silent drops, `tests/socketcan`; packets lost behind a false header or
+because of the size of the pieces, `tests/specs/test_streams.py` and the laws; a recording that is killed,
+`tests/tools/test_sniff.py`.
 """
 
 from __future__ import annotations
@@ -10,6 +14,8 @@ import errno
 import io
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -415,6 +421,19 @@ def test_a_filter_that_excludes() -> None:
     """ID~MASK lets everything else pass; in python-can's programs it does nothing."""
     kept = [Frame(n) for n in (0x122, 0x123, 0x124) if parse_filter("123~7FF").matches(Frame(n))]
     assert [frame.arbitration_id for frame in kept] == [0x122, 0x124]
+
+
+def test_python_can_starts_without_asammdf() -> None:
+    """Where asammdf is installed, python-can imports it at its start, for a second; our commands keep it out."""
+    code = """
+import sys
+from aces_tools.main import main
+sys.argv = ["aces", "sniff", "--help"]
+assert main() == 0
+assert "can" in sys.modules and not sys.modules.get("asammdf")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 # ---------------------------------------------------------------------- recordings

@@ -15,7 +15,6 @@ what is right, not how fast it is. `ACCEL=kvm` where that works. Debian 12 is wh
 from __future__ import annotations
 
 import argparse
-import functools
 import lzma
 import os
 import re
@@ -37,7 +36,7 @@ TOOLS = ("apt-get", "apt-cache", "dpkg-deb", "qemu-system-x86_64")
 
 INIT = """#!/busybox sh
 B=/busybox
-$B mkdir -p /proc /sys /dev /lower /rw /root
+$B mkdir -p /proc /sys /dev /lower /rw /over
 $B mount -t proc proc /proc
 $B mount -t sysfs sys /sys
 $B mount -t devtmpfs dev /dev
@@ -46,10 +45,10 @@ o=trans=virtio,version=9p2000.L,msize=262144
 $B mount -t 9p -o ro,cache=loose,$o host /lower
 $B mount -t tmpfs rw /rw
 $B mkdir -p /rw/upper /rw/work
-$B mount -t overlay -o lowerdir=/lower,upperdir=/rw/upper,workdir=/rw/work over /root
-cd /root
+$B mount -t overlay -o lowerdir=/lower,upperdir=/rw/upper,workdir=/rw/work over /over
+cd /over
 $B mkdir -p proc sys dev/pts dev/shm run share
-for d in proc sys dev; do $B mount -o bind /$d /root/$d; done
+for d in proc sys dev; do $B mount -o bind /$d /over/$d; done
 $B mkdir -p dev/pts dev/shm
 $B mount -t devpts devpts dev/pts
 $B mount -t tmpfs shm dev/shm
@@ -58,8 +57,8 @@ $B mount -t 9p -o cache=mmap,$o share share
 $B ifconfig lo 127.0.0.1 up
 for i in vcan0 vcan1; do $B ip link add dev $i type vcan && $B ip link set $i mtu 72 && $B ip link set $i up; done
 echo "guest: ready after $($B cut -d' ' -f1 /proc/uptime) s, kernel $($B uname -r)"
-$B chroot /root /usr/bin/env -i HOME=/tmp TERM=dumb LANG=C.UTF-8 /bin/sh /share/command.sh </dev/null
-echo $? > /root/share/status
+$B chroot /over /usr/bin/env -i HOME=/tmp TERM=dumb LANG=C.UTF-8 /bin/sh /share/command.sh </dev/null
+echo $? > /over/share/status
 $B sync
 $B poweroff -f
 """
@@ -184,7 +183,7 @@ def archive(files: Sequence[tuple[str, bytes, int]]) -> bytes:
 
 
 def command_line(command: Sequence[str], tools: Path) -> str:
-    path = f"{Path(sys.executable).parent}:{tools}/usr/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+    path = f"{Path(sys.executable).parent}:{tools}/usr/bin:/usr/sbin:/usr/bin:/sbin:/bin:/share/bin"
     lines = [
         f"export PATH={shlex.quote(path)} PYTHONDONTWRITEBYTECODE=1 PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
         f"export PYTHONPATH={shlex.quote(':'.join(str(ROOT / part) for part in ('', 'protocols', 'tools', 'devices')))}",
@@ -207,11 +206,13 @@ def boot(command: Sequence[str], limit: int) -> int:
     tools = unpacked("can-utils")
     loaded = list(modules(kernel))
     order = "".join(f"{name}\n" for name, _ in loaded).encode()
-    share = WORK / "share"
-    shutil.rmtree(share, ignore_errors=True)
-    share.mkdir()
+    own = WORK / f"run-{os.getpid()}"
+    share = own / "share"
+    share.mkdir(parents=True)
     (share / "command.sh").write_text(command_line(command, tools))
-    initrd = WORK / "initrd.img"
+    (share / "bin").mkdir()
+    shutil.copy(busybox, share / "bin" / "ip")  # where there is no iproute2
+    initrd = own / "initrd.img"
     folders = [(name, b"", 0o040755) for name in ("dev", "modules")]
     files = [(f"modules/{name}", content, 0o100644) for name, content in [*loaded, ("order", order)]]
     programs = [("busybox", busybox.read_bytes(), 0o100755), ("init", INIT.encode(), 0o100755)]
@@ -231,21 +232,23 @@ def boot(command: Sequence[str], limit: int) -> int:
     assert process.stdout is not None
     alarm = threading.Timer(limit, process.kill)
     alarm.start()
-    for chunk in iter(functools.partial(process.stdout.readline), b""):
-        sys.stdout.buffer.write(chunk.replace(b"\r", b""))
+    is_ready = False
+    for line in iter(process.stdout.readline, b""):
+        is_ready = is_ready or line.startswith(b"guest: ready")
+        sys.stdout.buffer.write(line.replace(b"\r", b""))
         sys.stdout.flush()
-    is_over = not alarm.is_alive()
+    is_late = not alarm.is_alive()
     alarm.cancel()
     process.wait()
     status = share / "status"
-    if not status.exists():
-        if is_over:
-            say(f"not done after {limit} s")
-            return 124
-        raise CannotRun(
-            f"the guest did not come up (qemu's status {process.returncode}; its words are above)"
-        )
-    return int(status.read_text())
+    said = status.read_text() if status.exists() else ""
+    shutil.rmtree(own, ignore_errors=True)
+    if said:
+        return int(said)
+    if is_ready or is_late:
+        say(f"not done after {limit} s" if is_late else "the guest ended before the tests did")
+        return 1
+    raise CannotRun(f"the guest did not come up (qemu's status {process.returncode}; its words are above)")
 
 
 def main() -> int:

@@ -336,6 +336,26 @@ def test_an_interface_that_goes_down_and_comes_back(wire: socket.socket) -> None
     assert [event.kind for event in seen.events] == ["lost", "reopened", "closed"]
 
 
+def ip(*words: str) -> None:
+    subprocess.run(["ip", "link", *words], check=True, timeout=PATIENCE_S)
+
+
+def test_an_adapter_that_is_unplugged_and_plugged_in_again() -> None:
+    """The interface is gone, comes back under its name, and is not open before it is up."""
+    with CanGate({**OPTIONS, "channel": OTHER}) as gate:
+        seen, inbox = Seen(gate), gate.subscribe()
+        ip("del", "dev", OTHER)
+        seen.wait("lost")
+        ip("add", "dev", OTHER, "type", "vcan")
+        ip("set", OTHER, "up")
+        seen.wait("reopened")
+        with CanGate({"interface": "socketcan", "channel": OTHER}) as stranger:
+            stranger.send(Frame(5))
+            assert take(inbox, 1)[0].frame.arbitration_id == 5
+    kinds = [event.kind for event in seen.events]
+    assert kinds == ["lost", "reopened", "closed"]
+
+
 # ---------------------------------------------------------------------- our commands beside can-utils
 
 

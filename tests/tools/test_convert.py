@@ -320,7 +320,8 @@ def test_ctrl_c_ends_a_live_recording(aces: Aces, tmp_path: Path, monkeypatch: p
         (["{plain}", "{folder}/out.log", "--filter", "060"], "has no mask"),
         (["{dump}", "{folder}/out.bin", "--filter", "060:7FF"], "--filter is for CAN frames"),
         (["{dump}", "{folder}/out.bin", "--merge"], "--merge is for CAN frames"),
-        (["{plain}", "{folder}/absent/out.log"], "cannot be written"),
+        (["{plain}", "{folder}/absent/out.log"], "cannot be written: there is no folder"),
+        (["{plain}", "{folder}/out.log", "--to", "20"], "a time goes to --until"),
         (["{plain}", "{folder}/out.log", "--to", "mdf"], "no format named 'mdf'"),
     ],
 )
@@ -335,6 +336,15 @@ def test_wrong_calls(aces: Aces, plain: Path, tmp_path: Path, arguments: list[st
     assert len(result.messages) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dump.txt", "plain.log"]
     assert plain.read_text(encoding="utf-8") == PLAIN
+
+
+def test_chunks_without_a_time_are_counted_as_chunks(aces: Aces, tmp_path: Path) -> None:
+    """One chunk of three bytes is one; the bytes are in the summary."""
+    dump = tmp_path / "dump.txt"
+    dump.write_bytes(b'Port opened by process "x"\n\n FF FF 01\n')
+    result = aces("convert", dump, tmp_path / "out.bin", "--from", "0")
+    assert result.messages == ["chunks without a time, which are outside of --from and --until: 1"]
+    assert (result.summary["bytes"], result.summary["filtered"]) == (3, 3)
 
 
 def test_a_fault_in_a_later_file_leaves_nothing(aces: Aces, plain: Path, tmp_path: Path) -> None:

@@ -459,6 +459,19 @@ def test_the_suffix_of_the_output_chooses_the_format(
     assert is_right(out.read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize("name", ["out.xlsx", "out.csv.gz", "out.blf"])
+def test_a_suffix_that_names_no_format_is_refused(
+    aces: Aces, log: Path, arm: str, tmp_path: Path, name: str
+) -> None:
+    """No text under a name that promises something else; --format says that it is meant."""
+    out = tmp_path / name
+    result = aces("decode", log, "-p", arm, "--output", out)
+    assert (result.status, out.exists()) == (2, False)
+    assert f"no format has the suffix {out.suffix!r}; there are .jsonl " in result.err
+    assert aces("decode", log, "-p", arm, "--output", out, "--format", "text").status == 0
+    assert "Encoder" in out.read_text()
+
+
 def test_an_input_is_not_overwritten(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
     """--output of one of the inputs is refused, under whatever name."""
     other = tmp_path / "link.log"
@@ -472,7 +485,39 @@ def test_an_output_that_cannot_be_written(aces: Aces, log: Path, arm: str, tmp_p
     """One line, status 2."""
     result = aces("decode", log, "-p", arm, "--output", tmp_path / "no" / "such.csv")
     assert result.status == 2
-    assert "cannot be written" in result.err
+    assert "cannot be written: there is no folder" in result.err
+
+
+def test_a_file_without_frames_is_named(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
+    """Among several files nobody could tell which it was; and it is no error."""
+    empty = tmp_path / "empty.log"
+    empty.write_bytes(b"# begun, and not a frame came\n")
+    result = aces("decode", log, empty, "-p", arm, "-q")
+    assert (result.status, result.summary["frames"]) == (0, FRAMES)
+    assert f"{empty}: holds no frames" in result.messages
+
+
+def test_a_channel_of_a_protocol_that_does_not_occur_is_named(aces: Aces, log: Path, arm: str) -> None:
+    """With the channels that there are: a BLF has no can0."""
+    result = aces("decode", log, "-p", f"can7={arm}", "-p", f"can0={arm}", "-q")
+    assert "-p: no frame came from 'can7' (there are: can0, can1)" in result.messages
+    assert "can0'" not in result.err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--from", "100"], "--from"),
+        (["--filter", "can9,1:2", "--to", "5"], "--to, --filter"),
+        (["--where", "board=77"], "--where"),
+    ],
+)
+def test_what_let_nothing_pass_is_named(
+    options: list[str], said: str, aces: Aces, log: Path, arm: str
+) -> None:
+    """Instead of an empty output that nobody explains."""
+    result = aces("decode", log, "-p", arm, "-q", *options)
+    assert f"nothing that was decoded passed {said}" in result.messages
 
 
 def test_files_may_stand_on_both_sides_of_options(aces: Aces, log: Path, arm: str) -> None:

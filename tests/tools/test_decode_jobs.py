@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -138,3 +139,17 @@ def test_a_full_disk_is_said_once(log: Path, tmp_path: Path, capfd: Any) -> None
     assert (status, found) == (2, {})
     assert [line for line in said if "written" in line] == [f"aces: {out}: cannot be written: File too large"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.log"]
+
+
+def test_frames_without_a_time_are_told_of(log: Path, tmp_path: Path, capfd: Any) -> None:
+    """As by one process, also those that hang on requests."""
+    found = re.findall(r"(can\d) ([0-9A-F]+)#((?:[0-9A-F]{2})+)\n", log.read_text())
+    log.write_text(
+        "".join(
+            f"{bus} {key} [{len(data) // 2}] {bytes.fromhex(data).hex(' ')}\n" for bus, key, data in found
+        )
+    )
+    one = decoded(log, tmp_path / "one.parquet", "--from", "0", capfd=capfd)
+    two = decoded(log, tmp_path / "two.parquet", "--from", "0", "--jobs", "2", capfd=capfd)
+    assert "items have none, and are filtered" in one[1][0]
+    assert two[:2] == one[:2]

@@ -138,7 +138,10 @@ def test_a_database_is_listed_with_what_cannot_be_used(aces: Aces, tmp_path: Pat
     """Messages on stdout; on stderr each problem with file and line."""
     pytest.importorskip("cantools")
     path = tmp_path / "car.dbc"
-    path.write_text('BU_: A\nBO_ 100 Speed: 8 A\n SG_ speed : 0|16@1+ (1,0) [0|0] "" A\nFOO_ 1;\n')
+    path.write_text(
+        'BU_: A\nBO_ 100 Speed: 8 A\n SG_ speed : 0|16@1+ (1,0) [0|0] "" A\nFOO_ 1;\nCM_ SG_ 100 speed "of\nwheels";\n'
+    )
+    assert " of wheels\n" in aces("protocols", str(path), "Speed").out  # one row of a table is one line
     result = aces("protocols", str(path))
     assert result.status == 0
     assert "Speed" in result.out

@@ -64,6 +64,25 @@ def test_a_database_file_is_a_protocol(tmp_path: Path, capfd: pytest.CaptureFixt
     assert "line 6: " in said[0]
 
 
+def test_several_problems_are_listed_elsewhere(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The one line names the command that lists them all."""
+    path = tmp_path / "car.dbc"
+    path.write_text(CAR + "BO_ nonsense\n")
+    parse_protocols([str(path)])
+    assert capfd.readouterr().err.endswith(f" (all: aces protocols {path})\n")
+
+
+def test_a_file_that_declares_nothing_is_told_from_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A database without its suffix is found, and a capture is no protocol."""
+    monkeypatch.chdir(tmp_path)
+    Path("car.dbc").write_text(CAR)
+    Path("walk.log").write_text("(1.0) can0 123#\n")
+    assert "the file of that name: -p car.dbc" in refusal("car")
+    assert "has one of the suffixes .py .dbc .kcd" in refusal("walk.log")
+
+
 def test_a_database_can_be_for_one_channel(tmp_path: Path) -> None:
     """CHANNEL=FILE, also with an installed protocol; a file whose name has an equals sign is that file."""
     path = tmp_path / "car.dbc"

@@ -70,7 +70,8 @@ def model(**more: Any) -> Model:
 def encoder(board: int, first: int = 0, second: int = 0, at_ms: float = 0.0, **more: Any) -> Frame:
     """An encoder's frame, stamped."""
     data = first.to_bytes(4, "little", signed=True) + second.to_bytes(4, "little", signed=True)
-    return Frame(0x060 + board, data, 1000 + at_ms / 1000, **{"channel": "can0", **more})
+    options: dict[str, Any] = {"channel": "can0", **more}
+    return Frame(0x060 + board, data, 1000 + at_ms / 1000, **options)
 
 
 def heard(*frames: Frame, at_ms: float = 0.0) -> list[Received]:
@@ -765,8 +766,9 @@ def test_without_colour_nothing_is_coloured() -> None:
     play(scene, has_colour=False)
 
 
-def test_help_opens_and_closes_and_q_quits() -> None:
-    """? tells the keys, Esc goes back, q ends with status 0."""
+@pytest.mark.parametrize("key", ["q", "ctrl+c"])
+def test_help_opens_and_closes_and_q_quits(key: str) -> None:
+    """? tells the keys, Esc goes back, q and Ctrl-C end with status 0."""
 
     async def scene(stage: Stage) -> None:
         await three(stage)
@@ -774,9 +776,9 @@ def test_help_opens_and_closes_and_q_quits() -> None:
         assert "freeze what is shown" in stage.picture
         await stage.press("escape")
         assert "freeze what is shown" not in stage.picture
-        await stage.pilot.press("q")
+        await stage.pilot.press(key)
         assert (stage.app.return_code or 0) == 0
-        assert not stage.app.is_running or stage.app._exit
+        assert stage.app._exit
 
     play(scene)
 
@@ -879,6 +881,28 @@ def test_a_screen_is_made_for_a_gate(kind: str) -> None:
     gate._put([item])
     asyncio.run(app.hear())
     assert only(app.model).name == ("Encoder" if kind == "can" else "Sample")
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["-i", "virtual", "-c", "x", "--format", "jsonl"], "--format is about lines"),
+        (["-i", "virtual", "-c", "x", "-n", "5"], "--count is about lines"),
+        (["--serial", "loop://"], "name one: -p NAME"),
+        (["-i", "virtual", "-c", "x"], "needs a terminal"),
+    ],
+)
+def test_a_wrong_call_leaves_nothing_behind(
+    options: list[str], why: str, aces: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Options of lines, bytes without a protocol, no terminal: one message, status 2, and no recording begun."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
+    monkeypatch.setattr(sys, "__stderr__", io.StringIO())
+    log = tmp_path / "x.log"
+    result = aces("sniff", *options, "--screen", "--record", log)
+    assert result.status == 2
+    assert why in result.err
+    assert not list(tmp_path.iterdir())
 
 
 LOG = "".join(f"({1000 + n / 1000:.6f}) can0 060#{n:02X}000000F6FFFFFF\n" for n in range(200))

@@ -18,6 +18,9 @@ from typing import Any
 
 import can
 import pytest
+import serial
+from hypothesis import given
+from hypothesis import strategies as st
 
 import aces_tools.live_text
 import aces_tools.recorder
@@ -25,7 +28,7 @@ import aces_tools.sniff
 from aces_bus.capture import open_capture
 from aces_bus.capture.write.candump import CandumpWriter
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frame import FD_LENGTHS, Frame
 from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
 from aces_tools.live import Told, parse_duration
 from aces_tools.live_text import CandumpLines, Times
@@ -153,6 +156,52 @@ def test_times_are_candumps(mode: str, shown: list[str]) -> None:
     assert [re.findall(r"^ \(([0-9.]+)\)  can", line)[0] for line in lines] == shown
     assert lines[0].endswith("  can0  123   [2]  01 02")
     assert lines[2].endswith("  can1  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME")
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Frame:
+    """Any frame that candump's screen can show."""
+    kind = draw(st.sampled_from(["data", "fd", "remote", "error"]))
+    is_wide = draw(st.booleans()) and kind != "error"
+    identifier = draw(st.integers(0, 0x1FFF_FFFF if is_wide or kind == "error" else 0x7FF))
+    size = (
+        draw(st.sampled_from(FD_LENGTHS))
+        if kind == "fd"
+        else 8
+        if kind == "error"
+        else draw(st.integers(0, 8))
+    )
+    data = b"" if kind == "remote" else draw(st.binary(min_size=size, max_size=size))
+    return Frame(
+        identifier,
+        data,
+        draw(st.integers(0, 2 * 10**15)) / 1e6,
+        draw(st.sampled_from(["can0", "vcan12", "unix:can0"])),
+        is_wide,
+        kind == "remote",
+        kind == "error",
+        kind == "fd",
+        dlc=size if kind == "remote" else None,
+    )
+
+
+@given(st.lists(frames(), min_size=1, max_size=8))
+def test_lines_are_read_back_as_the_same_frames(sent: list[Frame]) -> None:
+    """Whatever is shown, candump's reader reads as it was, but for the flags that candump hides too."""
+    lines = CandumpLines(Times("a")).frames(sent)
+    read = list(open_capture(io.BytesIO(lines), link="can"))
+    assert len(read) == len(sent)
+    for mine, other in zip(sent, read, strict=True):
+        assert (mine.arbitration_id, mine.data, mine.channel) == (
+            other.arbitration_id,
+            other.data,
+            other.channel,
+        )
+        assert (mine.is_extended_id, mine.is_remote_frame, mine.is_error_frame, mine.is_fd, mine.dlc) == (
+            (other.is_extended_id, other.is_remote_frame, other.is_error_frame, other.is_fd, other.dlc)
+        )
+        assert mine.timestamp is not None
+        assert abs(mine.timestamp - (other.timestamp or 0)) < 1e-6
 
 
 def test_dates_are_read_back_as_the_same_instant() -> None:
@@ -464,10 +513,12 @@ def pty() -> Iterator[tuple[int, str]]:
 
 @posix
 def test_a_serial_line_is_decoded_and_recorded(
-    aces: Aces, opened: Opened, pty: tuple[int, str], tmp_path: Path
+    aces: Aces, opened: Opened, pty: tuple[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Packets come as records, and the recording has the bytes, their times and pieces."""
+    """Packets come as records, the recording has the bytes, their times and pieces; nothing is written to the line."""
     far, near = pty
+    written: list[bytes] = []
+    monkeypatch.setattr(serial.Serial, "write", lambda _, data: written.append(data))
     opened.then(lambda: os.write(far, bytes.fromhex("FFFF010200FC")))
     record = tmp_path / "line.slog"
     found = aces(
@@ -481,6 +532,9 @@ def test_a_serial_line_is_decoded_and_recorded(
     assert b"".join(chunk.data for chunk in chunks) == bytes.fromhex("FFFF010200FC")
     assert {chunk.direction for chunk in chunks} == {"from device"}
     assert all(chunk.time is not None and chunk.time > 1.7e9 for chunk in chunks)
+    assert written == []
+    with pytest.raises(CallerError, match="only listens"):
+        opened.gates[0].send(b"\0")
 
 
 @posix

@@ -49,6 +49,9 @@ class Output:
                     raise CallerError(f"--output {path} is one of the files to read; choose another name")
             try:
                 self._file = open(path, "wb")  # noqa: SIM115 - closed by `close`
+            except FileNotFoundError:
+                folder = os.path.dirname(path)
+                raise CallerError(f"{path}: cannot be written: there is no folder {folder!r}") from None
             except OSError as error:
                 raise CallerError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -143,6 +143,8 @@ class Conversion:
         if name is None and self.target == "-":
             raise CallerError(f"standard output has no suffix; name the format: --to {'|'.join(FORMATS)}")
         if name is not None and name not in FORMATS:
+            if name[:1].isdecimal():
+                raise CallerError(f"--to {name}: this names the format; a time goes to --until")
             raise UnknownNameError("format", name, FORMATS)
         form = FORMATS[name] if name is not None else format_of(self.target)
         if self.target == "-" and not form.is_text and sys.stdout is not None and sys.stdout.isatty():
@@ -294,7 +296,8 @@ class Conversion:
         if self.dropped:
             say(f"the recorder says that it lost {self.dropped} frames")
         if self.window is not None and self.window.untimed:
-            say(f"{self.window.untimed} {unit}s without a time are outside of --from and --until")
+            what = "frames" if self.form.link == "can" else "chunks"
+            say(f"{what} without a time, which are outside of --from and --until: {self.window.untimed}")
         for kind, count in self.others.items():
             say(f"not written, being no {unit}s: {count} {kind}")
         for kind, count in writer.lossy.items():

@@ -61,6 +61,8 @@ class Done:
     frames_dropped: int = 0
     others: dict[str, int] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
+    #: Frames without a time, where times are asked for.
+    untimed: int = 0
     notes: list[str] = field(default_factory=list)
     error: str = ""
     #: Whether the error is of the capture; otherwise of the output, and ends the run.
@@ -122,12 +124,13 @@ class JobsDecoding(ColumnDecoding):
         """Relative times count from the first frame of the file: every process must know it."""
         if self.window is None:
             return
+        untimed = self.window.untimed
         with open_capture(capture.name, link="can") as same:
             for table in same.tables():
                 self.window.inside(table.time)
                 if self.window.first is not None:
                     break
-        self.window.untimed = 0
+        self.window.untimed = untimed
 
     def _tasks(self, capture: CanCapture) -> Iterator[Any]:
         spans = None
@@ -168,6 +171,8 @@ class JobsDecoding(ColumnDecoding):
         export: Any = self.export
         export.adopt()
         self._seen(done.channels)
+        if self.window is not None:
+            self.window.untimed += done.untimed
         contested = scanner.contested
         if done.contested is not None and not self.is_warned:
             self._warn(contested, done.contested, done.contested & 0x1FFF_FFFF)
@@ -200,7 +205,10 @@ class JobsDecoding(ColumnDecoding):
         kept = np.zeros(len(table), bool)
         for frames, rows in deferred:
             places = np.minimum(np.searchsorted(rows, table.row), len(rows) - 1)
+            untimed = self.window.untimed if self.window is not None else 0
             passed = self._kept(frames)
+            if self.window is not None:
+                self.window.untimed = untimed  # the other process has counted them
             if passed is not None:
                 kept |= (rows[places] == table.row) & passed[places]
         return kept
@@ -238,6 +246,7 @@ class JobsDecoding(ColumnDecoding):
         if self.window is not None:
             self.window.begin()
             self.window.see(first)
+            self.window.untimed = 0
         tables: Iterable[FrameTable] = [piece]
         if kind == "span":
             capture = open_part(name, piece)
@@ -258,6 +267,8 @@ class JobsDecoding(ColumnDecoding):
                 row += len(frames)
             notes = self.export.notes
         done = Done(scanner.hand_over(), totals, channels, contested, notes=notes)
+        if self.window is not None:
+            done.untimed = self.window.untimed
         if capture is not None:
             done.lines = (
                 capture.lines,

@@ -41,7 +41,7 @@ from typing import Any, NamedTuple
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, list_protocols, load_protocol
-from aces_bus.protocol.foreign import Imported, Problem, load_database
+from aces_bus.protocol.foreign import SUFFIXES, Imported, Problem, load_database
 
 from .console import say
 
@@ -103,8 +103,12 @@ def _installed(name: str) -> Protocol:
     try:
         return load_protocol(name)
     except UnknownNameError as unknown:
-        if os.path.exists(f"{name}.py"):
-            raise CallerError(f"{unknown}; the file of that name: -p {name}.py") from None
+        for suffix in (".py", *SUFFIXES):
+            if os.path.exists(name + suffix):
+                raise CallerError(f"{unknown}; the file of that name: -p {name}{suffix}") from None
+        if os.path.isfile(name):
+            kinds = " ".join((".py", *SUFFIXES))
+            raise CallerError(f"-p {name}: a file that declares a protocol has one of the suffixes {kinds}") from None
         raise
     except AcesError:
         raise
@@ -130,7 +134,8 @@ def _of_database(path: str) -> Protocol:
     if known not in _databases:
         imported = load_database(path)
         if imported.problems and parent_process() is None:
-            say(imported.summary)
+            more = f" (all: aces protocols {path})" if len(imported.problems) > 1 else ""
+            say(imported.summary + more)
         _databases[known] = imported
     return _databases[known].protocol
 

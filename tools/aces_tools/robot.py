@@ -1,4 +1,4 @@
-"""Robots as TOML files: check one, look at one, make one from another program's description.
+"""Robots as TOML files: check, show, import from other programs' descriptions.
 
   aces robot list                     the robots that ship
   aces robot show hubo2plus           its buses, devices, joints and sensors

@@ -49,6 +49,11 @@ EPILOG = """\
 times (-t, candump's): a absolute, d since the line before, z since the first,
 A date and local time. With jsonl they are always absolute.
 
+screen (--screen): one row for each identifier, message and board (or servo),
+with rate, period and jitter, the digits that changed, and decoded values.
+Keys: d details, / filter, s sort, f freeze, ? all of them. The load is a share
+of the bit rate (-b, else the protocol's).
+
 recording (--record FILE, by its suffix; without one a candump log or, of
 serial lines and datagrams, our serial log .slog):
   Everything heard is recorded, whatever is shown. It is on disk within half a

@@ -81,6 +81,8 @@ class OutFile:
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             self._temporary = None
             said = error.strerror if isinstance(error, OSError) else None
+            if isinstance(error, FileNotFoundError):
+                said = f"there is no folder {os.path.dirname(path)!r}"
             raise CallerError(f"{path}: cannot be written: {said or error}") from error
         self._owned = True
 

@@ -39,7 +39,7 @@ def pyarrow() -> Any:
         import pyarrow as pa
     except ImportError as missing:
         raise CallerError(
-            f"Arrow and Parquet need pyarrow: pip install 'aces-bus[columns]' ({missing})"
+            f"Arrow, Parquet and folders of CSV need pyarrow: pip install 'aces-bus[columns]' ({missing})"
         ) from missing
     return pa
 

@@ -18,7 +18,7 @@ from aces_bus.device import Problem
 
 from . import _hubo
 from ._hubocan import Places
-from ._words import Line, decimal, number, read_lines, take
+from ._words import MOST, Line, decimal, number, read_lines, take
 
 JOINT_COLUMNS: Final = (
     *("name", "motNo", "refEnc", "drive", "driven", "harm", "enc", "dir", "jmc", "active", "can", "numMot"),
@@ -52,6 +52,8 @@ class Rows:
                 text = f"expected {len(columns)} columns ({' '.join(columns)}), not {len(line.words)}"
                 self.problems.append(line.problem("", text))
                 continue
+            if len(self.problems) > MOST:
+                break
             row: dict[str, Any] = {}
             for column, word in zip(columns, line.words, strict=True):
                 read = (

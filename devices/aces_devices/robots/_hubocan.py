@@ -18,7 +18,7 @@ from aces_bus.device import Problem
 from aces_bus.errors import CallerError
 
 from . import _hubo
-from ._words import Line, number, read_lines, take, whole
+from ._words import MOST, Line, number, read_lines, take, whole
 
 #: Type of a motor board → number of its channels (None: as many as it has joints), kind.
 JMC_TYPES: Final[Mapping[str, tuple[int | None, str | None]]] = {
@@ -95,6 +95,8 @@ class Tree:
             return
         block: Block | None = None
         for line in lines:
+            if len(self.problems) > MOST:
+                break
             word, *values = line.words
             if word == "include" and block is None and len(values) == 1:
                 if Path(values[0]).is_absolute():

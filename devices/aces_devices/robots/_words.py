@@ -16,6 +16,8 @@ from aces_bus.errors import CallerError
 
 #: Bytes of a description file; those of the sources have 7 kB at most.
 LARGEST: Final = 2**20
+#: Problems of a description; then it is given up.
+MOST: Final = 1000
 _WORD: Final = re.compile(r'"([^"]*)"|([^\s"#]+)|(#.*)|(")')
 
 
@@ -75,10 +77,13 @@ def decimal(word: str) -> int:
 
 
 def number(word: str) -> float:
-    """A number. Raises `ValueError`."""
+    """A number of a size that occurs. Raises `ValueError`."""
     if len(word) > 40 or "_" in word:
         raise ValueError
-    return float(word)
+    value = float(word)
+    if not abs(value) <= 1e12 or 0 < abs(value) < 1e-12:
+        raise ValueError
+    return value
 
 
 def take(

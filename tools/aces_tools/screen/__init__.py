@@ -48,6 +48,7 @@ def run_screen(
     open_gate: Callable[[], object] | None = None,
     show: Sequence[str] = (),
     end: Callable[[], bool] | None = None,
+    colour: bool | None = None,
 ) -> int:
     """Show what a gate hears, until the user quits; the exit status. The gate is opened, and closed at the end.
 
@@ -55,7 +56,7 @@ def run_screen(
     applied before anything is counted; `show` is a filter as it can be typed, of words. `record` gives what the head says
     of a recording. `bitrate` and `data_bitrate` in bit/s are what the load is a share of; without them it is the
     protocols' bit rate, and where they have none, bit/s are shown. `open_gate` opens the gate instead of
-    `gate.start()`. The screen ends by itself when `end` says so.
+    `gate.start()`. The screen ends by itself when `end` says so. `colour` None: as the terminal has it.
 
     Raises `CallerError` before anything is opened, where no screen can be shown (`check_screen`), and whatever opening
     the gate raises.
@@ -71,6 +72,7 @@ def run_screen(
         data_bitrate=data_bitrate,
         show=show,
         end=end,
+        colour=colour,
     )
     try:
         if open_gate is not None:
@@ -94,6 +96,7 @@ def make_screen(
     data_bitrate: int | None = None,
     show: Sequence[str] = (),
     end: Callable[[], bool] | None = None,
+    colour: bool | None = None,
 ) -> Any:
     """The application of `run_screen`, not yet running; it listens to the gate from now on."""
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
@@ -126,7 +129,7 @@ def make_screen(
         feed=feed,
         idle=idle,
         end=end,
-        has_colour=wants_colour(None, True),
+        has_colour=wants_colour(colour, True),
     )
     made.view.look_for(" ".join(show))
     return made

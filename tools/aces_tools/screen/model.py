@@ -305,9 +305,10 @@ class Model:
         frames = [item.frame for item in items]
         records: Sequence[Any]
         if scanner is None:
-            records = frames
+            records = [None] * len(frames)
         else:
             records = scanner.feed(frames)
+        record: Any
         for item, frame, record in zip(items, frames, records, strict=True):
             kind: Any = type(record)
             page = pages.get(kind)
@@ -315,7 +316,7 @@ class Model:
                 place: Place = frame.channel, record._key, kind, page(record)
             elif kind is Unknown:
                 place = frame.channel, self._key(frame), record.kind
-            elif kind is Frame:
+            elif record is None:
                 place = frame.channel, self._key(frame), "error" if frame.is_error_frame else ""
             else:
                 place = frame.channel, record._key, kind
@@ -397,12 +398,13 @@ class Model:
         self.generation += 1
         fields = self.fields.get(type(record))
         shown = channel or self.name
-        if type(record) is Unknown:
+        is_lost = type(record) is Unknown
+        if is_lost:
             name = record.kind if record.kind != "errors" else "error frame"
         else:
             name = fields.name if fields is not None else ""
         row = self.rows[place] = Row(place, self._numbers, shown, name, host_ns)
-        row.is_lost = type(record) is Unknown
+        row.is_lost = is_lost
         words = [shown, name]
         if fields is not None:
             words += [fields.protocol, *fields.names, *(f"{n}={v}" for n, v in fields.page_of(record))]

@@ -31,6 +31,8 @@ def run_on_screen(sniffing: Sniffing) -> int:
             raise CallerError(f"--{option} is about lines, and --screen prints none; press / there to filter")
     if len(sniffing.messages) > 1:
         raise CallerError("--screen takes one --message; press / there to filter")
+    if bus.kind != "can" and not arguments.protocol:
+        raise CallerError("--screen shows the packets of a protocol, and no bare bytes; name one: -p NAME")
     check_screen()
     gate = bus.gate(listen_only=True)
     told, recorder = Told(gate), sniffing._recorder()
@@ -63,6 +65,7 @@ def run_on_screen(sniffing: Sniffing) -> int:
                 open_gate=opened,
                 show=sorted(sniffing.messages),
                 end=is_over,
+                colour=arguments.color,
             )
         except KeyboardInterrupt:
             status = 0

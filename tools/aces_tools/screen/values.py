@@ -70,7 +70,7 @@ class Fields:
             for name, kind in records_of(variant).items()
         }
 
-    def page_of(self, record: Record) -> list[tuple[str, Any]]:
+    def page_of(self, record: Any) -> list[tuple[str, Any]]:
         """The page's names and values."""
         return [(name, getattr(record, name)) for name in self.page]
 

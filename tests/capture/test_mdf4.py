@@ -1,0 +1,577 @@
+"""Ordinary MF4 files, read without asammdf: the frames and counts that asammdf's way gives, and no worse when damaged."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import itertools
+import struct
+import subprocess
+import sys
+import tempfile
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aces_bus.capture import _mdf as mdf
+from aces_bus.capture import _mdf_data, mdf4, mf4, open_capture
+from aces_bus.capture._mdf_fields import integers, number_of
+from aces_bus.capture._mdf_tree import Channel
+from aces_bus.capture._source import Source
+from aces_bus.capture.mf4 import Mf4Capture
+from aces_bus.errors import CaptureError
+from aces_bus.frame import Frame
+from aces_bus.frame_table import FrameTable
+from tests.capture.mdf_files import (
+    COUNT_MISSING,
+    RECORDS,
+    SOME,
+    UNTIMED,
+    WRONG,
+    Builder,
+    circles,
+    content_of,
+    damaged_files,
+    data_frames,
+    packed_file,
+    plain_file,
+    record,
+    signals_file,
+    unsorted_file,
+    variable_file,
+    written,
+)
+
+LENGTH_MISSING = 4
+Said = tuple[list[Frame], int, int, int, dict[str, int], list[Any]]
+
+
+class NeedsAsammdf(Exception):
+    """The file is left to the other process."""
+
+
+class Direct(Mf4Capture):
+    """Reads what can be read without asammdf."""
+
+    def _through_asammdf(self, folder: str, path: str) -> Iterator[FrameTable]:
+        raise NeedsAsammdf(self._why)
+
+
+def said(capture: Mf4Capture, tables: Iterator[FrameTable]) -> Said:
+    """The frames of a capture and what it counts."""
+    frames = list(itertools.chain.from_iterable(table.frames() for table in tables))
+    parts = capture.frames, capture.lines_unreadable, capture.others
+    assert capture.frames == len(frames)
+    assert capture.lines == capture.frames + capture.lines_unreadable + sum(capture.others.values())
+    assert len(capture.problems) == min(5, capture.lines_unreadable)
+    return frames, capture.lines, *parts[1:2], capture.frames, capture.others, capture.problems
+
+
+def read(content: bytes) -> Said:
+    """What comes of a file, read without asammdf."""
+    with Direct(Source(io.BytesIO(content), "memory")) as capture:
+        return said(capture, capture.tables())
+
+
+def through_asammdf(contents: Sequence[bytes]) -> Iterator[Said]:
+    """What comes of files that one process reads with asammdf."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder, f"{number}.mf4") for number in range(len(contents))]
+        for path, content in zip(paths, contents, strict=True):
+            path.write_bytes(content)
+        process = mf4._start(folder, [str(path) for path in paths])
+        try:
+            for path in paths:
+                with Mf4Capture(Source(str(path))) as capture:
+                    yield said(capture, capture._read(process))
+        finally:
+            mf4._stop(process)
+
+
+# ---- files that are ordinary ---------------------------------------------------------------------------------------
+
+
+def many(build: Builder, streams: Sequence[Sequence[int]], widths: Sequence[int], number_bytes: int) -> bytes:
+    """A stream of records of groups of frames, LIN and nothing, by their numbers; `widths` are of their data bytes."""
+    group = 0
+    counts = [sum(number == each for each in itertools.chain(*streams)) for number in range(len(widths))]
+    for number, width in reversed(list(enumerate(widths))):
+        first = build.time(build.channel("LIN_Frame", mdf.BYTES, 8, 8)) if width < 8 else data_frames(build)
+        group = build.group(first, counts[number], 13 + width, number=number + 1, next_at=group)
+    out: list[bytes] = []
+    for n, number in enumerate(itertools.chain(*streams)):
+        body = record(n // 4 * 0.5, n % 0x800, bytes([n % 256] * (n % 9)), number + 1)[: 13 + widths[number]]
+        out.append((number + 1).to_bytes(number_bytes, "little") + body.ljust(13 + widths[number], b"\0"))
+    return build.finish(group, build.put(mdf.data_block(b"".join(out))), number_bytes)
+
+
+def listed(pieces: Sequence[bytes], count: int, packing: int | None, size: int = 21) -> bytes:
+    """Records in a list of data blocks, plain (None), deflated (0), or transposed and deflated."""
+    build = Builder()
+    places: list[tuple[int, int]] = []
+    for piece in pieces:
+        if packing is None:
+            places.append((build.put(mdf.data_block(piece)), len(piece)))
+            continue
+        data = piece
+        if packing:
+            rows = len(piece) // size
+            table = np.frombuffer(piece, np.uint8, rows * size).reshape(rows, size)
+            data = table.T.tobytes() + piece[rows * size :]
+        packed = zlib.compress(data)
+        head = struct.pack("<2sBBIQQ", b"DT", packing, 0, size if packing else 0, len(data), len(packed))
+        places.append((build.put(mdf.block(b"DZ", (), head + packed)), len(data)))
+    first = build.put(mdf.data_list(places[2:]))
+    block = bytearray(mdf.data_list(places[:2]))
+    struct.pack_into("<Q", block, 24, first)
+    data_at = build.put(bytes(block))
+    if packing is not None:
+        data_at = build.put(mdf.block(b"HL", (data_at,), struct.pack("<HB5x", 0, packing)))
+    return build.finish(build.group(data_frames(build), count, size), data_at)
+
+
+def odd_fields(factor: float, offset: float) -> bytes:
+    """Fields at odd bits, numbers with a sign, times as 32-bit counts of something."""
+    build = Builder()
+    kind = "CAN_DataFrame"
+    signed, at = mdf.SIGNED, 0
+    for name, data_type, first_byte, bits, first_bit in (
+        ("DataBytes", mdf.BYTES, 13, 96, 0),
+        ("Dir", mdf.UNSIGNED, 12, 1, 7),
+        ("ESI", mdf.UNSIGNED, 12, 1, 6),
+        ("BRS", mdf.UNSIGNED, 12, 1, 5),
+        ("EDL", mdf.UNSIGNED, 12, 1, 4),
+        ("DLC", mdf.UNSIGNED, 12, 4, 0),
+        ("DataLength", signed, 10, 7, 5),
+        ("IDE", mdf.UNSIGNED, 9, 1, 6),
+        ("BusChannel", signed, 9, 7, 7),
+        ("ID", mdf.UNSIGNED, 5, 29, 7),
+    ):
+        at = build.channel(f"{kind}.{name}", data_type, first_byte, bits, first_bit=first_bit, next_at=at)
+    whole = build.channel(kind, mdf.BYTES, 4, 21 * 8, parts_at=at)
+    linear = 1
+    conversion = build.put(
+        mdf.block(
+            b"CC", (0, 0, 0, 0), struct.pack("<BBHHHdddd", linear, 0, 0, 0, 2, 0.0, 0.0, offset, factor)
+        )
+    )
+    time = mdf.Channel(
+        build.text("t"), mdf.MASTER, mdf.UNSIGNED, 0, 32, 0, whole, conversion_at=conversion, is_time=True
+    )
+    rng = np.random.default_rng(1)
+    out: list[bytes] = []
+    for n in range(50):
+        is_fd, wide = n % 3 == 0, n % 2
+        length = (9, n % 9)[not is_fd] if is_fd and n % 2 else n % 9
+        fields = int(rng.integers(0, 0x2000_0000 if wide else 0x800)) << 15 | wide << 38
+        fields |= (n % 5) << 39 | (length & 0x7F) << 53
+        fields |= (length | is_fd << 4 | n % 2 << 5 | (n & 2) >> 1 << 6 | (n & 4) >> 2 << 7) << 64
+        out.append(struct.pack("<I", 1000 * n) + fields.to_bytes(9, "little") + rng.bytes(12))
+    data = build.put(mdf.data_block(b"".join(out)))
+    return build.finish(build.group(build.put(mdf.channel(time)), 50, 25), data)
+
+
+def ordinary_files() -> dict[str, bytes]:
+    halves = (
+        RECORDS[:50],
+        RECORDS[50:150],
+        RECORDS[150:151],
+        RECORDS[151:],
+    )  # records go over the borders of blocks
+    return {
+        "ours": content_of(SOME * 40),
+        "untimed": written(FrameTable.from_frames(UNTIMED))[0],
+        "plain": plain_file(RECORDS, 9),
+        "less is announced": plain_file(RECORDS, 5),
+        "wrong": plain_file(WRONG, 3),
+        "short": plain_file(RECORDS, 20),
+        "cut": plain_file(RECORDS[:-4], 9),
+        "unfinished": plain_file(RECORDS, 0, flags=COUNT_MISSING),
+        "unfinished, cut": plain_file(RECORDS[:-4], 0, flags=COUNT_MISSING),
+        "unsorted": unsorted_file(),
+        "one group with a number": many(Builder(), [[0] * 30], [8], 1),
+        "records alike": many(Builder(), [[0, 1, 1, 0, 2] * 60], [8, 8, 8], 1),
+        "records of all sizes": many(Builder(), [[0, 1, 2] * 40, [1] * 200, [2, 0, 0] * 99], [8, 9, 3], 2),
+        "long numbers": many(Builder(), [[0, 1, 1] * 9], [8, 10], 8),
+        "list": listed(halves, 9, None),
+        "packed": packed_file(RECORDS, 21, 9),
+        "list of packed": listed(halves, 9, 0),
+        "list of transposed": listed(halves, 9, 1),
+        "odd": odd_fields(1e-3, 0.25),
+        "odd nanoseconds": odd_fields(1e-9, 0.0),
+    }
+
+
+needs_asammdf = pytest.mark.skipif(
+    importlib.util.find_spec("asammdf") is None, reason="asammdf is not installed"
+)
+
+
+def files_of_python_can(tmp_path: Path) -> Iterator[bytes]:
+    """All kinds of frames, plain and packed."""
+    can = pytest.importorskip("can")
+    for level in (0, 2):
+        path = tmp_path / f"{level}.mf4"
+        with can.MF4Writer(str(path), compression_level=level) as writer:
+            for frame in SOME * 4:
+                writer(
+                    can.Message(
+                        timestamp=(frame.timestamp or 0) + 1e9,  # it moves what is before its own start
+                        arbitration_id=frame.arbitration_id,
+                        is_extended_id=frame.is_extended_id,
+                        is_remote_frame=frame.is_remote_frame,
+                        is_error_frame=frame.is_error_frame,
+                        channel=0 if frame.channel is None else int(frame.channel[-1]),
+                        dlc=frame.length,
+                        data=frame.data,
+                        is_fd=frame.is_fd,
+                        bitrate_switch=frame.bitrate_switch,
+                        error_state_indicator=frame.error_state_indicator,
+                        is_rx=frame.is_rx is not False,
+                    )
+                )
+        yield path.read_bytes()
+
+
+def files_of_asammdf(tmp_path: Path) -> Iterator[bytes]:
+    """Groups of short and of long frames, plain, packed, and transposed and packed."""
+    pytest.importorskip("can")  # before asammdf
+    from asammdf import MDF, Signal
+
+    bus: Any = MDF(version="4.11")
+    parts = [
+        ("BusChannel", "u1"),
+        ("ID", "<u4"),
+        ("IDE", "u1"),
+        ("DLC", "u1"),
+        ("DataLength", "u1"),
+        ("Dir", "u1"),
+        ("EDL", "u1"),
+        ("DataBytes", "u1", 64),
+    ]
+    for width, count in ((64, 900), (8, 4000)):
+        layout = [(f"CAN_DataFrame.{name}", *kind) for name, *kind in parts[:-1]]
+        frames = np.zeros(count, [*layout, ("CAN_DataFrame.DataBytes", "u1", (width,))])
+        numbers = np.arange(count)
+        frames["CAN_DataFrame.BusChannel"] = numbers % 3
+        frames["CAN_DataFrame.ID"] = numbers % 0x7FF
+        frames["CAN_DataFrame.DLC"] = 15 if width == 64 else 8
+        frames["CAN_DataFrame.DataLength"] = width
+        frames["CAN_DataFrame.EDL"] = width == 64
+        frames["CAN_DataFrame.DataBytes"] = numbers[:, None] % 251
+        source = importlib.import_module("asammdf.blocks.v4_blocks").SourceInformation(
+            source_type=2, bus_type=2
+        )
+        signal = Signal(frames, numbers * 0.001, name="CAN_DataFrame", source=source)
+        bus.append(signal, common_timebase=True)
+        bus.groups[-1].channel_group.flags = 2
+    for compression in (0, 1, 2):
+        saved = bus.save(tmp_path / f"asammdf {compression}.mf4", compression=compression, overwrite=True)
+        yield Path(saved).read_bytes()
+    bus.close()
+
+
+@needs_asammdf
+def test_the_same_as_with_asammdf(tmp_path: Path) -> None:
+    """Every frame, count and problem of ordinary files, whoever wrote them, is what asammdf's way gives."""
+    files = ordinary_files()
+    for level, content in enumerate(files_of_python_can(tmp_path)):
+        files[f"python-can {level}"] = content
+    for level, content in enumerate(files_of_asammdf(tmp_path)):
+        files[f"asammdf {level}"] = content
+    for (name, content), theirs in zip(files.items(), through_asammdf([*files.values()]), strict=True):
+        ours = read(content)
+        assert ours == theirs, name
+        assert (
+            len(ours[0]) == {"python-can": 4 * len(SOME), "asammdf": 4900}.get(name[:-2], len(ours[0])) > 0
+        ), name
+
+
+@needs_asammdf
+@pytest.mark.parametrize("name", ["variable", "a later version"])
+def test_what_is_not_ordinary_is_left_to_asammdf(name: str) -> None:
+    """Data of variable length, later versions: they go the other way, whole, and are read there."""
+    later = bytearray(plain_file(RECORDS, 9))
+    later[8:16], later[28:30] = b"4.30    ", struct.pack("<H", 430)
+    content = variable_file() if name == "variable" else bytes(later)
+    with pytest.raises(NeedsAsammdf):
+        read(content)
+    with open_capture(io.BytesIO(content), link="can") as capture:
+        assert sum(map(len, capture.tables())) == capture.frames == (3 if name == "variable" else 9)
+
+
+def test_asammdf_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ordinary files are opened by their content and read where asammdf is not installed, and no process is started."""
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    monkeypatch.delattr(mf4.subprocess, "Popen")
+    with open_capture(io.BytesIO(content_of(SOME)), link="can") as capture:
+        assert list(capture) == SOME
+        assert capture.channels.names == ["can0", "can1", None]
+
+
+def test_an_empty_file_of_our_own() -> None:
+    """A file that was written without a frame is a capture without frames; one that was never finished is refused."""
+    content = content_of([])
+    assert read(content)[0] == []
+    unfinished = content[:64] + mdf.header(0, 0, 0, 0) + content[64 + 104 :]
+    with pytest.raises(CaptureError, match="was never finished"):
+        read(unfinished)
+
+
+def test_bytes_as_long_as_another_field_says() -> None:
+    """Data bytes of at most so many, of which a field says how many there are, are read where they stand."""
+    content = bytearray(plain_file(RECORDS, 9))
+    name = content.index(b"CAN_DataFrame.DataBytes") - 24
+    at = content.index(b"##CN", name)
+    content[at + 24 + 64] = 5
+    assert [frame.data for frame in read(bytes(content))[0]] == [bytes([n] * n) for n in range(9)]
+
+
+@pytest.mark.parametrize("size", [24, 24 + 21, 24 + 9 * 21])
+def test_a_last_block_without_its_length(size: int) -> None:
+    """Where the writer was stopped, records go on to the end of the file, as it says; a piece of a record is left."""
+    whole = plain_file(RECORDS, 0)
+    build = Builder()
+    group = build.group(data_frames(build), 0, 21)
+    content = bytearray(
+        build.finish(group, len(build.out) + 64 + 56)
+    )  # a data group and the history come before
+    data = len(content)
+    struct.pack_into("<Q", content, content.index(b"##DG") + 24 + 16, data)
+    content += mdf.block(b"DT", (), RECORDS + RECORDS[:7])
+    struct.pack_into("<Q", content, data + 8, size)
+    content[:8] = b"UnFinMF "
+    struct.pack_into("<HH", content, 60, COUNT_MISSING | LENGTH_MISSING, 0)
+    content = content[: data + 24 + len(RECORDS) + 7]
+    assert len(read(bytes(content))[0]) == 9
+    assert read(whole)[0] == []
+
+
+@st.composite
+def fields(draw: st.DrawFn) -> tuple[Channel, int]:
+    """A field of integers somewhere in a record of 16 bytes, and a value of it."""
+    is_signed = draw(st.booleans())
+    bits = draw(st.integers(1, 64))
+    shift = draw(st.integers(0, 7)) if bits <= 57 else 0
+    size = (bits + shift + 7) // 8
+    at = draw(st.integers(0, 16 - size))
+    is_high_first = bits in (8, 16, 32, 64) and not shift and draw(st.booleans())
+    low = -(1 << (bits - 1)) if is_signed else 0
+    value = draw(st.integers(low, low + (1 << bits) - 1))
+    return Channel("x", 0, 2 * is_signed + is_high_first, shift, at, bits, False, True), value
+
+
+@given(fields(), st.integers(0, (1 << 128) - 1))
+def test_a_field_at_any_bit(drawn: tuple[Channel, int], around: int) -> None:
+    """Whatever stands around it, an integer of any bits, sign and byte order is read as it was written."""
+    channel, value = drawn
+    mask = (1 << channel.bits) - 1
+    place = 8 * channel.first_byte + channel.first_bit
+    stored = value & mask
+    if channel.data_type % 2:
+        stored = int.from_bytes(stored.to_bytes(channel.bits // 8, "big"), "little")
+    row = (around & ~(mask << place) | stored << place).to_bytes(16, "little")
+    rows = np.frombuffer(row * 3, np.uint8).reshape(3, 16)
+    assert integers(rows, number_of(channel, 16)).tolist() == [value] * 3
+
+
+@given(st.lists(st.integers(0, 3), max_size=400), st.sampled_from([1, 2, 4, 8]), st.integers(0, 40))
+def test_records_are_found_in_a_stream(numbers: list[int], width: int, cut: int) -> None:
+    """However records of several groups follow each other: all that are whole, in order."""
+    steps = {number: width + (5, 9, 5, 0)[number] for number in range(4)}
+    stream = b"".join(number.to_bytes(width, "little").ljust(steps[number], b"\xff") for number in numbers)
+    stream = stream[: max(0, len(stream) - cut)]
+    starts = [0, *itertools.accumulate(steps[number] for number in numbers)]
+    whole = [start for start, end in itertools.pairwise(starts) if end <= len(stream)]
+    finder = _mdf_data.Finder(width, {number: step - width for number, step in steps.items()})
+    found, places, at = finder.find(bytearray(stream), np.frombuffer(stream, np.uint8))
+    assert found.tolist() == whole
+    assert places.tolist() == numbers[: len(whole)]
+    assert at == max([end for end in starts if end <= len(stream)])
+
+
+def test_streams_that_mix_groups_are_sorted_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through small buffers the same frames come; more than may be written is refused."""
+    content = many(Builder(), [[0, 1, 2] * 300, [1] * 500], [8, 8, 20], 1)
+    whole = read(content)
+    for name, value in (("_PIECE", 200), ("_AHEAD", 4), ("_SINGLE", 8)):
+        monkeypatch.setattr(_mdf_data, name, value)
+    for name, value in (("_SMALL", 1), ("_ROWS", 7)):
+        monkeypatch.setattr(mdf4, name, value)
+    assert read(content) == whole
+    assert len(whole[0]) == 3 * 300 + 500
+    monkeypatch.setattr(mdf4, "_DISK", -4 * len(content))
+    with pytest.raises(CaptureError, match="sorting its mixed groups needs more room"):
+        read(content)
+
+
+# ---- files that are damaged ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (signals_file(), "it holds no bus logging, but measured signals in 1 groups"),
+        (b"MDF     3.30    ".ljust(200, b"\0"), "MDF version '3.30' has no bus logging"),
+        (b"MDF     4.10    ", "it breaks off"),
+        *((content, "damaged|no CG block") for number, content in enumerate(circles()) if number != 5),
+    ],
+)
+def test_what_is_no_bus_log_is_refused(content: bytes, says: str) -> None:
+    """Signals, old versions, circles and what is named twice: one clear sentence, and no other process."""
+    with pytest.raises(CaptureError, match=says):
+        read(content)
+
+
+def borders() -> list[bytes]:
+    """Files cut at the border of each block, and a little before and after."""
+    found: list[bytes] = []
+    for content in (content_of(SOME), unsorted_file(), listed([RECORDS[:42], RECORDS[42:], b""], 9, 1)):
+        at = content.find(b"##")
+        while at >= 0:
+            found += [content[:end] for end in (at - 3, at, at + 24, at + 30)]
+            at = content.find(b"##", at + 2)
+    return found
+
+
+@pytest.mark.parametrize("contents", [borders, damaged_files], ids=["cut", "flipped"])
+def test_damage_costs_frames_and_no_more(contents: Any) -> None:
+    """Cut at every border of a block, or with a byte changed: frames and counted losses, or a clear refusal."""
+    refused = 0
+    for content in contents():
+        if content[:4] != b"MDF ":
+            continue
+        try:
+            read(content)
+        except (CaptureError, NeedsAsammdf):
+            refused += 1
+    assert refused
+
+
+def test_damaged_records_cost_the_rest_of_their_group() -> None:
+    """A packed block that does not unpack, or is not as long as it says: what stands before is given, the rest counted."""
+    content = bytearray(listed([RECORDS[:42], RECORDS[42:84], RECORDS[84:]], 9, 0))
+    second = content.index(b"##DZ", content.index(b"##DZ") + 4)
+    for at, fault in (
+        (second + 24 + 24 + 4, "packed records are damaged"),
+        (second + 24 + 8, "should be 43 bytes"),
+    ):
+        broken = content.copy()
+        broken[at] ^= 0x55 if fault.startswith("packed") else 42 ^ 43
+        frames, lines, unreadable, _, _, problems = read(bytes(broken))
+        assert (len(frames), lines, unreadable) == (2, 3, 1)
+        assert problems[0].reason.startswith(
+            "CAN_DataFrame group 0 breaks off: 9 records are announced, 2 are there"
+        )
+        assert fault in problems[0].reason
+
+
+def test_a_record_of_no_group() -> None:
+    """Where a stream names a group that there is not, it can be followed no further, and that is counted."""
+    content = bytearray(many(Builder(), [[0, 1] * 20], [8, 9], 1))
+    at = content.index(b"##DT") + 24 + 5 * (22 + 23)
+    content[at] = 9
+    frames, _, unreadable, _, _, problems = read(bytes(content))
+    assert (len(frames), unreadable) == (10, 2)
+    assert "15 records" not in problems[0].reason
+    assert "a record of a group 9 that there is not" in problems[0].reason
+
+
+_CHILD = """
+import io, resource, sys
+import numpy as np
+from aces_bus.capture import mf4
+from aces_bus.capture._source import Source
+from aces_bus.errors import CaptureError
+
+class Left(Exception):
+    pass
+
+def left(self, folder, path):
+    raise Left
+
+mf4.Mf4Capture._through_asammdf = left
+with open("/proc/self/statm") as file:
+    room = int(file.read().split()[0]) * resource.getpagesize() + (96 << 20)
+resource.setrlimit(resource.RLIMIT_AS, (room, room))
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+rng = np.random.default_rng(int(sys.argv[1]))
+whole = [open(path, "rb").read() for path in sys.argv[2:]]
+done = 0
+for number in range(2000):
+    content = bytearray(whole[number % len(whole)])
+    for _ in range(1 + number % 3):
+        at = int(rng.integers(16, len(content)))
+        content[at] = (content[at] ^ 1 << int(rng.integers(8))) if number % 2 else int(rng.choice([0, 1, 0x7F, 0xFF]))
+    try:
+        with mf4.Mf4Capture(Source(io.BytesIO(content), "x")) as capture:
+            for table in capture.tables():
+                done += len(table)
+            assert capture.lines == capture.frames + capture.lines_unreadable + sum(capture.others.values())
+    except (CaptureError, Left):
+        pass
+print(done)
+"""
+
+
+def test_two_thousand_flips_in_little_memory(tmp_path: Path) -> None:
+    """Bits and bytes changed at random, in a process with 96 MiB: no traceback, no hang, no large allocation."""
+    pytest.importorskip("resource")
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("the system does not say how much memory a process has")
+    paths: list[str] = []
+    for number, content in enumerate((content_of(SOME), *list(ordinary_files().values())[3:])):
+        path = tmp_path / f"{number}.mf4"
+        path.write_bytes(content)
+        paths.append(str(path))
+    environment = {"PYTHONPATH": ":".join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
+    ended = subprocess.run(
+        [sys.executable, "-c", _CHILD, "1", *paths],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert int(ended.stdout) > 1000
+
+
+def test_what_a_file_claims_takes_no_memory() -> None:
+    """A trillion records announced, records of 1 MiB, blocks that unpack to terabytes: only what is there is taken."""
+    frames, lines, *_ = read(plain_file(RECORDS, 1 << 40))
+    assert (len(frames), lines) == (9, 10)
+    build = Builder()
+    group = build.group(data_frames(build), 1 << 50, 1 << 20)
+    frames, lines, *_ = read(build.finish(group, build.put(mdf.data_block(RECORDS))))
+    assert (frames, lines) == ([], 1)
+    with pytest.raises(NeedsAsammdf):
+        read(packed_file(RECORDS, 21, 1 << 40, claimed=1 << 45))
+    _, lines, unreadable, *_, problems = read(packed_file(RECORDS, 21, 1 << 40, claimed=1 << 25))
+    assert (lines, unreadable) == (1, 1)
+    assert "says of itself what cannot be" in problems[0].reason
+
+
+def test_blocks_over_each_other() -> None:
+    """Data blocks within data blocks would be records without end, and lists within lists take time without end."""
+    build = Builder()
+    inner = mdf.data_block(RECORDS)
+    outer = build.put(mdf.data_block(inner * 90))
+    lists = build.put(mdf.data_list([(outer, 0), *((outer + 24 + n * len(inner), 0) for n in range(90))]))
+    with pytest.raises(CaptureError, match="lie over each other"):
+        read(build.finish(build.group(data_frames(build), 1 << 40, 21), lists))
+    build = Builder()
+    group, count = build.group(data_frames(build), 9, 21), 3000
+    at = len(build.out)
+    for n in range(count):  # each says that it has links to the end of the file
+        following = at + 40 * (n + 1)
+        size = 40 * (count - n)
+        build.put(struct.pack("<4sIQQQQ", b"##DL", 0, size, size // 8 - 4, following, 0))
+    build.out += bytes(40)
+    with pytest.raises(NeedsAsammdf, match="over and over"):
+        read(build.finish(group, at))
