@@ -393,13 +393,17 @@ def test_a_disk_that_fills_while_writing(
     path = f"{tmp_path}/{PLACES[form]}"
     export = open_export(path, variants=[ARM])
     several = [table for number in range(50) for table in tables(state(number, number))]
+
+    def write() -> None:
+        for _ in range(40):
+            export.write(several)
+        export.close()
+
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
     try:
         with pytest.raises(CallerError) as raised:
-            for _ in range(40):
-                export.write(several)
-            export.close()
+            write()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         export.abandon()

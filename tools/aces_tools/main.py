@@ -49,7 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # python-can imports asammdf where it is installed, for a format that we read in a process of its own: a second
         # of every start. In this program it is not to be found.
         sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how import is told
-        if isinstance(sys.stdout, TextIOWrapper):  # where there is no Unicode, "?" stands for what cannot be written
+        if isinstance(
+            sys.stdout, TextIOWrapper
+        ):  # where there is no Unicode, "?" stands for what cannot be written
             sys.stdout.reconfigure(errors="replace")
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))

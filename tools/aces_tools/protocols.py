@@ -325,7 +325,16 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
         page.lines(["", *draw.picture(message), ""])
         rows = draw.table(flatten(message), draw.captured_values(message))
         cells = [
-            (r.name, r.place, r.type, r.unit, r.scale, r.offset, r.range, _joined(" ".join(r.doc.split()), r.names))
+            (
+                r.name,
+                r.place,
+                r.type,
+                r.unit,
+                r.scale,
+                r.offset,
+                r.range,
+                _joined(" ".join(r.doc.split()), r.names),
+            )
             for r in rows
         ]
         page.table(("field", "place", "type", "unit", "scale", "offset", "range", ""), cells)

@@ -108,7 +108,9 @@ def _installed(name: str) -> Protocol:
                 raise CallerError(f"{unknown}; the file of that name: -p {name}{suffix}") from None
         if os.path.isfile(name):
             kinds = " ".join((".py", *SUFFIXES))
-            raise CallerError(f"-p {name}: a file that declares a protocol has one of the suffixes {kinds}") from None
+            raise CallerError(
+                f"-p {name}: a file that declares a protocol has one of the suffixes {kinds}"
+            ) from None
         raise
     except AcesError:
         raise
