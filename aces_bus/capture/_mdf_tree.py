@@ -17,6 +17,8 @@ from typing import BinaryIO, NamedTuple
 
 _HEAD = struct.Struct("<4sIQQ")
 _HEADER_AT = 64
+#: Heads with so many links.
+_SHAPES = [struct.Struct(f"<4sIQQ{links}Q") for links in range(9)]
 _CHANNEL = struct.Struct("<BBBBIII")
 _GROUP = struct.Struct("<QQHHIII")
 _LINEAR = struct.Struct("<BBHHHdddd")
@@ -107,7 +109,6 @@ class Tree(NamedTuple):
     """A file. `start_ns` is when it begins, since 1970; `has_history` whether it was written to its end."""
 
     program: bytes
-    version: int
     unfinished: int
     start_ns: int
     has_history: bool
@@ -115,10 +116,7 @@ class Tree(NamedTuple):
 
 
 class _Block(NamedTuple):
-    name: bytes
-    at: int
-    end: int
-    links: tuple[int, ...]
+    links: list[int]
     data: bytes
 
 
@@ -161,7 +159,7 @@ class _Reader:
             for stream in streams:
                 if stream.segments and stream.segments[-1].packing is None:
                     stream.segments[-1] = self._stretched(stream.segments[-1])
-        return Tree(head[16:24], version, self._unfinished, start, bool(header.links[1]), streams)
+        return Tree(head[16:24], self._unfinished, start, bool(header.links[1]), streams)
 
     # ---- blocks
 
@@ -192,21 +190,22 @@ class _Reader:
 
     def _block(self, at: int, name: bytes, links: int, data: int, *, once: bool = True) -> _Block:
         """A block of this name, with at least so many links and bytes; of what it has more, nothing is read."""
-        found, size, count = self._head(at)
+        shape = _SHAPES[links]
+        front = self._bytes(at, shape.size)
+        found, _, size, count, *there = shape.unpack(front)
         if found != name or count < links or size < _HEAD.size + 8 * count + data:
             raise Damaged(f"at byte {at} there is no {name[2:].decode()} block, though one is named there")
+        self._ends.append(at)
         if once:
             self._once(at)
-        raw = self._bytes(at + _HEAD.size, 8 * links)
-        body = self._bytes(at + _HEAD.size + 8 * count, data)
-        return _Block(found, at, at + size, struct.unpack(f"<{links}Q", raw), body)
+        return _Block(there, self._bytes(at + _HEAD.size + 8 * count, data))
 
     def _text(self, at: int) -> str:
         if not at:
             return ""
         name, size, count = self._head(at)
         if name not in (b"##TX", b"##MD"):
-            return ""
+            raise Damaged(f"at byte {at} there is no text, though one is named there; it is damaged")
         raw = self._bytes(at + _HEAD.size + 8 * count, min(size - _HEAD.size - 8 * count, _TEXT))
         text = raw.split(b"\0", 1)[0]
         if len(text) == _TEXT:
@@ -306,9 +305,9 @@ class _Reader:
             _, _, count = self._head(at)
             if count > BLOCKS:
                 raise Unusual(f"it has more than {BLOCKS} blocks")
-            block = self._block(at, b"##DL", max(count, 1), 8)
-            said = struct.unpack_from("<I", block.data, 4)[0]
-            for link in block.links[1 : 1 + said]:
+            block = self._block(at, b"##DL", 1, 8)
+            said = min(struct.unpack_from("<I", block.data, 4)[0], count - 1)
+            for link in struct.unpack(f"<{said}Q", self._bytes(at + _HEAD.size + 8, 8 * said)):
                 self._data(link, out)
             at = block.links[0]
 

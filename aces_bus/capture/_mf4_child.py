@@ -127,7 +127,7 @@ class Reader:
         except MemoryError:
             reason = "more memory would be needed than is allowed"
         except Exception as error:
-            reason = _words(error)
+            reason = str(error) if type(error) is ValueError else _words(error)
         if reason or done < records:
             self.lines += 1
             self._lose(done + 1, broken_off(kind, index, records, done, reason))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..frame import FD_LENGTHS
-from ..frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
+from ..frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, NO_TIME, REMOTE, RX, TX, Ints
 
 #: The channels that a group of frames has one of.
 KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
@@ -151,6 +151,8 @@ def piece_of(kind: str, key: Ints, time: Ints, channel: Ints, fields: Fields) ->
     faults: list[Fault] = []
     good: Ints | None = None
     wrongs: list[Fault] = []
+    if n and int(time.min()) == NO_TIME:
+        wrongs.append((time == NO_TIME, "a time that is no instant"))
     if n and int(length.max()) > min(room, 8):
         wrongs.append((length > room, "more data bytes than the record holds"))
         is_long = length > 8
@@ -210,19 +212,19 @@ def _data(data: Ints | None, length: Ints) -> Ints:
 
 
 def instants(since: Ints, start_ns: int) -> Ints:
-    """int64 nanoseconds since 1970, of integer nanoseconds since `start_ns`. Raises `ValueError` where they do not fit."""
-    if len(since) and not (
-        int(since.min()) + start_ns > -_NO_MORE and int(since.max()) + start_ns < _NO_MORE
-    ):
-        raise ValueError("times that are no instants")
-    return since.astype(np.int64) + start_ns
+    """int64 nanoseconds since 1970, of integer nanoseconds since `start_ns`; `NO_TIME` where they do not fit."""
+    if not len(since) or (int(since.min()) + start_ns > -_NO_MORE and int(since.max()) + start_ns < _NO_MORE):
+        return since.astype(np.int64) + start_ns
+    wrong = (since <= -_NO_MORE - start_ns) | (since >= _NO_MORE - start_ns)
+    return np.where(wrong, NO_TIME, np.where(wrong, 0, since).astype(np.int64) + start_ns)
 
 
 def instants_of_seconds(since: Ints, start_ns: int) -> Ints:
-    """The same of seconds."""
-    if not np.all(np.abs(since) < 4e9):
-        raise ValueError("times that are no instants")
-    return instants(np.rint(since * 1e9).astype(np.int64), start_ns)
+    """The same of seconds; `NO_TIME` too for what is no number, and for more than a hundred years."""
+    wrong = ~(np.abs(since) < 4e9)
+    if not wrong.any():
+        return instants(np.rint(since * 1e9).astype(np.int64), start_ns)
+    return np.where(wrong, NO_TIME, instants_of_seconds(np.where(wrong, 0, since), start_ns))
 
 
 def channels_of(numbers: Ints, number_of: Callable[[str], int]) -> Ints:

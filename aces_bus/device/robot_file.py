@@ -95,10 +95,11 @@ def make_robot(
 ) -> tuple[Robot | None, list[Problem]]:
     """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
     reader = _Reader(place)
+    robot: Robot | None = None
     try:
         robot = reader.read(content)
     except _Enough:
-        robot = None
+        pass
     problems = sorted(set(reader.problems))
     if is_strict:
         problems = [msgspec.structs.replace(problem, is_warning=False) for problem in problems]
@@ -125,7 +126,10 @@ def _parsed(text: str | bytes) -> tuple[dict[str, Any], KeyLines]:
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8-sig")
-        return tomllib.loads(text), KeyLines(text)
+        lines = KeyLines(text)
+        if lines.too_long is not None:
+            raise _NotToml(lines.too_long, "not a robot: a key of very many parts")
+        return tomllib.loads(text), lines
     except UnicodeDecodeError as error:
         line = 1 + error.object[: error.start].count(b"\n")
         raise _NotToml(line, "not a TOML file: not UTF-8 text") from None
@@ -160,7 +164,7 @@ class _Reader:
             )
             raise _Enough
 
-    def read(self, content: Mapping[str, Any]) -> Robot | None:
+    def read(self, content: Mapping[str, Any]) -> Robot:
         known = [field.name for field in _fields(Robot)]
         self._unknown_keys((), content, known, "a robot")
         values: dict[str, Any] = {}
@@ -174,9 +178,7 @@ class _Reader:
                 (),
                 'a robot has buses: [buses], with lines such as upper = { link = "can", protocol = "NAME" }',
             )
-        if "name" not in values:
-            return None
-        robot = Robot(**values)
+        robot = Robot(**{"name": "", **values})
         written = {s: set(content[s]) if isinstance(content.get(s), dict) else set[str]() for s in ENTRIES}
         check(robot, written, self.complain)
         return robot

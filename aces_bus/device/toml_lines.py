@@ -1,6 +1,6 @@
 """At which line each key of a TOML file stands.
 
-1. The text is valid TOML (tomllib has read it): this scan only finds keys, it judges nothing.
+1. The text is valid TOML, or tomllib will say that it is not: this scan only finds keys, it judges nothing.
 2. Whatever the text, the scan ends: each step goes forward, and what it does not understand ends it with what it has.
 
 tomllib gives values and no places. A complaint about a value needs the place, so the keys are found once more: table
@@ -16,8 +16,10 @@ from collections.abc import Iterable
 from typing import Final
 
 KeyPath = tuple[str, ...]
-#: Tables within tables that are told apart.
+#: Tables within tables that are told apart; what lies deeper has the line of its table.
 DEEPEST: Final = 8
+#: Parts of a dotted key; tomllib needs minutes for some ten thousand.
+LONGEST: Final = 200
 
 _BLANK = re.compile(r"[ \t]*")
 _GAP = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -33,6 +35,8 @@ class KeyLines:
         self._text = text.replace("\r\n", "\n")
         self._starts = [0, *(found.end() for found in re.finditer("\n", self._text))]
         self._lines: dict[KeyPath, int] = {}
+        #: The line of the first key that has too many parts.
+        self.too_long: int | None = None
         try:
             self._scan()
         except _Puzzled:
@@ -64,18 +68,18 @@ class KeyLines:
 
     def _key(self, at: int, table: KeyPath) -> tuple[KeyPath, int]:
         """A dotted key below `table`, noted with all its prefixes."""
-        path = table
-        is_deep = False
+        path, parts = table, 0
         while True:
             at = self._match(_BLANK, at)
             found = _KEY.match(self._text, at)
             if found is None:
                 raise _Puzzled
-            if is_deep := is_deep or len(path) >= DEEPEST:
-                pass  # of what lies deeper, the line of its table is told
-            else:
+            parts += 1
+            if len(path) < DEEPEST:
                 path = (*path, _plain(found[0]))
                 self._lines.setdefault(path, bisect_right(self._starts, at))
+            elif parts == LONGEST and self.too_long is None:
+                self.too_long = bisect_right(self._starts, at)
             at = self._match(_BLANK, found.end())
             if not self._text.startswith(".", at):
                 return path, at

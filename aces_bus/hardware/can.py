@@ -190,10 +190,11 @@ class CanGate(Gate[Received]):
         self._put(batch)
         if any(item.frame.is_error_frame for item in batch):
             self._look_at_state()
-        lost = getattr(self._read, "take_dropped", None)
-        if lost is not None and (count := lost()):
-            self.counters.kernel_dropped += count
-            self._tell("dropped", f"the system dropped {count} frames before they could be read", count)
+        for source in (self._read, self._bus):  # our own readers know, and the served bus
+            lost = getattr(source, "take_dropped", None)
+            if lost is not None and (count := lost()):
+                self.counters.kernel_dropped += count
+                self._tell("dropped", f"{count} frames were dropped before they could be read", count)
         return failed
 
     def _frame(self, message: Any) -> Frame | None:

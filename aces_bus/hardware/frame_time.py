@@ -15,7 +15,7 @@ times differ from a controller's by less than a bit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from struct import unpack
 from typing import NamedTuple
 
@@ -61,20 +61,49 @@ def frame_bits(frame: Frame) -> FrameBits:
         return FrameBits(ERROR_FRAME, 0)
     if frame.is_fd:
         return _fd_bits(frame)
-    head, width = _head(frame)
-    size = len(frame.data)
-    word = head << 8 * size | int.from_bytes(frame.data, "big")
-    width += 8 * size
-    crc = _crc15()(word.to_bytes((width + 7) // 8, "big"))
-    return FrameBits(_stuffed(word << 15 | crc, width + 15) + TRAILER, 0)
+    remote = frame.is_remote_frame
+    return _classic_bits(
+        frame.arbitration_id,
+        frame.is_extended_id,
+        remote,
+        frame.dlc or 0 if remote else len(frame.data),
+        frame.data,
+    )
 
 
-def _head(frame: Frame) -> tuple[int, int]:
+@lru_cache(maxsize=1 << 14)
+def _classic_bits(identifier: int, extended: bool, remote: bool, code: int, data: bytes) -> FrameBits:
+    """Much that is sent on a bus is sent again: the last 16,384 answers are kept."""
+    state, bits, check = _classic_head(identifier, extended, remote, code)
+    size = len(data)
+    if size:
+        check = _crc15()(data, check)
+        bits += 8 * size
+        if size & 1:
+            found = _table(8)[state << 8 | data[0]]
+            state = found >> 3
+            bits += found & 7
+            data = data[1:]
+        table = _wide(8, 8)
+        for pair in unpack(_FORMATS[size >> 1], data):
+            found = table[state << 16 | pair]
+            state = found >> 3
+            bits += found & 7
+    return FrameBits(bits + (_wide(8, 7)[state << 15 | check] & 7), 0)
+
+
+@lru_cache(maxsize=1 << 12)
+def _classic_head(identifier: int, extended: bool, remote: bool, code: int) -> tuple[int, int, int]:
+    """The stuffing state behind a header, the bits of all but the data and their stuff bits, the header's CRC."""
+    head, width = _head(identifier, extended, remote, code)
+    state, count = _stuff(head, width, _START)
+    return state, width + count + 15 + TRAILER, _crc15()(head.to_bytes((width + 7) // 8, "big"))
+
+
+def _head(identifier: int, extended: bool, remote: bool, code: int) -> tuple[int, int]:
     """SOF to DLC of a classic frame as a number, and its width."""
-    remote = 1 if frame.is_remote_frame else 0
-    code = min((frame.dlc or 0) if remote else len(frame.data), 15)
-    identifier = frame.arbitration_id
-    if frame.is_extended_id:
+    code = min(code, 15)
+    if extended:
         base, rest = identifier >> 18, identifier & 0x3FFFF
         # SOF 0, base, SRR 1, IDE 1, extension, RTR, r1 r0 0, DLC
         return (base << 2 | 3) << 25 | rest << 7 | remote << 6 | code, 39
@@ -126,7 +155,7 @@ def _step(state: int, bit: int) -> tuple[int, int]:
 
 
 @cache
-def _table(width: int) -> list[int]:
+def _table(width: int) -> bytes:
     """For each state and number of up to 8 bits: the state after them × 8 + the stuff bits."""
     table = []
     for state in range(_START + 1):
@@ -136,20 +165,20 @@ def _table(width: int) -> list[int]:
                 now, more = _step(now, number >> place & 1)
                 count += more
             table.append(now << 3 | count)
-    return table
+    return bytes(table)  # small: it stays in the processor's cache
 
 
 @cache
-def _pairs() -> list[int]:
-    """The same for 16 bits, from two of 8: half as many steps on the way of every frame."""
-    table = _table(8)
-    out = []
+def _wide(first: int, second: int) -> bytes:
+    """The same for first + second bits, made of both, from all states but the one before all bits."""
+    high, low = _table(first), _table(second)
+    out: list[int] = []
     for state in range(_START):
-        for high in range(256):
-            first = table[state << 8 | high]
-            base, count = first >> 3 << 8, first & 7
-            out += [found + count for found in table[base : base + 256]]
-    return out
+        for number in range(1 << first):
+            found = high[state << first | number]
+            base, count = found >> 3 << second, found & 7
+            out += [after + count for after in low[base : base + (1 << second)]]
+    return bytes(out)
 
 
 def _stuff(word: int, width: int, state: int) -> tuple[int, int]:
@@ -166,7 +195,7 @@ def _stuff(word: int, width: int, state: int) -> tuple[int, int]:
         width -= 8
         found = _table(8)[state << 8 | word >> width]
         return _joined(found, _stuff(word & (1 << width) - 1, width, found >> 3))
-    table = _pairs()
+    table = _wide(8, 8)
     for pair in unpack(_FORMATS[width >> 4], word.to_bytes(width >> 3, "big")):
         found = table[state << 16 | pair]
         state = found >> 3
@@ -181,18 +210,14 @@ def _joined(first: int, rest: tuple[int, int]) -> tuple[int, int]:
 _FORMATS = [f">{pairs}H" for pairs in range(40)]
 
 
-def _stuffed(word: int, width: int) -> int:
-    return width + _stuff(word, width, _START)[1]
-
-
 def _ends_full(word: int, width: int) -> int:
     """1 when the last bit of the word is the fifth of a run: its stuff bit stands behind it."""
     return _stuff(word, width, _START)[1] - _stuff(word >> 1, width - 1, _START)[1]
 
 
 @cache
-def _crc15() -> Callable[[bytes], int]:
+def _crc15() -> Callable[..., int]:
     import anycrc
 
-    calc: Callable[[bytes], int] = anycrc.Model("CRC15-CAN").calc
+    calc: Callable[..., int] = anycrc.Model("CRC15-CAN").calc
     return calc

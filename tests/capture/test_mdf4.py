@@ -177,6 +177,24 @@ def odd_fields(factor: float, offset: float) -> bytes:
     return build.finish(build.group(build.put(mdf.channel(time)), 50, 25), data)
 
 
+def in_words() -> bytes:
+    """Directions as texts, and lengths as codes only."""
+    build = Builder()
+    kind, text = "CAN_DataFrame", 6
+    way = build.channel(f"{kind}.Dir", text, 22, 16)
+    data = build.channel(f"{kind}.DataBytes", mdf.BYTES, 14, 64, next_at=way)
+    code = build.channel(f"{kind}.DLC", mdf.UNSIGNED, 13, 8, next_at=data)
+    fd = build.channel(f"{kind}.EDL", mdf.UNSIGNED, 12, 8, next_at=code)
+    first = build.channel(f"{kind}.ID", mdf.UNSIGNED + 1, 8, 32, next_at=fd)  # its highest byte first
+    group = build.group(build.time(build.channel(kind, mdf.BYTES, 8, 16 * 8, parts_at=first)), 40, 24)
+    ways = (b"Rx", b"Tx", b"RX", b"rx", b"T\0")
+    records = b"".join(
+        struct.pack(">d", 0.0)[::-1] + struct.pack(">IBB8s2s", n, n % 2, n % 13, bytes(range(8)), ways[n % 5])
+        for n in range(40)
+    )
+    return build.finish(group, build.put(mdf.data_block(records)))
+
+
 def ordinary_files() -> dict[str, bytes]:
     halves = (
         RECORDS[:50],
@@ -199,6 +217,8 @@ def ordinary_files() -> dict[str, bytes]:
         "records alike": many(Builder(), [[0, 1, 1, 0, 2] * 60], [8, 8, 8], 1),
         "records of all sizes": many(Builder(), [[0, 1, 2] * 40, [1] * 200, [2, 0, 0] * 99], [8, 9, 3], 2),
         "long numbers": many(Builder(), [[0, 1, 1] * 9], [8, 10], 8),
+        "no instants": plain_file(record(float("nan"), 1, b"") + RECORDS + record(-1e300, 2, b""), 11),
+        "directions in words": in_words(),
         "list": listed(halves, 9, None),
         "packed": packed_file(RECORDS, 21, 9),
         "list of packed": listed(halves, 9, 0),
@@ -571,7 +591,28 @@ def test_blocks_over_each_other() -> None:
     for n in range(count):  # each says that it has links to the end of the file
         following = at + 40 * (n + 1)
         size = 40 * (count - n)
-        build.put(struct.pack("<4sIQQQQ", b"##DL", 0, size, size // 8 - 4, following, 0))
+        build.put(struct.pack("<4sIQQQHHI", b"##DL", 0, size, size // 8 - 4, following, 0, 0, size))
     build.out += bytes(40)
     with pytest.raises(NeedsAsammdf, match="over and over"):
         read(build.finish(group, at))
+
+
+@pytest.mark.parametrize("start", [0, 10**18, (1 << 63) - 1])
+def test_times_that_are_no_instants(start: int) -> None:
+    """A time outside of what 64 bits of nanoseconds hold costs its own record and no other; such a start, the file."""
+    content = bytearray(content_of([Frame(n, b"", n * 1.0) for n in range(4)]))
+    struct.pack_into("<Q", content, mdf.HD_AT + 24 + 48, start)
+    at = content.index(b"##DT") + 24
+    size = (struct.unpack_from("<Q", content, at - 16)[0] - 24) // 4
+    struct.pack_into("<q", content, at + size, (1 << 63) - 1)
+    frames, _, unreadable, _, _, problems = read(bytes(content))
+    if start == (1 << 63) - 1:
+        assert [frame.arbitration_id for frame in frames] == [0]
+        assert unreadable == 3
+    else:
+        assert [frame.arbitration_id for frame in frames] == ([0, 1, 2, 3] if not start else [0, 2, 3])
+        assert unreadable == bool(start)
+    assert all(problem.reason.endswith("a time that is no instant") for problem in problems)
+    struct.pack_into("<Q", content, mdf.HD_AT + 24 + 48, 1 << 63)
+    with pytest.raises(CaptureError, match="begins at no instant"):
+        read(bytes(content))

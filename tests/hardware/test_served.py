@@ -64,6 +64,20 @@ def test_the_bus_decides_who_goes_first(opened: Open) -> None:
         assert gap == pytest.approx((frame_bits(Frame(2)).total + INTERMISSION) / 1_000, abs=1e-6)
 
 
+@pytest.mark.parametrize("acknowledge", [True, False])
+def test_a_lone_sender_is_heard_where_the_bus_acknowledges(opened: Open, acknowledge: bool) -> None:
+    """With only listeners around it a frame is sent for ever; a bus with a witness of its own takes it at once."""
+    with serve(ServedChannel(bitrate=1_000_000, acknowledge=acknowledge), unix="") as server:
+        (address,) = server.addresses["can0"]
+        ear, node = opened(address, listen_only=True), opened(address)
+        node.send(message(0x42))
+        if acknowledge:
+            assert received(ear)[0].arbitration_id == 0x42
+        else:
+            until(lambda: server.status()["channels"][0]["errors"] > 3)
+            assert ear.recv(0) is None
+
+
 @pytest.mark.parametrize("physics", [True, False])
 def test_own_messages_listeners_filters(opened: Open, physics: bool) -> None:
     """Own frames come back when asked for, marked as sent; who only listens cannot send; filters apply."""

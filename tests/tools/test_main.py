@@ -58,11 +58,12 @@ def test_nothing_heavy_is_imported_for_help(arguments: list[str]) -> None:
 
 def test_an_unknown_verb_names_those_that_exist(aces: Aces) -> None:
     """A verb that does not exist is one line with the verbs, and status 2."""
-    result = aces("dcode")
-    assert result.status == 2
-    assert result.err.count("\n") == 1
-    assert "did you mean 'decode'?" in result.err
-    assert "protocols" in result.err
+    for arguments in (["dcode"], ["help", "dcode"]):
+        result = aces(*arguments)
+        assert result.status == 2
+        assert result.err.count("\n") == 1
+        assert "did you mean 'decode'?" in result.err
+        assert "protocols" in result.err
 
 
 def test_an_unknown_option_names_those_that_exist(aces: Aces) -> None:

@@ -73,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="drop, corrupt, duplicate, delay: chances from 0 to 1; delay_us: how late at most",
     )
     group.add_argument("--seed", type=int, default=0, metavar="N", help="of the faults (default: 0)")
+    group.add_argument(
+        "--no-ack", action="store_true", help="acknowledge nothing: a sender with only listeners is not heard"
+    )
     group.add_argument("--no-physics", action="store_true", help="no bit rate, no arbitration, no errors")
     group = parser.add_argument_group("load, list")
     group.add_argument("--once", action="store_true", help="load: one second, and every node; then end")
@@ -119,6 +122,7 @@ def _serve(arguments: argparse.Namespace) -> int:
             fd=getattr(arguments, "fd", False),
             faults=parse_faults(arguments.faults, arguments.seed),
             physics=not arguments.no_physics,
+            acknowledge=not arguments.no_ack,
         )
         for name in names
     ]

@@ -22,7 +22,7 @@ from .console import abandon_stdout, say
 #: Verb → its module in this package, and what it is for. The module has `add_arguments(parser)` and `run(arguments)`,
 #: and describes itself in its docstring, which `aces VERB --help` shows.
 VERBS: dict[str, tuple[str, str]] = {
-    "decode": ("decode", "decode recordings: candump logs, serial captures, standard input"),
+    "decode": ("decode", "decode recordings: candump, BLF, ASC, MF4 …, serial captures, standard input"),
     "plot": ("plot", "draw signals over time: in the terminal, PNG, SVG, PDF"),
     "convert": ("convert", "convert recordings between formats: candump, ASC, BLF, TRC, MF4, pcapng, serial"),
     "sniff": ("sniff", "listen to a bus: decoded lines, filters, recordings; it cannot send"),
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
-        if arguments[1:] and arguments[1] in VERBS:
+        if arguments[1:] and not arguments[1].startswith("-"):
             return _run([arguments[1], "--help"])
         print(_help())
         return 0

@@ -94,7 +94,8 @@ class Member:
 
 
 class ServedChannel:
-    """A bus for the members of a server. Rates in bit/s; `fd`: whether members may take CAN FD.
+    """A bus for the members of a server. Rates in bit/s; `fd`: whether members may take CAN FD. With `acknowledge` the bus
+    has a node of its own that does nothing else: a lone sender, with only listeners around it, is heard.
 
     Raises `CallerError` for rates that do not exist, a name that is no file's, or faults without physics.
     """
@@ -108,6 +109,7 @@ class ServedChannel:
         fd: bool = False,
         faults: Faults = NO_FAULTS,
         physics: bool = True,
+        acknowledge: bool = False,
     ) -> None:
         if (
             not name
@@ -120,7 +122,7 @@ class ServedChannel:
         if data_bitrate is not None and not fd:
             raise CallerError("a data bit rate is CAN FD's: say --fd too")
         Wire(VirtualClock(), bitrate=bitrate, data_bitrate=data_bitrate)  # says what is wrong with the rates
-        self.name, self.fd, self.physics = name, fd, physics
+        self.name, self.fd, self.physics, self.acknowledge = name, fd, physics, acknowledge
         self.bitrate, self.data_bitrate, self.faults = bitrate, data_bitrate, faults
         self.members: list[Member] = []
         self.frames = 0
@@ -131,6 +133,8 @@ class ServedChannel:
         self._clock, self._epoch_ns = clock, epoch_ns
         self._since = clock.now()
         self.wire = Wire(clock, bitrate=self.bitrate, data_bitrate=self.data_bitrate, faults=self.faults)
+        if self.acknowledge:
+            self.wire.attach("witness")
 
     # ------------------------------------------------------------------ members
 
