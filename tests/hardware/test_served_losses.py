@@ -176,7 +176,13 @@ def test_what_answers_is_no_server(runtime: Path) -> None:
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(path)
         listener.listen()
-        greeter = threading.Thread(target=lambda: listener.accept()[0].sendall(b"220 mail.example\r\n"))
+        greeted: list[socket.socket] = []  # kept open: else the client may meet a closed socket first
+
+        def greet() -> None:
+            greeted.append(listener.accept()[0])
+            greeted[0].sendall(b"220 mail.example\r\n")
+
+        greeter = threading.Thread(target=greet)
         greeter.start()
         with pytest.raises(can.CanInitializationError, match="kind 48"):
             can.Bus(f"unix:{path}", "aces", timeout=PATIENCE)
