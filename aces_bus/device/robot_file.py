@@ -178,7 +178,8 @@ class _Reader:
                 (),
                 'a robot has buses: [buses], with lines such as upper = { link = "can", protocol = "NAME" }',
             )
-        robot = Robot(**{"name": "", **values})
+        values.setdefault("name", "")  # said to be missing; what else is wrong is looked for all the same
+        robot = Robot(**values)
         written = {s: set(content[s]) if isinstance(content.get(s), dict) else set[str]() for s in ENTRIES}
         check(robot, written, self.complain)
         return robot

@@ -264,6 +264,15 @@ def test_three_motors_on_a_hand_are_a_drc_hubos(tables: list[Path]) -> None:
     assert (channels[0x24], channels[0x22]) == ("hand", "neck")
 
 
+def test_an_inactive_row_claims_nothing_of_its_board(tables: list[Path]) -> None:
+    """The active rows say how many motors a board has, and on which bus, wherever they stand."""
+    spare = "SPARE 2 0 1 1 100 4000 1 JMC9 0 0 3 0 0 0 0\n"
+    for text in (JOINTS + spare, JOINTS.replace("REB", spare + "REB")):
+        tables[0].write_text(text)
+        board = import_robot(tables[:1]).robot.devices["JMC9"]
+        assert (board.channels, board.bus, board.active) == (2, "upper", True)
+
+
 def test_a_table_in_rad(tables: list[Path]) -> None:
     """Offsets become counts, limits stay rad."""
     tables[2].write_text("JointName x y z d l t\nWST 0.1 -1.5 1.5 0 20 rad\n")
@@ -296,9 +305,9 @@ def test_a_home_table_alone_is_laid_over_a_robot_that_ships(tables: list[Path]) 
         (0, "NKP", "NKY", "my.joint.table:4: name: NKY is there twice: see line 3"),
         (
             0,
-            "EJMC2 0 1 3 0 0 0 0\nREB",
-            "EJMC2 0 0 3 0 0 0 0\nREB",
-            "my.joint.table:4: jmc: EJMC2 has other numMot or can",
+            "REB 1",
+            "RSY 0 0 1 1 100 4000 1 JMC9 1 0 2 0 0 0 0\nREB 1",
+            "my.joint.table:6: jmc: JMC9 has other numMot or can (2, 1) than before (2, 0)",
         ),
         (0, "10 25", "10 0", "my.joint.table:2: joints.WST.gear: expected two numbers above 0"),
         (0, "REB 1", "REB 2", "my.joint.table:5: joints.REB.channel: JMC9 has no channel 2 (it has: 0…1)"),

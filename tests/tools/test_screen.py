@@ -194,6 +194,10 @@ def test_details_follow_the_selected_row_wherever_it_goes() -> None:
         about = stage.app.query_one("#detail")
         assert "061 Encoder" in about.text
         assert "position.0" in about.text
+        await stage.press("J", "J")
+        assert stage.app.query_one("#pane").scroll_offset.y > 0
+        await stage.press("K", "K")
+        assert stage.app.query_one("#pane").scroll_offset.y == 0
         await stage.press("S")
         await stage.look()
         assert stage.app.table.selected.identifier == "061"
@@ -204,7 +208,7 @@ def test_details_follow_the_selected_row_wherever_it_goes() -> None:
         await stage.press("escape")
         assert not stage.app.has_class("detailed")
 
-    play(scene, (100, 40))
+    play(scene, (100, 24))
 
 
 def test_highlighting_can_be_switched_off() -> None:

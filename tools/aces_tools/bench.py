@@ -9,8 +9,13 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from aces_bus.errors import CallerError
+
 #: Columns of a table that goes to a file.
 WIDTH = 120
+
+#: Frames of a log, at least.
+FEWEST = 100
 
 if TYPE_CHECKING:
     from .benchmarks.timing import Row
@@ -34,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     rows: Iterable[Row]
+    if arguments.frames is not None and arguments.frames < FEWEST:
+        raise CallerError(f"--frames {arguments.frames}: at least {FEWEST} are needed to measure anything")
     if arguments.subject == "live":
         from .benchmarks import live
 

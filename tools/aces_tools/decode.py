@@ -33,7 +33,7 @@ from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 
 from .console import Output, Patience, terminal_width, wants_colour
-from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Requests, Totals, utf8
+from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Reading, Requests, Totals, utf8
 from .output import Writer
 from .where import Where
 
@@ -351,8 +351,9 @@ class LiveDecoding(Decoding):
             return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
 
         chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
+        reading = Reading(patience.each(chunks))
         try:
-            for chunk in patience.each(chunks):
+            for chunk in reading:
                 if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
                     for one in used.values():
                         self._emit(self._inside(one.idle(), totals, is_can=False), totals, is_can=False)
@@ -378,6 +379,7 @@ class LiveDecoding(Decoding):
                 self._after_batch(capture)
             for scanner in used.values():
                 self._emit(self._inside(scanner.close(), totals, is_can=False), totals, is_can=False)
+            reading.check()
         finally:
             for scanner in used.values():
                 totals.count(scanner.counts)

@@ -26,7 +26,7 @@ from aces_bus.protocol.scan.gather import kinds_of
 from aces_bus.protocol.scan.message_table import MessageTable
 
 from .console import Patience, say
-from .decoding import Decoding, Direction, Requests, Totals, utf8
+from .decoding import Decoding, Direction, Reading, Requests, Totals, utf8
 from .progress import Progress
 from .where_columns import Rows, WhereColumns
 
@@ -175,8 +175,9 @@ class ColumnDecoding(Decoding):
     def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, ColumnScanner] = {}
         requests = Requests(self.variants["serial"])
+        reading = Reading(patience.each(capture))
         try:
-            for chunk in patience.each(capture):
+            for chunk in reading:
                 direction: Direction | None = self.direction or chunk.direction
                 if direction not in used:
                     used[direction] = self._scanner(direction, "serial")
@@ -192,6 +193,7 @@ class ColumnDecoding(Decoding):
                 self.progress.step(0)
             for scanner in used.values():
                 self._take(self._inside(scanner.close(), totals), totals)
+            reading.check()
         finally:
             for scanner in used.values():
                 totals.count(scanner.counts)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import argparse
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 from aces_bus.capture import CanCapture, CanFilter, Capture, SerialCapture, open_capture, parse_filter
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
@@ -22,6 +22,7 @@ from .output.shape import plans_of
 from .protocols_arg import parse_protocols
 from .window import Window
 
+T = TypeVar("T")
 Link = Literal["can", "serial"]
 Direction = Literal["to device", "from device", "both"]
 
@@ -86,6 +87,25 @@ class Totals:
         if self.lines_unreadable:
             found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")
         return found
+
+
+class Reading(Generic[T]):
+    """The items of a capture up to where reading fails: what has come is finished before `check` raises the failure."""
+
+    def __init__(self, items: Iterable[T]) -> None:
+        self._items = items
+        self._failure: CaptureError | None = None
+
+    def __iter__(self) -> Iterator[T]:
+        try:
+            yield from self._items
+        except CaptureError as failure:
+            self._failure = failure
+
+    def check(self) -> None:
+        """Raise what has failed, if anything has."""
+        if self._failure is not None:
+            raise self._failure
 
 
 class Requests:
@@ -328,4 +348,4 @@ def utf8(name: str) -> str:
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
-__all__ = ["DIRECTIONS", "SHOWN", "Decoding", "Direction", "Link", "Totals", "utf8"]
+__all__ = ["DIRECTIONS", "SHOWN", "Decoding", "Direction", "Link", "Reading", "Totals", "utf8"]

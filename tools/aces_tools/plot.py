@@ -28,7 +28,7 @@ from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
 from aces_bus.protocol.scan.message_table import MessageTable
 
 from .console import Output, Patience, say, terminal_width, wants_colour
-from .decoding import Decoding, Direction, Totals
+from .decoding import Decoding, Direction, Reading, Totals
 from .plotting.picture import LARGEST, Limits, Names, Panel, Picture, panels_of
 from .plotting.select import Declared, Pattern, Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Clock, Collector, Series
@@ -189,8 +189,9 @@ class Plotting(Decoding):
     def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, ColumnScanner] = {}
         times: dict[Direction | None, int] = {}
+        reading = Reading(patience.each(capture))
         try:
-            for chunk in patience.each(capture):
+            for chunk in reading:
                 direction: Direction | None = self.direction or chunk.direction
                 if direction not in used:
                     self._check_direction(direction)
@@ -201,6 +202,7 @@ class Plotting(Decoding):
                 self._take(used[direction].feed(chunk.data), times[direction])
             for direction, scanner in used.items():
                 self._take(scanner.close(), times[direction])
+            reading.check()
         finally:
             for scanner in used.values():
                 totals.count(scanner.counts)

@@ -100,22 +100,21 @@ def read_joints(path: Path, content: dict[str, Any], places: Places) -> list[Pro
             ]
         ):
             continue
-        if motors.setdefault(board, (row["numMot"], row["can"])) != (row["numMot"], row["can"]):
-            text = (
-                f"{board} has other numMot or can ({row['numMot']}, {row['can']}) than before {motors[board]}"
-            )
-            table.problems.append(line.problem("jmc", text))
-        device = devices.setdefault(
-            board,
-            {
+        wired = (row["numMot"], row["can"])
+        known = devices.get(board)
+        if known is None or (row["active"] and not known["active"]):
+            # What an inactive row says of a board counts only where no active one says it.
+            motors[board] = wired
+            devices[board] = {
                 "driver": "hubo_motor",
                 "bus": _hubo.BUSES[row["can"]],
                 "credentials": {"board": _hubo.BOARDS[board]},
                 "channels": row["numMot"],
-                "active": False,
-            },
-        )
-        device["active"] |= bool(row["active"])
+                "active": bool(row["active"]),
+            }
+        elif row["active"] and motors[board] != wired:
+            text = f"{board} has other numMot or can {wired} than before {motors[board]}"
+            table.problems.append(line.problem("jmc", text))
         joint = {
             "device": board,
             "channel": row["motNo"],

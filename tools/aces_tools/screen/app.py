@@ -44,7 +44,8 @@ GROUND, BAND, PANE, CURSOR, EDGE = "#11161d", "#1a222d", "#141b24", "#243244", "
 
 HELP = """\
 [b]Keys[/b]
-  d enter  details: every field, curves, bits, layout
+  d enter  details: every field, curves, bits, layout;
+           J K or shift with the arrows scroll them
   /        filter: words that a row must have (enc can0, board=3),
            or candump's filters (060:7F0, can0,150~7FF); Esc ends it
   s S      sort: identifier, rate, name, last change; reversed
@@ -277,6 +278,8 @@ class LiveScreen(App[None]):
         Binding("c", "clear", "Clear"),
         Binding("h", "highlight", "Marks"),
         Binding("escape", "leave", "Back", show=False),
+        Binding("J,shift+down", "scroll_details(1)", "Details down", show=False),
+        Binding("K,shift+up", "scroll_details(-1)", "Details up", show=False),
     ]
 
     def __init__(
@@ -459,6 +462,10 @@ class LiveScreen(App[None]):
             self.table.select(self.table._at)
             self.call_after_refresh(lambda: self._details(self._now()))
         self._again()
+
+    def action_scroll_details(self, step: int) -> None:
+        pane = self.query_one("#pane", VerticalScroll)
+        pane.scroll_relative(y=step * max(1, pane.size.height // 2), animate=False)
 
     def action_help(self) -> None:
         self.push_screen(Help())
