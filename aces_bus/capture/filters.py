@@ -101,7 +101,8 @@ class CanFilter:
 
 
 def parse_filter(*texts: str) -> CanFilter:
-    """Filters as candump takes them, one text an interface; a frame passes when one of the texts lets it.
+    """Filters as candump takes them, one text an interface; a frame passes when one of the texts lets it. What stands in
+    front of others without a mask is an interface, also where it is a number (`0,060:7F0`), as formats with numbers have it.
 
     Raises `CallerError`, with what can be written, on anything else.
 
@@ -127,7 +128,7 @@ def _parse(text: str) -> _Set:
             error_mask = int(found[1], 16)
         elif token in ("j", "J"):
             join = True
-        elif _HEX.fullmatch(token):
+        elif _HEX.fullmatch(token) and (place > 0 or "," not in text):
             exact = f"{token}:{'DFFFFFFF' if len(token) == 8 else '7FF'}"
             raise CallerError(f"filter {text!r}: {token!r} has no mask; for this identifier alone: {exact}")
         elif place == 0 and token and not re.search(r"[:~#\s]", token):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import struct
 import zlib
 from collections.abc import Sequence
@@ -198,3 +199,134 @@ def circles() -> list[bytes]:
         struct.pack_into("<Q", block, 24, at if to_itself else 0)
         found.append(build.finish(build.group(data_frames(build), 1 << 40, 21), build.put(bytes(block))))
     return found
+
+
+def many(build: Builder, streams: Sequence[Sequence[int]], widths: Sequence[int], number_bytes: int) -> bytes:
+    """A stream of records of groups of frames, LIN and nothing, by their numbers; `widths` are of their data bytes."""
+    group = 0
+    counts = [sum(number == each for each in itertools.chain(*streams)) for number in range(len(widths))]
+    for number, width in reversed(list(enumerate(widths))):
+        first = build.time(build.channel("LIN_Frame", mdf.BYTES, 8, 8)) if width < 8 else data_frames(build)
+        group = build.group(first, counts[number], 13 + width, number=number + 1, next_at=group)
+    out: list[bytes] = []
+    for n, number in enumerate(itertools.chain(*streams)):
+        body = record(n // 4 * 0.5, n % 0x800, bytes([n % 256] * (n % 9)), number + 1)[: 13 + widths[number]]
+        out.append((number + 1).to_bytes(number_bytes, "little") + body.ljust(13 + widths[number], b"\0"))
+    return build.finish(group, build.put(mdf.data_block(b"".join(out))), number_bytes)
+
+
+def listed(pieces: Sequence[bytes], count: int, packing: int | None, size: int = 21) -> bytes:
+    """Records in a list of data blocks, plain (None), deflated (0), or transposed and deflated."""
+    build = Builder()
+    places: list[tuple[int, int]] = []
+    for piece in pieces:
+        if packing is None:
+            places.append((build.put(mdf.data_block(piece)), len(piece)))
+            continue
+        data = piece
+        if packing:
+            rows = len(piece) // size
+            table = np.frombuffer(piece, np.uint8, rows * size).reshape(rows, size)
+            data = table.T.tobytes() + piece[rows * size :]
+        packed = zlib.compress(data)
+        head = struct.pack("<2sBBIQQ", b"DT", packing, 0, size if packing else 0, len(data), len(packed))
+        places.append((build.put(mdf.block(b"DZ", (), head + packed)), len(data)))
+    first = build.put(mdf.data_list(places[2:]))
+    block = bytearray(mdf.data_list(places[:2]))
+    struct.pack_into("<Q", block, 24, first)
+    data_at = build.put(bytes(block))
+    if packing is not None:
+        data_at = build.put(mdf.block(b"HL", (data_at,), struct.pack("<HB5x", 0, packing)))
+    return build.finish(build.group(data_frames(build), count, size), data_at)
+
+
+def odd_fields(factor: float, offset: float) -> bytes:
+    """Fields at odd bits, numbers with a sign, times as 32-bit counts of something."""
+    build = Builder()
+    kind = "CAN_DataFrame"
+    signed, at = mdf.SIGNED, 0
+    for name, data_type, first_byte, bits, first_bit in (
+        ("DataBytes", mdf.BYTES, 13, 96, 0),
+        ("Dir", mdf.UNSIGNED, 12, 1, 7),
+        ("ESI", mdf.UNSIGNED, 12, 1, 6),
+        ("BRS", mdf.UNSIGNED, 12, 1, 5),
+        ("EDL", mdf.UNSIGNED, 12, 1, 4),
+        ("DLC", mdf.UNSIGNED, 12, 4, 0),
+        ("DataLength", signed, 10, 7, 5),
+        ("IDE", mdf.UNSIGNED, 9, 1, 6),
+        ("BusChannel", signed, 9, 7, 7),
+        ("ID", mdf.UNSIGNED, 5, 29, 7),
+    ):
+        at = build.channel(f"{kind}.{name}", data_type, first_byte, bits, first_bit=first_bit, next_at=at)
+    whole = build.channel(kind, mdf.BYTES, 4, 21 * 8, parts_at=at)
+    linear = 1
+    conversion = build.put(
+        mdf.block(
+            b"CC", (0, 0, 0, 0), struct.pack("<BBHHHdddd", linear, 0, 0, 0, 2, 0.0, 0.0, offset, factor)
+        )
+    )
+    time = mdf.Channel(
+        build.text("t"), mdf.MASTER, mdf.UNSIGNED, 0, 32, 0, whole, conversion_at=conversion, is_time=True
+    )
+    rng = np.random.default_rng(1)
+    out: list[bytes] = []
+    for n in range(50):
+        is_fd, wide = n % 3 == 0, n % 2
+        length = (9, n % 9)[not is_fd] if is_fd and n % 2 else n % 9
+        fields = int(rng.integers(0, 0x2000_0000 if wide else 0x800)) << 15 | wide << 38
+        fields |= (n % 5) << 39 | (length & 0x7F) << 53
+        fields |= (length | is_fd << 4 | n % 2 << 5 | (n & 2) >> 1 << 6 | (n & 4) >> 2 << 7) << 64
+        out.append(struct.pack("<I", 1000 * n) + fields.to_bytes(9, "little") + rng.bytes(12))
+    data = build.put(mdf.data_block(b"".join(out)))
+    return build.finish(build.group(build.put(mdf.channel(time)), 50, 25), data)
+
+
+def in_words() -> bytes:
+    """Directions as texts, and lengths as codes only."""
+    build = Builder()
+    kind, text = "CAN_DataFrame", 6
+    way = build.channel(f"{kind}.Dir", text, 22, 16)
+    data = build.channel(f"{kind}.DataBytes", mdf.BYTES, 14, 64, next_at=way)
+    code = build.channel(f"{kind}.DLC", mdf.UNSIGNED, 13, 8, next_at=data)
+    fd = build.channel(f"{kind}.EDL", mdf.UNSIGNED, 12, 8, next_at=code)
+    first = build.channel(f"{kind}.ID", mdf.UNSIGNED + 1, 8, 32, next_at=fd)  # its highest byte first
+    group = build.group(build.time(build.channel(kind, mdf.BYTES, 8, 16 * 8, parts_at=first)), 40, 24)
+    ways = (b"Rx", b"Tx", b"RX", b"rx", b"T\0")
+    records = b"".join(
+        struct.pack(">d", 0.0)[::-1] + struct.pack(">IBB8s2s", n, n % 2, n % 13, bytes(range(8)), ways[n % 5])
+        for n in range(40)
+    )
+    return build.finish(group, build.put(mdf.data_block(records)))
+
+
+def ordinary_files() -> dict[str, bytes]:
+    halves = (
+        RECORDS[:50],
+        RECORDS[50:150],
+        RECORDS[150:151],
+        RECORDS[151:],
+    )  # records go over the borders of blocks
+    return {
+        "ours": content_of(SOME * 40),
+        "untimed": written(FrameTable.from_frames(UNTIMED))[0],
+        "plain": plain_file(RECORDS, 9),
+        "less is announced": plain_file(RECORDS, 5),
+        "wrong": plain_file(WRONG, 3),
+        "short": plain_file(RECORDS, 20),
+        "cut": plain_file(RECORDS[:-4], 9),
+        "unfinished": plain_file(RECORDS, 0, flags=COUNT_MISSING),
+        "unfinished, cut": plain_file(RECORDS[:-4], 0, flags=COUNT_MISSING),
+        "unsorted": unsorted_file(),
+        "one group with a number": many(Builder(), [[0] * 30], [8], 1),
+        "records alike": many(Builder(), [[0, 1, 1, 0, 2] * 60], [8, 8, 8], 1),
+        "records of all sizes": many(Builder(), [[0, 1, 2] * 40, [1] * 200, [2, 0, 0] * 99], [8, 9, 3], 2),
+        "long numbers": many(Builder(), [[0, 1, 1] * 9], [8, 10], 8),
+        "no instants": plain_file(record(float("nan"), 1, b"") + RECORDS + record(-1e300, 2, b""), 11),
+        "directions in words": in_words(),
+        "list": listed(halves, 9, None),
+        "packed": packed_file(RECORDS, 21, 9),
+        "list of packed": listed(halves, 9, 0),
+        "list of transposed": listed(halves, 9, 1),
+        "odd": odd_fields(1e-3, 0.25),
+        "odd nanoseconds": odd_fields(1e-9, 0.0),
+    }

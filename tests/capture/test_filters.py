@@ -57,6 +57,14 @@ def test_each_interface_has_its_own_filters() -> None:
     assert [name for name, frame in ALL.items() if chosen.matches(frame)] == ["standard", "other"]
 
 
+def test_an_interface_may_be_a_number() -> None:
+    """BLF, ASC and TRC number their channels; with a mask behind, a number in front is one of these."""
+    chosen = parse_filter("1,123:7FF")
+    assert [chosen.matches(Frame(0x123, b"", channel=name)) for name in ("0", "1")] == [False, True]
+    with pytest.raises(CallerError, match="'124' has no mask"):
+        parse_filter("123,124")
+
+
 def test_a_python_can_message_is_filtered_alike() -> None:
     """Filters look at attributes that both kinds of frame have."""
     chosen = parse_filter("can0,123:7FF")

@@ -79,3 +79,17 @@ def test_tables_say_the_same(session: tuple[Path, Path], tmp_path: Path, aces: A
         for message, fields in EXPECTED:
             name, value = list(fields.items())[-1]
             assert value in {row[0] for row in database.execute(f"select {name} from {message}")}
+
+
+def test_a_plot_has_answers_and_times(session: tuple[Path, Path], aces: Aces) -> None:
+    """Each packet at the time of the chunk that completed it, each answer as its question says."""
+    path, spec = session
+    done = aces("plot", path, "-p", spec, "--list")
+    rows = {line.split()[0]: line.split()[1:4] for line in done.out.splitlines()[1:]}
+    assert rows["Angle.angle"] == ["1", "5", "5"]
+    assert rows["Speed.speed"] == ["1", "6", "6"]
+    late = aces("plot", path, "-p", spec, "--list", "--from", "1.05")
+    shown = {line.split(".")[0] for line in late.out.splitlines()[1:]}
+    assert shown == {"Ask", "Speed"}
+    drawn = aces("plot", path, "-p", spec, "Ask.what", "-", "Speed.speed", "Angle.angle")
+    assert drawn.out.splitlines()[-2].split()[0] == "0.2"  # zero is the first chunk: 0.1 s to 1.3 s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import random
@@ -187,6 +188,22 @@ def test_filters_of_candump_are_for_can(aces: Aces, capture: Path) -> None:
     result = aces("decode", capture, "-p", "robotis", "--direction", "from", "--filter", "060:7F0")
     assert result.status == 2
     assert "CAN" in result.err
+
+
+def test_what_came_before_damage_is_finished(aces: Aces, tmp_path: Path) -> None:
+    """Where reading fails the recording ends: records, tables and plots have the same packets, and all of them."""
+    path = tmp_path / "x.bin.gz"
+    path.write_bytes(gzip.compress(STATUS * 200 + STATUS[:3])[:-8])
+    call = (path, "-p", "robotis", "--direction", "from")
+    results = [
+        aces("decode", *call, "-q"),
+        aces("decode", *call, "-o", tmp_path / "x.npz"),
+        aces("plot", *call, "--list"),
+    ]
+    assert {(result.status, result.summary["records"], result.summary["pending"]) for result in results} == {
+        (2, 200, 3)
+    }
+    assert all("the gzip data ends too early" in result.err for result in results)
 
 
 @pytest.mark.shared

@@ -115,6 +115,14 @@ def test_an_output_without_unicode(arguments: list[str]) -> None:
     assert b"?" in done.stdout
 
 
+@pytest.mark.parametrize("frames", ["0", "-5"])
+def test_a_benchmark_needs_frames(aces: Aces, frames: str) -> None:
+    """With too few it would never end, or end in a traceback."""
+    result = aces("bench", "columns", "--frames", frames)
+    assert (result.status, result.err.count("\n")) == (2, 1)
+    assert f"--frames {frames}: at least 100" in result.err
+
+
 def test_files_behind_two_dashes(
     aces: Aces, log: Path, arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

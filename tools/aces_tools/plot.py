@@ -16,7 +16,6 @@ import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,10 +24,11 @@ from aces_bus.capture import CanCapture, SerialCapture
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, to_ns
 from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
+from aces_bus.protocol.scan.decoded import feed
 from aces_bus.protocol.scan.message_table import MessageTable
 
 from .console import Output, Patience, say, terminal_width, wants_colour
-from .decoding import Decoding, Direction, Reading, Totals
+from .decoding import Decoding, Direction, Reading, Requests, Totals
 from .plotting.picture import LARGEST, Limits, Names, Panel, Picture, panels_of
 from .plotting.select import Declared, Pattern, Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Clock, Collector, Series
@@ -188,29 +188,37 @@ class Plotting(Decoding):
 
     def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, ColumnScanner] = {}
-        times: dict[Direction | None, int] = {}
+        requests = Requests(self.variants["serial"])
         reading = Reading(patience.each(capture))
         try:
             for chunk in reading:
                 direction: Direction | None = self.direction or chunk.direction
                 if direction not in used:
-                    self._check_direction(direction)
-                    used[direction] = make_column_scanner(self.variants["serial"], direction=direction)
-                times[direction] = to_ns(chunk.time)
+                    used[direction] = self._scanner(direction)
+                if direction == "to device" and self.direction is None:
+                    if "from device" not in used:
+                        used["from device"] = self._scanner("from device")
+                    replies: Any = used["from device"]
+                    for packet, time in requests.of(chunk.data, chunk.time):
+                        self._take(replies.sent(packet, time))
+                came = to_ns(chunk.time)
+                self.clock.see(np.array([came]))
                 if self.window is not None:
-                    self.window.see(times[direction])
-                self._take(used[direction].feed(chunk.data), times[direction])
-            for direction, scanner in used.items():
-                self._take(scanner.close(), times[direction])
+                    self.window.see(came)
+                self._take(feed(used[direction], chunk.data, chunk.time))
+            for scanner in used.values():
+                self._take(scanner.close())
             reading.check()
         finally:
             for scanner in used.values():
                 totals.count(scanner.counts)
 
-    def _take(self, tables: Sequence[MessageTable], time: int | None = None) -> None:
+    def _scanner(self, direction: Direction | None) -> ColumnScanner:
+        self._check_direction(direction)
+        return make_column_scanner(self.variants["serial"], direction=direction)
+
+    def _take(self, tables: Sequence[MessageTable]) -> None:
         for table in tables:
-            if time is not None and (table.time == NO_TIME).all():  # what came in one chunk came at its time
-                table = replace(table, time=np.full(len(table), time, np.int64))
             self.collector.add(table)
 
     def _finish(self, *, is_whole: bool) -> None:
