@@ -4,7 +4,8 @@
     ├── CallerError            the call is wrong: fix the call
     │   ├── UnknownNameError   no such protocol, message, dialect, field: lists the names that exist
     │   ├── FieldError         a value does not fit its field: says field, value and range
-    │   └── CaptureError       a file cannot be used as a capture: says file and what would work
+    │   ├── CaptureError       a file cannot be used as a capture: says file and what would work
+    │   └── RobotError         a robot file is wrong: says file:line of everything that is (aces_bus.device)
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
     ├── DeviceError            a device did not do what its protocol promises
     └── BugError               aces-bus is wrong: please report it

@@ -27,8 +27,8 @@ settings.register_profile(
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "short")
 settings.load_profile(PROFILE)
 
-# A program, and files that tests read; none of them is a test or holds a doctest.
-collect_ignore = ["pristine.py", "bench/framings.py"]
+# Programs, and files that tests read; none of them is a test or holds a doctest.
+collect_ignore = ["pristine.py", "bench/framings.py", "bench/soak.py", "socketcan/run.py"]
 collect_ignore_glob = ["golden/*", "data/*"]
 
 Golden = Callable[[str, str], None]

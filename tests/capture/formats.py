@@ -219,7 +219,7 @@ ELSEWHERE = {
     "raw": "any bytes are one; nothing tells it",
     "blf": "test_blf.py: its files are packed, and damaged there from within",
     "pcap": "test_pcap.py, with every header a file may have",
-    "mf4": "a file costs a process of its own to read",
+    "mf4": "test_mdf4.py: its blocks are damaged there from within",
     "sqlite": "made and damaged with the database's own tools in its tests",
 }
 

@@ -55,8 +55,6 @@ def test_there_and_back(aces: Aces, plain: Path, tmp_path: Path, suffix: str) ->
     """A log converted to a format and back is the same log, and nothing is said to be lost on either way."""
     if suffix.split(".")[0].replace("log", "candump") not in formats():
         pytest.skip(f"no reader of {suffix}")
-    if suffix == "mf4":
-        pytest.importorskip("asammdf")
     there, back = tmp_path / f"there.{suffix}", tmp_path / "back.log"
     first = aces("convert", plain, there, "--strict")
     assert (first.status, first.messages) == (0, [])
