@@ -141,6 +141,9 @@ class _Puzzled(Exception):
 def _plain(key: str) -> str:
     """A key without its quotes."""
     if key[0] == '"':
-        (plain,) = tomllib.loads(f"{key} = 0")
+        try:
+            (plain,) = tomllib.loads(f"{key} = 0")
+        except tomllib.TOMLDecodeError:  # an escape or a character that no key may have
+            raise _Puzzled from None
         return str(plain)
     return key[1:-1] if key[0] == "'" else key

@@ -78,8 +78,13 @@ class _Wire(Decider):
                 patterns.append(message)
         self._has_patterns = bool(patterns)
         self._patterns, self._all = _Index(patterns), _Index(self.messages)
+        # Many keys have the same candidates: these are decided about once.
+        decided: dict[tuple[Message, ...], Decode] = {}
         for key, messages in by_key.items():
-            self.table[key] = self.decide([*messages, *self._patterns.of(key)], alone=True)
+            found = (*messages, *self._patterns.of(key)) if patterns else tuple(messages)
+            if found not in decided:
+                decided[found] = self.decide(found, alone=True)
+            self.table[key] = decided[found]
 
     def candidates(self, key: int) -> list[Message]:
         """The messages whose identifier and flags fit, in order."""
