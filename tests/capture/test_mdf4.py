@@ -197,7 +197,7 @@ def test_what_is_not_ordinary_is_left_to_asammdf(name: str) -> None:
 def test_asammdf_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ordinary files are opened by their content and read where asammdf is not installed, and no process is started."""
     monkeypatch.setitem(sys.modules, "asammdf", None)
-    monkeypatch.delattr(mf4.subprocess, "Popen")
+    monkeypatch.delattr("subprocess.Popen")
     with open_capture(io.BytesIO(content_of(SOME)), link="can") as capture:
         assert list(capture) == SOME
         assert capture.channels.names == ["can0", "can1", None]

@@ -188,8 +188,8 @@ def test_a_canopen_master_and_node() -> None:
     master, slave = canopen.Network(), canopen.Network()
     master.connect(interface="aces", channel="canopen", bitrate=1_000_000)
     slave.connect(interface="aces", channel="canopen", bitrate=1_000_000)
+    local = slave.create_node(5, objects)
     try:
-        local = slave.create_node(5, objects)
         remote = master.add_node(5, objects)
         remote.sdo.RESPONSE_TIMEOUT = 5
         remote.sdo["Gain"].raw = 1234

@@ -116,7 +116,7 @@ def _after(steps: Sequence[p.Step], low: int, high: int, raw: bool) -> Any:
             high = (1 << step.width - 1) - 1
             low = -high
         elif isinstance(step, p.Scale) and not raw:
-            if (isinstance(step.scale, float) and step.scale != 1) or (
+            if (isinstance(step.scale, float) and step.scale != 1.0) or (
                 isinstance(step.offset, float) and step.offset
             ):
                 return np.dtype(np.float64)

@@ -77,7 +77,7 @@ class ByteColumn(Column):
         put(self, "_where", (rows, sizes, start, size, tail))
 
     @cached_property
-    def values(self) -> Array:
+    def values(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]  # computed when asked for
         """Bytes objects."""
         where: tuple[Array, Array, int, int | None, int] = self.__dict__["_where"]
         return cells_of(*where)

@@ -428,7 +428,7 @@ def _scaled(value: Array, step: p.Scale, dtype: Any) -> Array:
     if scale == 1 and not offset:
         return value
     if value.dtype.kind in "iu":
-        is_float = isinstance(scale, float) and scale != 1
+        is_float = isinstance(scale, float) and scale != 1.0
         if not is_float and (dtype is None or value.dtype.itemsize == 8 or abs(scale) > 1 << 20):
             return _exact(value, scale, offset)
         if not is_float and not isinstance(offset, float):

@@ -42,7 +42,8 @@ def fastest(contenders: Mapping[str, Callable[[], object]], *, rounds: int) -> d
 
 def optional(module: str) -> Any:
     """A peer library, or None when it is not installed."""
-    if sys.modules.get(module, module) is None:
+    known: Any = sys.modules.get(module, module)
+    if known is None:
         del sys.modules[module]  # hidden at the start, as nobody else wants it
     try:
         return importlib.import_module(module)
