@@ -250,7 +250,7 @@ class Wire:
         """Somebody has something to send."""
         if not self._is_busy and not self._is_woken:
             self._is_woken = True
-            self.clock.call_at(self._idle_from, self._arbitrate)  # or now, if that has passed
+            self.clock.post(self._idle_from, self._arbitrate)  # or now, if that has passed
 
     def _arbitrate(self) -> None:
         """The bus is idle: the lowest arbitration field goes first."""
@@ -283,7 +283,8 @@ class Wire:
         for node in senders:
             node._sending = heappop(node._waiting)
         bits = frame_bits(frame)
-        if len(senders) > 1 and any(node._sending and node._sending[2] != frame for node in senders):
+        is_alone = len(senders) == 1
+        if not is_alone and any(node._sending and node._sending[2] != frame for node in senders):
             self._destroy(senders, frame, bits, "bit error", min(bits.total - 1, 20))
             return
         listeners = [
@@ -291,7 +292,7 @@ class Wire:
             for node in self.nodes
             if not node.listen_only and node.is_connected and node.state != "bus-off" and node not in senders
         ]
-        if not listeners and len(senders) == 1:
+        if not listeners and is_alone:
             self._destroy(senders, frame, bits, "no acknowledge", bits.total - 8)
             return
         if frame.is_fd and not all(node.fd for node in listeners):
@@ -303,7 +304,7 @@ class Wire:
             self._destroy(senders, frame, bits, "bit error", place)
             return
         duration = self._duration(bits)
-        self.clock.call_at(now + duration, partial(self._deliver, senders, frame, duration))
+        self.clock.post(now + duration, partial(self._deliver, senders, frame, duration))
 
     def _duration(self, bits: FrameBits) -> int:
         if not bits.data and self._is_whole:

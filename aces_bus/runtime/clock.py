@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 from ..errors import CallerError
 
@@ -85,7 +85,7 @@ class VirtualClock:
 
     def __init__(self, start: int = 0) -> None:
         self._now = start
-        self._events: list[tuple[int, int, Timer]] = []
+        self._events: list[tuple[int, int, Any]] = []  # a Timer, or an action itself
         self._count = 0
 
     def now(self) -> int:
@@ -101,6 +101,13 @@ class VirtualClock:
         heapq.heappush(self._events, (instant, self._count, timer))
         return timer
 
+    def post(self, instant: int, action: Callable[[], None]) -> None:
+        """Plan what nobody will take back: `call_at` without its `Timer`, which is what most events cost."""
+        if instant < self._now:
+            instant = self._now
+        self._count += 1
+        heapq.heappush(self._events, (instant, self._count, action))
+
     def call_in(self, delay: int, action: Callable[[], None]) -> Timer:
         """Plan `action` for `delay` ns from now."""
         return self.call_at(self._now + delay, action)
@@ -109,7 +116,7 @@ class VirtualClock:
     def next_event(self) -> int | None:
         """When the next event is to happen; None when nothing is planned."""
         events = self._events
-        while events and events[0][2].action is None:
+        while events and isinstance(events[0][2], Timer) and events[0][2].action is None:
             heapq.heappop(events)
         return events[0][0] if events else None
 
@@ -117,15 +124,20 @@ class VirtualClock:
         """Let the next event happen; False when nothing is planned (up to the instant `until`, ns)."""
         events = self._events
         while events:
-            instant, _, timer = events[0]
-            action = timer.action
-            if action is None:
-                heapq.heappop(events)
-                continue
-            if until is not None and instant > until:
-                return False
+            instant, _, planned = events[0]
+            if planned.__class__ is Timer:
+                action = planned.action
+                if action is None:
+                    heapq.heappop(events)
+                    continue
+                if until is not None and instant > until:
+                    return False
+                planned.action = None
+            else:
+                if until is not None and instant > until:
+                    return False
+                action = planned
             heapq.heappop(events)
-            timer.action = None
             self._now = instant
             action()
             return True
