@@ -362,35 +362,27 @@ def to_frame(message: Message) -> Frame:
 
 def to_message(frame: Frame, seconds: float, channel: str) -> Message:
     """A frame as a message of its own."""
-    message = Message.__new__(Message)
-    message.timestamp = seconds
-    message.arbitration_id = frame.arbitration_id
-    message.is_extended_id = frame.is_extended_id
-    message.is_remote_frame = frame.is_remote_frame
-    message.is_error_frame = frame.is_error_frame
-    message.channel = channel
-    message.dlc = frame.length
-    message.data = bytearray(frame.data)
-    message.is_fd = frame.is_fd
-    message.is_rx = True
-    message.bitrate_switch = frame.bitrate_switch
-    message.error_state_indicator = frame.error_state_indicator
-    return message
+    return _message(frame, frame.length, seconds, channel)
 
 
 def copied(message: Message, seconds: float, channel: str) -> Message:
-    """A copy of a message with another time; a constructor without its checks."""
-    copy = Message.__new__(Message)
-    copy.timestamp = seconds
-    copy.arbitration_id = message.arbitration_id
-    copy.is_extended_id = message.is_extended_id
-    copy.is_remote_frame = message.is_remote_frame
-    copy.is_error_frame = message.is_error_frame
-    copy.channel = channel
-    copy.dlc = message.dlc
-    copy.data = bytearray(message.data)
-    copy.is_fd = message.is_fd
-    copy.is_rx = True
-    copy.bitrate_switch = message.bitrate_switch
-    copy.error_state_indicator = message.error_state_indicator
-    return copy
+    """A copy of a message with another time."""
+    return _message(message, message.dlc, seconds, channel)
+
+
+def _message(word: Frame | Message, dlc: int, seconds: float, channel: str) -> Message:
+    """A message with what a frame or another message carries: a constructor without its checks."""
+    made = Message.__new__(Message)
+    made.timestamp = seconds
+    made.arbitration_id = word.arbitration_id
+    made.is_extended_id = word.is_extended_id
+    made.is_remote_frame = word.is_remote_frame
+    made.is_error_frame = word.is_error_frame
+    made.channel = channel
+    made.dlc = dlc
+    made.data = bytearray(word.data)
+    made.is_fd = word.is_fd
+    made.is_rx = True
+    made.bitrate_switch = word.bitrate_switch
+    made.error_state_indicator = word.error_state_indicator
+    return made

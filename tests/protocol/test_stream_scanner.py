@@ -7,6 +7,7 @@ from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import (
+    Counter,
     Crc,
     Frame,
     InvertedSum,
@@ -16,6 +17,7 @@ from aces_bus.protocol import (
     Unknown,
     make_scanner,
 )
+from aces_bus.protocol.scan.columns import make_column_scanner
 
 
 def servo(gap: float | None = 0.1) -> Protocol:
@@ -180,3 +182,18 @@ def test_a_datagram_is_not_continued_by_the_next() -> None:
     assert names(scanner.datagram(STATUS + STATUS)) == ["Status", "Status"]
     assert scanner.counts.pending == 0
     assert scanner.counts.balance == 0
+
+
+def test_rolling_counters_of_a_stream_say_what_is_missing() -> None:
+    """As on CAN: live and in columns, whatever the chunks."""
+    ticks = Protocol("ticks", link="serial")
+    packet = ticks.framing(sync=b"\xaa", size=4, check=InvertedSum())
+    packet("Tick", payload=Struct("count" / Counter(Byte), "value" / Byte))
+    data = b"".join(ticks.encode("Tick", count=count, value=1) for count in (250, 251, 254, 0, 1, 1))
+    scanner = ticks.scanner()
+    for at in range(0, len(data), 5):
+        scanner.feed(data[at : at + 5])
+    columns = make_column_scanner([ticks.variant()])
+    columns.feed(data)
+    columns.close()
+    assert scanner.counts.missed == columns.counts.missed == 2 + 1 + 255

@@ -48,12 +48,13 @@ class Decider:
         self.missed = 0
         #: The key of the last packet that needs a request to be told, and why; asked by `need_of`.
         self._need: tuple[int, str] = (-1, "")
-        self._counters: list[dict[Any, int]] = []
+        #: By message: the last value of each rolling counter of each device, whichever function decodes it.
+        self._counters: dict[str, dict[Any, int]] = {}
 
     def reset(self) -> None:
         """Forget requests and rolling counters."""
         self.context.reset()
-        for last in self._counters:
+        for last in self._counters.values():
             last.clear()
         self.missed, self._need = 0, (-1, "")
 
@@ -176,8 +177,7 @@ def _values(record: Any) -> dict[str, Any]:
 
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
     """Watches a message's rolling counters and counts what they say was missed."""
-    last: dict[Any, int] = {}
-    decider._counters.append(last)
+    last = decider._counters.setdefault(message.name, {})
     raw = decider.raw_decoders[message.name]
     captures = [c.name for c in message.identifier.captures]
 

@@ -99,7 +99,7 @@ class StreamScanner:
 
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""
-        self.counts = Counts()
+        self._counts = Counts()
         self._buffer = b""
         self._base = 0
         self._time: float | None = None
@@ -134,6 +134,12 @@ class StreamScanner:
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
 
+    @property
+    def counts(self) -> Counts:
+        """Where every byte went so far."""
+        self._counts.missed = sum(decider.missed for decider in self._deciders)
+        return self._counts
+
     # ------------------------------------------------------------------ feeding
 
     def feed(self, data: bytes, time: float | None = None) -> list[Any]:
@@ -141,7 +147,7 @@ class StreamScanner:
 
         `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
         """
-        self.counts.total += len(data)
+        self._counts.total += len(data)
         return self._advance(bytes(data), time if time is not None else self._time, silent=False)
 
     def idle(self, time: float | None = None) -> list[Any]:
@@ -171,7 +177,7 @@ class StreamScanner:
         deciders = self._deciders
 
         lost = 0
-        reasons = self.counts.reasons
+        reasons = self._counts.reasons
 
         def keep(offset: int, size: int, reason: str) -> None:
             nonlocal lost
@@ -200,15 +206,15 @@ class StreamScanner:
             )
         self._base += reached
         self._buffer = buffer[reached:]
-        self.counts.decoded += reached - lost
-        self.counts.records += len(found)
+        self._counts.decoded += reached - lost
+        self._counts.records += len(found)
         if closing:
             self._leave_pending(found, buffer, base)
-        self.counts.pending = len(self._buffer) + self._cut_off
+        self._counts.pending = len(self._buffer) + self._cut_off
         if closing and not self.everything:
             for _, size, reason, _ in losses:
                 if reason != "pending":
-                    self.counts.lose(size, reason)
+                    self._counts.lose(size, reason)
             losses.clear()
             return found
         if losses or self._run is not None:
@@ -302,7 +308,7 @@ class StreamScanner:
     def _lost(self, loss: tuple[int, int, str, bytes], out: list[Any]) -> None:
         offset, size, reason, data = loss
         if reason != "pending":
-            self.counts.lose(size, reason)
+            self._counts.lose(size, reason)
         whole = not reason.startswith(("skipped", "malformed"))
         if self._run is not None and (whole or self._run[1] != reason):
             self._end_run(out)
@@ -352,7 +358,7 @@ class StreamScanner:
     @property
     def check_work(self) -> int:
         """How many bytes checks have read so far."""
-        return self.counts.decoded + self.counts.unknown + self._state.work + sum(s.work for s in self._sums)
+        return self._counts.decoded + self._counts.unknown + self._state.work + sum(s.work for s in self._sums)
 
 
 def has_size(framing: Framing) -> bool:
