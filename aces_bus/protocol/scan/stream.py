@@ -358,7 +358,9 @@ class StreamScanner:
     @property
     def check_work(self) -> int:
         """How many bytes checks have read so far."""
-        return self._counts.decoded + self._counts.unknown + self._state.work + sum(s.work for s in self._sums)
+        return (
+            self._counts.decoded + self._counts.unknown + self._state.work + sum(s.work for s in self._sums)
+        )
 
 
 def has_size(framing: Framing) -> bool:
