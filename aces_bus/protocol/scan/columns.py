@@ -155,21 +155,18 @@ class RecordColumns:
         tables = []
         for kind, indices in by_kind.items():
             some = [items[index] for index in indices]
-            if kind is Unknown:
-                if self.everything:
-                    numbers = (
-                        rows[indices]
-                        if rows is not None
-                        else np.fromiter((item.meta.offset or 0 for item in some), np.int64, len(some))
-                    )
-                    tables.append(lost_table(some, numbers, self.channels, is_stream=rows is None))
+            is_lost = kind is Unknown
+            if is_lost and not self.everything:
                 continue
-            numbers = (
-                rows[indices]
-                if rows is not None
-                else np.fromiter((item._key for item in some), np.int64, len(some))
-            )
-            tables.append(self._gatherers[kind].table(some, numbers, self.channels))
+            if rows is not None:
+                numbers: Array = rows[indices]
+            else:
+                offsets = (item.meta.offset or 0 if is_lost else item._key for item in some)
+                numbers = np.fromiter(offsets, np.int64, len(some))
+            if is_lost:
+                tables.append(lost_table(some, numbers, self.channels, is_stream=rows is None))
+            else:
+                tables.append(self._gatherers[kind].table(some, numbers, self.channels))
         return tables
 
 

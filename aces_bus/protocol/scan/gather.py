@@ -199,7 +199,12 @@ def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
         for step in way:
             if value is None:
                 return None
-            value = value[step] if isinstance(step, int) else getattr(value, step)
+            if isinstance(step, int):
+                value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
+            elif isinstance(value, Mapping):
+                value = value.get(step)
+            else:
+                value = getattr(value, step, None)
         return value
 
     return get

@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any
 
 import msgspec
@@ -16,6 +15,8 @@ from aces_bus.protocol import FlagSet, Record, Variant
 from aces_bus.protocol.codegen import plan as p
 from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.codegen.load import records_of
+from aces_bus.protocol.scan.gather import getter as getter
+from aces_bus.protocol.scan.gather import leaves_of
 
 Convert = Callable[[Any], Any]
 
@@ -90,46 +91,7 @@ class Leaf:
 
 def leaves(plan: p.MessagePlan) -> list[Leaf]:
     """The values of a record, tuples and nested records taken apart; what has no fixed shape is one value."""
-    return list(_leaves(plan.fields, "", ()))
-
-
-def _leaves(
-    fields: Sequence[p.PlanField], prefix: str, way: tuple[str | int, ...], conditional: bool = False
-) -> Iterator[Leaf]:
-    for field in fields:
-        yield from _of_node(
-            field.node, prefix + field.name, (*way, field.name), conditional or field.when is not None
-        )
-
-
-def _of_node(node: p.Node, path: str, way: tuple[str | int, ...], conditional: bool) -> Iterator[Leaf]:
-    if isinstance(node, p.Many):
-        for index, item in enumerate(node.items):
-            yield from _of_node(item, f"{path}.{index}", (*way, index), conditional)
-    elif isinstance(node, p.Group):
-        yield from _leaves(node.fields, f"{path}.", way, conditional)
-    else:
-        yield Leaf(path, node, getter(way), conditional)
-
-
-def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
-    """Reads what stands at the end of `way` in a record; None where a part of the way is not there."""
-    if len(way) == 1 and isinstance(way[0], str):
-        return attrgetter(way[0])
-
-    def get(value: Any) -> Any:
-        for step in way:
-            if value is None:
-                return None
-            if isinstance(step, int):
-                value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
-            elif isinstance(value, Mapping):
-                value = value.get(step)
-            else:
-                value = getattr(value, step, None)
-        return value
-
-    return get
+    return [Leaf(path, node, getter(way), bool(whens)) for path, _, node, way, whens in leaves_of(plan)]
 
 
 def unit_of(node: p.Node) -> str:
