@@ -155,18 +155,18 @@ class RecordColumns:
         tables = []
         for kind, indices in by_kind.items():
             some = [items[index] for index in indices]
-            is_lost = kind is Unknown
-            if is_lost and not self.everything:
+            gatherer = self._gatherers.get(kind)  # None: what is no record
+            if gatherer is None and not self.everything:
                 continue
             if rows is not None:
                 numbers: Array = rows[indices]
             else:
-                offsets = (item.meta.offset or 0 if is_lost else item._key for item in some)
+                offsets = (item.meta.offset or 0 if gatherer is None else item._key for item in some)
                 numbers = np.fromiter(offsets, np.int64, len(some))
-            if is_lost:
+            if gatherer is None:
                 tables.append(lost_table(some, numbers, self.channels, is_stream=rows is None))
             else:
-                tables.append(self._gatherers[kind].table(some, numbers, self.channels))
+                tables.append(gatherer.table(some, numbers, self.channels))
         return tables
 
 
