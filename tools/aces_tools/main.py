@@ -20,7 +20,7 @@ from aces_bus.errors import AcesError, UnknownNameError
 from .console import abandon_stdout, say
 
 #: Verb → its module in this package, and what it is for. The module has `add_arguments(parser)` and `run(arguments)`,
-#: and describes itself in its docstring, which `aces VERB --help` shows.
+#: and describes itself in its docstring, which `aces VERB --help` shows; or a table ACTIONS of the same form, one deeper.
 VERBS: dict[str, tuple[str, str]] = {
     "decode": ("decode", "decode recordings: candump, BLF, ASC, MF4 …, serial captures, standard input"),
     "plot": ("plot", "draw signals over time: in the terminal, PNG, SVG, PDF"),
@@ -31,7 +31,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "bus": ("bus", "serve a virtual bus to other programs; list buses; measure a bus's load"),
     "robot": ("robot", "robots as files: check, show, list; import from HuboCan and hubo-ach"),
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
-    "spec": ("spec", "tools for the authors of protocols: stubs for editors"),
+    "spec": ("spec", "for the authors of protocols: new, check, show, explain, export, import, stubs"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
 }
 
@@ -85,6 +85,15 @@ def _run(arguments: list[str]) -> int:
     if verb not in VERBS:
         raise UnknownNameError("verb", verb, VERBS)
     module = import_module(f"{__package__}.{VERBS[verb][0]}")
+    actions: dict[str, tuple[str, str]] | None = getattr(module, "ACTIONS", None)
+    if actions is not None:
+        if len(arguments) < 2 or arguments[1] in ("-h", "--help"):
+            print(_help_of_actions(verb, str(module.__doc__), actions))
+            return 0 if len(arguments) > 1 else 2
+        if arguments[1] not in actions:
+            raise UnknownNameError(f"action of 'aces {verb}'", arguments[1], actions)
+        module = import_module(f"{__package__}.{actions[arguments[1]][0]}")
+        verb, arguments = f"{verb} {arguments[1]}", arguments[1:]
     parser = Parser(
         prog=f"aces {verb}",
         description=module.__doc__,
@@ -101,6 +110,12 @@ def _plain(arguments: list[str]) -> list[str]:
         return arguments
     end = arguments.index("--")
     return arguments[:end] + [f"./{a}" if a[:1] == "-" and a != "-" else a for a in arguments[end + 1 :]]
+
+
+def _help_of_actions(verb: str, doc: str, actions: dict[str, tuple[str, str]]) -> str:
+    width = max(map(len, actions))
+    lines = "\n".join(f"  {action:<{width}}  {text}" for action, (_, text) in actions.items())
+    return f"{doc.strip()}\n\nusage: aces {verb} ACTION …\n\n{lines}\n\n'aces {verb} ACTION --help' says more."
 
 
 def _help() -> str:

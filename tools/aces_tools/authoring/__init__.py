@@ -1,0 +1,1 @@
+"""The actions of `aces spec`, one a file; see `aces_tools.spec`."""

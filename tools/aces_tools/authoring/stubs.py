@@ -1,0 +1,128 @@
+"""What editors and type checkers are told of a protocol's records.
+
+  aces spec stubs robotis           print the stub: what editors and type
+                                    checkers are told of the records
+  aces spec stubs robotis -o        write records.pyi beside the spec, and
+                                    records.py, the module that goes with it
+  aces spec stubs my_spec.py -o     the same: my_spec_records.pyi and .py
+  aces spec stubs robotis --check   exit 1, with the difference, when they are
+                                    not what -o would write
+
+With both files there, `from aces_protocols.robotis.records import Status` is
+the type of these records in every dialect and configuration, for isinstance
+and match (`case Status(error=error):`). Check both files in.
+
+A Python file is executed with your rights: name only what you trust.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import sys
+from pathlib import Path
+
+from aces_bus.errors import CallerError
+from aces_bus.protocol import Protocol, list_protocols
+from aces_bus.protocol.codegen.print_stub import print_module, print_stub
+
+from ..console import say
+from ..protocols_arg import load_file, named
+
+BESIDE = "beside the spec"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("protocol", metavar="NAME|FILE", help="an installed one, or a Python file with one")
+    parser.add_argument(
+        "-o",
+        "--output",
+        nargs="?",
+        const=BESIDE,
+        metavar="FILE.pyi",
+        help=f"write there (without FILE: {BESIDE})",
+    )
+    parser.add_argument("--check", action="store_true", help="only compare with the files that are there")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    home = _home(arguments.protocol)
+    given: str | None = arguments.output
+    if given is None and not arguments.check:
+        sys.stdout.write(home.stub())
+        return 0
+    path = home.beside if given in (None, BESIDE) else Path(str(given))
+    if path.suffix != ".pyi":
+        raise CallerError(f"-o {path}: a stub's name ends in .pyi")
+    texts = {path: home.stub(), path.with_suffix(".py"): home.module(path)}
+    command = f"aces spec stubs {arguments.protocol} -o" + ("" if given in (None, BESIDE) else f" {given}")
+    if arguments.check:
+        return _check(texts, command)
+    for file, text in texts.items():
+        try:
+            file.write_text(text, encoding="utf-8", newline="\n")
+        except OSError as error:
+            raise CallerError(f"{file}: cannot be written: {error.strerror or error}") from error
+        say(f"wrote {file}")
+    return 0
+
+
+def _check(texts: dict[Path, str], command: str) -> int:
+    status = 0
+    for file, text in texts.items():
+        try:
+            stored = file.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            stored = ""
+        except (OSError, UnicodeDecodeError) as error:
+            raise CallerError(f"{file}: cannot be read: {error}") from error
+        if stored != text:
+            status = 1
+            lines = difflib.unified_diff(
+                stored.splitlines(), text.splitlines(), str(file), "from the spec", lineterm=""
+            )
+            for line in lines:
+                print(line)
+    if status:
+        say(f"stale; to write them anew: {command}")
+    return status
+
+
+class _Home:
+    """Where a protocol comes from: the file of its spec, the module and the variable that name it."""
+
+    def __init__(self, protocol: Protocol, file: Path, module: str, variable: str) -> None:
+        self.protocol, self.file, self.imported, self.variable = protocol, file, module, variable
+
+    @property
+    def beside(self) -> Path:
+        stem = "records" if self.file.stem == "spec" else f"{self.file.stem}_records"
+        return self.file.with_name(f"{stem}.pyi")
+
+    def stub(self) -> str:
+        return print_stub(self.protocol, self.variable)
+
+    def module(self, path: Path) -> str:
+        """The module at `path`: it imports the spec from beside itself, else by its full name."""
+        is_beside = path.resolve().parent == self.file.parent
+        in_package = (self.file.parent / "__init__.py").exists()
+        imported = f".{self.file.stem}" if is_beside and in_package else self.imported
+        return print_module(self.protocol, imported, self.variable)
+
+
+def _home(text: str) -> _Home:
+    name = named(text)
+    if name.dialect is not None or name.configuration is not None:
+        raise CallerError(f"{text}: stubs are of all dialects and configurations; leave them out")
+    protocol = name.protocol
+    points = list_protocols()
+    if text in points:
+        module_name, _, variable = points[text].value.partition(":")
+        module = sys.modules[module_name]
+    else:
+        module = load_file(text[: text.lower().rindex(".py") + 3])
+        module_name = module.__name__
+        variable = next(key for key, value in vars(module).items() if value is protocol)
+        if module_name.startswith("aces_spec_"):
+            module_name = Path(str(module.__file__)).stem
+    return _Home(protocol, Path(str(module.__file__)).resolve(), module_name, variable)
