@@ -8,6 +8,7 @@
     │   └── RobotError         a robot file is wrong: says file:line of everything that is (aces_bus.device)
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
     ├── DeviceError            a device did not do what its protocol promises
+    │   └── NoReplyError       it did not answer in time
     └── BugError               aces-bus is wrong: please report it
 
 1. A message says who, where and what next.
@@ -54,6 +55,10 @@ class SpecError(AcesError):
 
 class DeviceError(AcesError):
     """A device did not do what its protocol promises."""
+
+
+class NoReplyError(DeviceError):
+    """A device that did not answer in time."""
 
 
 class BugError(AcesError):

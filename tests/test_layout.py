@@ -39,7 +39,8 @@ FLOORS: dict[str, set[str]] = {
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},
     "controller": {"runtime", "device", "state", "capture"},  # touches no frame and no byte
-    "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller"},
+    "assembly": {"runtime", "protocol", "hardware", "device"},  # floors put together
+    "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
 }
 EVERYONE = {"errors", "frame", "frame_table"}
 

@@ -69,13 +69,14 @@ class Bus(msgspec.Struct, frozen=True, kw_only=True):
     dialect: Name | None = None
     bitrate: Positive | None = None  # bit/s, CAN
     baud: Positive | None = None  # serial
+    half_duplex: Flag | None = None  # serial; None: as its protocol is
     interface: Text | None = None
     channel: Text | None = None
     doc: Text | None = None
     source: Text | None = None
 
 
-class Device(msgspec.Struct, frozen=True, kw_only=True):
+class DeviceConfig(msgspec.Struct, frozen=True, kw_only=True):
     """One node: a board, a servo. `credentials` are fields of the protocol's messages with this node's values.
 
     `kind` is its entry in the protocol's configuration tables, where that is not the number of its channels.
@@ -207,7 +208,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     source: Text | None = None
     rate_hz: Annotated[float, Meta(gt=0, description="a number above 0 (Hz)")] | None = None
     buses: Mapping[str, Bus]
-    devices: Mapping[str, Device]
+    devices: Mapping[str, DeviceConfig]
     joints: Mapping[str, Joint]
     sensors: Mapping[str, Sensor]
 
@@ -226,11 +227,11 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         """The sensors of a device."""
         return tuple(sensor for sensor in self.sensors.values() if sensor.device == device)
 
-    def devices_on(self, bus: str) -> tuple[Device, ...]:
+    def devices_on(self, bus: str) -> tuple[DeviceConfig, ...]:
         """The devices of a bus."""
         return tuple(device for device in self.devices.values() if device.bus == bus)
 
-    def protocol_of(self, device: Device) -> tuple[str, str | None]:
+    def protocol_of(self, device: DeviceConfig) -> tuple[str, str | None]:
         """Protocol and dialect (None: the protocol's default) that a device speaks."""
         bus = self.buses[device.bus]
         if device.protocol is None or device.protocol == bus.protocol:
@@ -272,7 +273,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
             found[table][number] = entry
         return found
 
-    def entries(self, protocol: Protocol) -> Iterator[tuple[Device, str, int, int | str]]:
+    def entries(self, protocol: Protocol) -> Iterator[tuple[DeviceConfig, str, int, int | str]]:
         """Device, table, number and entry of all that the devices say in a protocol's configuration tables."""
         for device in self.devices.values():
             if self.protocol_of(device)[0] != protocol.name:

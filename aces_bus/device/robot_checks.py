@@ -19,7 +19,7 @@ import msgspec
 
 from ..errors import AcesError
 from ..protocol import Protocol, list_protocols, load_protocol
-from .robot import Device, Joint, Robot
+from .robot import DeviceConfig, Joint, Robot
 
 DRIVERS: Final = "aces_bus.devices"
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
@@ -154,7 +154,7 @@ def _check_devices(
 ) -> None:
     drivers = {point.name for point in entry_points(group=DRIVERS)}
     warned: set[str] = set()
-    claimed: dict[tuple[str, str, str, int], Device] = {}
+    claimed: dict[tuple[str, str, str, int], DeviceConfig] = {}
     for name, device in robot.devices.items():
         path = ("devices", name)
         if device.driver not in warned:
@@ -192,7 +192,11 @@ def _check_devices(
 
 
 def _check_credentials(
-    path: tuple[str, ...], device: Device, protocol: str, known: Mapping[str, Address], complain: Complain
+    path: tuple[str, ...],
+    device: DeviceConfig,
+    protocol: str,
+    known: Mapping[str, Address],
+    complain: Complain,
 ) -> None:
     for key, number in device.credentials.items():
         at = (*path, "credentials", key)
@@ -241,7 +245,7 @@ def addresses(protocol: Protocol) -> dict[str, Address]:
 
 def _check_tables(robot: Robot, protocol: Protocol, complain: Complain) -> None:
     """A configuration table has one entry a number, whatever the bus; and only entries that the messages know."""
-    entries: dict[tuple[str, int], tuple[Device, int | str]] = {}
+    entries: dict[tuple[str, int], tuple[DeviceConfig, int | str]] = {}
     known: dict[str, set[int | str]] = {}
     for tables in protocol.configurations.values():
         for table, shipped in tables.items():

@@ -24,7 +24,7 @@ from msgspec.structs import FieldInfo, fields
 
 from ..errors import CallerError
 from .problem import Problem, RobotError
-from .robot import Bus, Device, Joint, Robot, Sensor
+from .robot import Bus, DeviceConfig, Joint, Robot, Sensor
 from .robot_checks import check, near
 from .toml_lines import KeyLines
 
@@ -36,9 +36,9 @@ LARGEST: Final = 2**20
 MOST: Final = 1000
 #: Tables and lists within one another, in a value.
 DEEPEST: Final = 8
-ENTRIES: Final[Mapping[str, type[Bus] | type[Device] | type[Joint] | type[Sensor]]] = {
+ENTRIES: Final[Mapping[str, type[Bus] | type[DeviceConfig] | type[Joint] | type[Sensor]]] = {
     "buses": Bus,
-    "devices": Device,
+    "devices": DeviceConfig,
     "joints": Joint,
     "sensors": Sensor,
 }

@@ -14,12 +14,18 @@ if TYPE_CHECKING:
     from .can import Received as Received
     from .datagram import Datagram as Datagram
     from .datagram import DatagramGate as DatagramGate
+    from .datagram_wire import DatagramWire as DatagramWire
     from .events import BusEvent as BusEvent
     from .faults import Faults as Faults
     from .frame_time import FrameBits as FrameBits
     from .frame_time import frame_bits as frame_bits
+    from .ports import CanPort as CanPort
+    from .ports import DatagramPort as DatagramPort
+    from .ports import SerialPort as SerialPort
+    from .ports import port_of as port_of
     from .serial import Heard as Heard
     from .serial import SerialGate as SerialGate
+    from .serial_wire import SerialWire as SerialWire
     from .virtual import AcesBus as AcesBus
     from .virtual import virtual_clock as virtual_clock
     from .wire import Babbler as Babbler
@@ -33,8 +39,11 @@ _PLACES = {
     "Babbler": "wire",
     "BusEvent": "events",
     "CanGate": "can",
+    "CanPort": "ports",
     "Datagram": "datagram",
     "DatagramGate": "datagram",
+    "DatagramPort": "ports",
+    "DatagramWire": "datagram_wire",
     "Faults": "faults",
     "FrameBits": "frame_time",
     "Heard": "serial",
@@ -42,9 +51,12 @@ _PLACES = {
     "Received": "can",
     "Recorder": "wire",
     "SerialGate": "serial",
+    "SerialPort": "ports",
+    "SerialWire": "serial_wire",
     "Wire": "wire",
     "WireEvent": "wire",
     "frame_bits": "frame_time",
+    "port_of": "ports",
     "virtual_clock": "virtual",
 }
 
@@ -53,8 +65,11 @@ __all__ = [
     "Babbler",
     "BusEvent",
     "CanGate",
+    "CanPort",
     "Datagram",
     "DatagramGate",
+    "DatagramPort",
+    "DatagramWire",
     "Faults",
     "FrameBits",
     "Heard",
@@ -62,9 +77,12 @@ __all__ = [
     "Received",
     "Recorder",
     "SerialGate",
+    "SerialPort",
+    "SerialWire",
     "Wire",
     "WireEvent",
     "frame_bits",
+    "port_of",
     "virtual_clock",
 ]
 

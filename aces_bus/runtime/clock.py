@@ -112,6 +112,19 @@ class VirtualClock:
         """Plan `action` for `delay` ns from now."""
         return self.call_at(self._now + delay, action)
 
+    def call_soon(self, action: Callable[[], None]) -> None:
+        """Plan `action` for this very instant, behind what is planned for it already."""
+        self.post(self._now, action)
+
+    def wait(self, until: Callable[[], bool], timeout_ns: int) -> bool:
+        """Let events happen until `until()` holds, at most `timeout_ns`; whether it holds."""
+        end = self._now + timeout_ns
+        while not until():
+            if not self.step(end):
+                self._now = max(self._now, end)
+                return until()
+        return True
+
     @property
     def next_event(self) -> int | None:
         """When the next event is to happen; None when nothing is planned."""

@@ -1,7 +1,6 @@
 """Plays a scene to a scanner and to the reference, and brings what both say into one form.
 
-1. A scanner is made once for a wire and reset for each scene: making one costs more than a scene.
-2. Values are compared by bits: NaN equals itself, 1 does not equal 1.0, a flag set is its number.
+1. Values are compared by bits: NaN equals itself, 1 does not equal 1.0, a flag set is its number.
 """
 
 from __future__ import annotations
@@ -9,16 +8,15 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 from ..protocol.scan.counts import Counts
 from ..protocol.scan.record import Unknown, as_dict
 from ..protocol.scan.reference import Reference
-from ..protocol.scan.scanner import Scanner, make_scanner
+from ..protocol.scan.scanner import Scanner
 from ..protocol.spec.packet import can_image
-from ..protocol.spec.protocol import Variant
-from ._scenes import Scene, Way, Wire, variants_of
+from ._bench import bench_of
+from ._scenes import Scene, Way, Wire
 
 
 @dataclass(frozen=True)
@@ -41,16 +39,9 @@ class Heard:
         )
 
 
-@lru_cache(maxsize=512)
-def _scanner(variants: tuple[Variant, ...], direction: Way, everything: bool, raw: bool) -> Scanner:
-    return make_scanner(variants, direction=direction, everything=everything, raw=raw)
-
-
 def scanner_of(wire: Wire, direction: Way, *, everything: bool = True, raw: bool = True) -> Scanner:
     """A scanner as if just made."""
-    scanner = _scanner(variants_of(wire), direction, everything, raw)
-    scanner.reset()
-    return scanner
+    return bench_of(wire, direction).scanner(everything=everything, raw=raw)
 
 
 def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
@@ -77,8 +68,12 @@ def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
 
 def heard(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Heard]:
     """What a scanner hears in a scene, in its form for comparison."""
-    given = play(scanner, scene, cuts)
-    if scanner.link == "can":
+    return as_heard(play(scanner, scene, cuts), scanner.link == "can")
+
+
+def as_heard(given: Iterable[Any], is_can: bool) -> list[Heard]:
+    """What a scanner gave, in its form for comparison."""
+    if is_can:
         return [_heard(item, number, 1) for number, item in enumerate(given)]
     return joined(_heard(item, item.meta.offset, item.meta.size) for item in given)
 
@@ -91,8 +86,12 @@ def _heard(item: Any, offset: int, size: int) -> Heard:
 
 def told(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[Heard]:
     """What the reference says of a scene."""
-    reference = Reference(variants_of(wire), direction=direction, raw=raw)
-    if variants_of(wire)[0].link != "can":
+    return told_by(bench_of(wire, direction).reference(raw=raw), scene)
+
+
+def told_by(reference: Reference, scene: Scene) -> list[Heard]:
+    """What this reference says of a scene."""
+    if isinstance(scene.words, bytes):
         found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
         return joined(
             Heard(f.offset, f.size, f.message, plain(f.fields), f.reason, f.protocol) for f in found
@@ -167,4 +166,16 @@ def copied(counts: Counts) -> dict[str, Any]:
     return {**{name: getattr(counts, name) for name in bins}, "reasons": dict(counts.reasons)}
 
 
-__all__ = ["Heard", "copied", "heard", "image_of", "joined", "plain", "play", "scanner_of", "told"]
+__all__ = [
+    "Heard",
+    "as_heard",
+    "copied",
+    "heard",
+    "image_of",
+    "joined",
+    "plain",
+    "play",
+    "scanner_of",
+    "told",
+    "told_by",
+]

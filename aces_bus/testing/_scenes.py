@@ -289,7 +289,7 @@ def _remade(frame: Frame, **changed: Any) -> Frame:
     return Frame(**about)
 
 
-def _rechecked(message: Message, identifier: int, data: bytes) -> bytes:
+def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
     """Frame data with the check that goes with them."""
     check = message.check
     assert check is not None
@@ -301,7 +301,7 @@ def _rechecked(message: Message, identifier: int, data: bytes) -> bytes:
 def _damaged(frame: Frame, message: Message, how: int, source: Source) -> Frame:
     data = frame.data
     if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
-        return _remade(frame, data=_rechecked(message, frame.arbitration_id, _flipped(data, source)))
+        return _remade(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
     if how in (0, 1):
         shorter = _legal(source.integer(0, max(0, len(data) - 1)), fd=frame.is_fd)
         return _remade(frame, data=data[:shorter]) if data else frame
@@ -379,5 +379,6 @@ __all__ = [
     "draw_frames",
     "draw_scene",
     "draw_stream",
+    "rechecked",
     "variants_of",
 ]

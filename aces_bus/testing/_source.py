@@ -1,10 +1,10 @@
-"""Where drawn numbers come from: one walk over a spec, two sources of choices.
+"""Where drawn numbers come from: one walk over a spec, three sources of choices.
 
 1. Every value that a test draws is a pure function of what its source gives.
 2. The smallest choice is the simplest: a source that has run dry gives lows, firsts and zeros, so that shrinking works.
 
 `Entropy` interprets a string of bytes, as fuzzers do: one draw of Hypothesis makes a whole wire, cheaply, and shrinks
-byte by byte. `Drawn` asks Hypothesis for each number: dearer, and shrinks best.
+byte by byte. `Drawn` asks Hypothesis for each number: dearer, and shrinks best. `Dice` is for the long runs of `aces fuzz`.
 """
 
 from __future__ import annotations
@@ -101,6 +101,33 @@ class Drawn:
 
     def bytes(self, size: int) -> bytes:
         return self._binary(size) if size else b""
+
+
+class Dice:
+    """Choices of a seeded generator, without an end: the quickest source. What shrinks is the scene, not the choices."""
+
+    is_dry = False
+
+    def __init__(self, seed: str | int) -> None:
+        self._random = random.Random(seed)
+        self._float = self._random.random
+
+    def branch(self) -> Dice:
+        return self
+
+    def integer(self, low: int, high: int) -> int:
+        span = high - low + 1
+        if span <= 1:
+            return low
+        if span > 1 << 32:  # more than a float can tell apart
+            return low + self._random.getrandbits(span.bit_length() + 8) % span
+        return low + int(self._float() * span)
+
+    def choice(self, items: Sequence[T]) -> T:
+        return items[int(self._float() * len(items))]
+
+    def bytes(self, size: int) -> bytes:
+        return self._random.randbytes(size)
 
 
 def spread(seed: int, size: int = 4096) -> Entropy:

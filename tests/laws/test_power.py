@@ -29,7 +29,7 @@ from aces_bus.protocol.scan import can, find, stream
 from aces_bus.protocol.scan.counts import Counts
 from aces_bus.protocol.scan.decider import Decider
 from aces_bus.protocol.spec import ambiguity, checks, fields
-from aces_bus.testing import laws
+from aces_bus.testing import _laws_of_content, laws
 from aces_bus.testing._source import spread
 from aces_bus.testing.laws import LAWS, Law, Way
 
@@ -225,7 +225,7 @@ def some_bytes_raise(patch: pytest.MonkeyPatch) -> None:
 
 
 def the_checker_is_blind(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(laws, "conflict", lambda one, other: None)
+    patch.setattr(_laws_of_content, "conflict", lambda one, other: None)
 
 
 @pytest.mark.parametrize(

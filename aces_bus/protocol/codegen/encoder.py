@@ -14,6 +14,7 @@ from typing import Any
 from construct import ConstructError
 
 from ...errors import AcesError, FieldError, UnknownNameError
+from ...frame import Frame
 from ..spec.message import Message
 from ..spec.packet import EXTENDED, FD_FLAG, REMOTE
 from ..spec.protocol import Variant
@@ -66,6 +67,35 @@ class Encoder:
                 pass  # construct decides, and explains
         image = self.image(message, fields, raw=raw)
         return image if message.framing is not None else to_can(image)
+
+    def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
+        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`."""
+        quick = self._quick.get(message.name)
+        if quick is not None:
+            try:
+                identifier, head, body = quick(fields)
+                if message.framing is not None:
+                    return bytes(message.struct.framed(message.framing, head, body))
+                return Frame(
+                    identifier,
+                    head + body,
+                    is_extended_id=message.extended,
+                    is_remote_frame=message.remote,
+                    is_fd=message.fd,
+                )
+            except USUAL_FAILURES:
+                pass  # construct decides, and explains
+        image = self.image(message, fields)
+        if message.framing is not None:
+            return image
+        word = int.from_bytes(image[:4], "big")
+        return Frame(
+            word & 0x1FFF_FFFF,
+            image[5:],
+            is_extended_id=bool(word & EXTENDED),
+            is_remote_frame=bool(word & REMOTE),
+            is_fd=bool(image[4] & FD_FLAG),
+        )
 
     def image(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> bytes:
         """The packet's bytes; on CAN, the image that `message.struct` parses."""

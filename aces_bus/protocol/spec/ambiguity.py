@@ -126,7 +126,14 @@ class _Choice(NamedTuple):
     excluded: bool = False
 
 
-def _demands(message: Message, length: int | None) -> tuple[dict[int, int], list[_Choice]] | None:
+class Demands(NamedTuple):
+    """What a template demands of bytes: bits that are fixed, by their canonical number, and choices."""
+
+    fixed: dict[int, int]
+    choices: list[_Choice]
+
+
+def demands(message: Message, length: int | None) -> Demands | None:
     """What a message demands of its bytes: bits that are fixed, and choices. None when it never has `length` bytes."""
     from ..codegen.flatten import flatten
 
@@ -152,7 +159,7 @@ def _demands(message: Message, length: int | None) -> tuple[dict[int, int], list
             )
         else:
             choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size == length)))
-    return fixed, choices
+    return Demands(fixed, choices)
 
 
 def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] | None:
@@ -160,13 +167,13 @@ def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] |
 
     `length` is that of a frame's data; None leaves it open.
     """
-    mine, theirs = _demands(one, length), _demands(other, length)
+    mine, theirs = demands(one, length), demands(other, length)
     if mine is None or theirs is None:
         return None
     if any(theirs[0].get(bit, value) != value for bit, value in mine[0].items()):
         return None
     choices = sorted([*mine[1], *theirs[1]], key=lambda c: (c.excluded, len(c.values)))
-    bits = _solved({**mine[0], **theirs[0]}, choices)
+    bits = solved({**mine[0], **theirs[0]}, choices)
     if bits is None:
         return None
     found: dict[int, int] = {}
@@ -175,13 +182,13 @@ def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] |
     return found
 
 
-def _solved(fixed: dict[int, int], choices: Sequence[_Choice]) -> dict[int, int] | None:
+def solved(fixed: dict[int, int], choices: Sequence[_Choice]) -> dict[int, int] | None:
     """Bits that satisfy every choice, those in `fixed` being given; None when there are none."""
     if not choices:
         return fixed
     first, rest = choices[0], choices[1:]
     for number in _numbers(first, fixed):
-        found = _solved({**fixed, **{bit: number >> i & 1 for i, bit in enumerate(first.bits)}}, rest)
+        found = solved({**fixed, **{bit: number >> i & 1 for i, bit in enumerate(first.bits)}}, rest)
         if found is not None:
             return found
     return None

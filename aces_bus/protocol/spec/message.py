@@ -20,6 +20,7 @@ from ...frame import FD_LENGTHS
 from .bits import BitLayout
 from .checks import Check, Extra
 from .delimited import Delimited
+from .examples import Example
 from .fields import Counter, innermost
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
@@ -103,6 +104,7 @@ class Message:
         check_extra: bytes,
         doc: str,
         source: str,
+        examples: tuple[Example, ...] = (),
     ) -> None:
         self.protocol = protocol
         self.name = name
@@ -116,6 +118,7 @@ class Message:
         self.reply_to, self.after, self.within, self.over = reply_to, after, within, over
         self.check, self.check_extra = check, check_extra
         self.doc, self.source = doc, source
+        self.examples = examples
         self.payload = normalised(payload, place)
         if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
             raise SpecError(f"{place}: message name {name!r} is not a plain Python name")

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,6 +16,7 @@ import construct as c
 
 from ...errors import CallerError, SpecError, UnknownNameError
 from .checks import Check
+from .examples import as_examples
 from .framing import Framing
 from .message import DIRECTIONS, Condition, Direction, Message, Request, as_requests
 from .pattern import as_pattern
@@ -37,7 +38,7 @@ class Protocol:
     `dialects` maps names to what they are; `dialect` is the default one. `configurations` maps a name to its tables, each
     from a captured number to an entry (`{"hubo2": {"channels": {0x00: 2, …}}}`); `configuration` is the default one.
     `broadcast` gives the value of a captured field that addresses every device. `bitrate` (CAN) is
-    in bit/s, `baud` (serial) in baud. `source` says where the facts come from.
+    in bit/s, `baud` (serial) in baud; `half_duplex`: all share one pair of wires, and who was asked answers next. `source` says where the facts come from.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Protocol:
         link: Link,
         bitrate: int | None = None,
         baud: int | None = None,
+        half_duplex: bool = False,
         dialects: Mapping[str, str] | None = None,
         dialect: str | None = None,
         configurations: Mapping[str, Configuration] | None = None,
@@ -61,7 +63,7 @@ class Protocol:
         if link not in ("can", "serial", "datagram"):
             raise SpecError(f"{self.place}: a link is 'can', 'serial' or 'datagram', not {link!r}")
         self.link: Link = link
-        self.bitrate, self.baud = bitrate, baud
+        self.bitrate, self.baud, self.half_duplex = bitrate, baud, half_duplex
         self.dialects = dict(dialects or {})
         self.dialect = dialect if dialect is not None else next(iter(self.dialects), None)
         if self.dialect is not None and self.dialect not in self.dialects:
@@ -129,13 +131,15 @@ class Protocol:
         check_extra: bytes = b"",
         doc: str = "",
         source: str = "",
+        examples: Iterable[Any] = (),
     ) -> Message:
         """Declare a message; raises `SpecError` with file and line when it cannot be right.
 
         `id` is the CAN identifier (a number or a pattern with captures), `match` gives head fields their value or
         pattern, `length` the data lengths that occur when the fields leave a choice. `direction`, `dialect`, `when`,
         `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `over` names
-        messages that this one takes precedence over.
+        messages that this one takes precedence over. `examples` are worked ones, `(bytes, {field: value})`: see
+        `spec.examples`.
         """
         place = caller()
         if (self.link == "can") != (id is not None):
@@ -174,6 +178,7 @@ class Protocol:
             check_extra=check_extra,
             doc=doc,
             source=source,
+            examples=as_examples(examples, place, is_can=self.link == "can"),
         )
         for other in self.declared:
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.

@@ -32,6 +32,16 @@ NameInfo = command(
     ),
     doc="Set the command period, the home search limits and the z-phase references; asks for NameInfoReply.",
     source="X2; acesHubo config.ops (the sheet's length of 5 is not what was sent)",
+    examples=[
+        (
+            "001#00 01 0A 0A 0A 84 45 FD",
+            {"board": 0, "period": 10, "limit": [10, 10], "z_phase": [3460, 3909]},
+        ),
+        (
+            "001#08 01 0A 0F 05 D2 D8 5A",
+            {"board": 8, "period": 10, "limit": [15, 5], "z_phase": [2770, 1496]},
+        ),
+    ],
 )
 NameInfo3 = command(
     "NameInfo3",
@@ -43,6 +53,10 @@ NameInfo3 = command(
     ),
     doc="NameInfo for a three-channel board; the last byte was always 0.",
     source="acesHubo config.ops",
+    examples=[
+        ("001#20 01 0A 0A 0A 0A 00", {"board": 0x20, "period": 10, "limit": [10, 10, 10], "unused": b"\x00"}),
+        ("001#21 01 0A 0A 05 05 00", {"board": 0x21, "period": 10, "limit": [10, 5, 5], "unused": b"\x00"}),
+    ],
 )
 NameInfo5 = command(
     "NameInfo5",
@@ -52,6 +66,7 @@ NameInfo5 = command(
     payload=Struct("period" / Milliseconds),
     doc="NameInfo for a hand.",
     source="acesHubo config.ops",
+    examples=[("001#24 01 0A", {"board": 0x24, "period": 10})],
 )
 NameInfoSensor = command(
     "NameInfoSensor",
@@ -61,6 +76,9 @@ NameInfoSensor = command(
     payload=Struct("period" / Milliseconds, "tail" / Bytes(5)),
     doc="NameInfo for a sensor board; what its last five bytes mean is not known.",
     source="acesHubo config.ops",
+    examples=[
+        ("001#35 01 0A 00 38 72 12 00", {"board": 0x35, "period": 10, "tail": b"\x00\x38\x72\x12\x00"})
+    ],
 )
 GetBoardInfo = command(
     "GetBoardInfo",
@@ -69,6 +87,7 @@ GetBoardInfo = command(
     payload=Struct("period" / Milliseconds),
     doc="Set the board's CAN period and ask what it is.",
     source="hubo-ach canID.h (never sent by its daemon)",
+    examples=[("001#03 01 05", {"board": 3, "period": 5})],
 )
 
 # ---------------------------------------------------------------------- 0x02–0x06: ask and reset
@@ -80,9 +99,15 @@ SendStatus = command(
     payload=Struct("rest" / Rest),
     doc="Ask for the status. hubo-ach sends a third byte without meaning; leave it out.",
     source="X2; hubo-ach; HuboCan",
+    examples=[("001#03 02", {"board": 3}), ("001#03 02 7F", {"board": 3, "rest": b"\x7f"})],
 )
 SendEncoderD08 = command(
-    "SendEncoderD08", opcode=0x03, dialect=D08, doc="Ask for the encoder positions.", source="X2; acesHubo"
+    "SendEncoderD08",
+    opcode=0x03,
+    dialect=D08,
+    doc="Ask for the encoder positions.",
+    source="X2; acesHubo",
+    examples=[("001#03 03", {"board": 3})],
 )
 SendEncoder = command(
     "SendEncoder",
@@ -91,9 +116,23 @@ SendEncoder = command(
     payload=Struct("selector" / Enumeration(Byte, normal=0, upper=1)),
     doc="Ask for the encoder positions; `upper` are channels 3 and 4 of a five-channel board.",
     source="hubo-ach; HuboCan",
+    examples=[("001#24 03 01", {"board": 0x24, "selector": "upper"})],
 )
-SendCurrent = command("SendCurrent", opcode=0x04, doc="Ask for the motor currents.", source="X2; hubo-ach")
-SendPm = command("SendPm", opcode=0x05, dialect=D08, doc="Ask for the z-phase encoder values.", source="X2")
+SendCurrent = command(
+    "SendCurrent",
+    opcode=0x04,
+    doc="Ask for the motor currents.",
+    source="X2; hubo-ach",
+    examples=[("001#03 04", {"board": 3})],
+)
+SendPm = command(
+    "SendPm",
+    opcode=0x05,
+    dialect=D08,
+    doc="Ask for the z-phase encoder values.",
+    source="X2",
+    examples=[("001#03 05", {"board": 3})],
+)
 EncoderZeroD08 = command(
     "EncoderZeroD08",
     opcode=0x06,
@@ -101,6 +140,7 @@ EncoderZeroD08 = command(
     payload=Struct("motor" / Enumeration(Byte, all=0, motor_1=1, motor_2=2, motor_3=3)),
     doc="Set encoders to zero.",
     source="X2 (X1 has the codes of a home search here)",
+    examples=[("001#03 06 02", {"board": 3, "motor": "motor_2"})],
 )
 EncoderZero = command(
     "EncoderZero",
@@ -112,6 +152,7 @@ EncoderZero = command(
     ),
     doc="Set encoders to zero; clears faults and error bits too.",
     source="hubo-ach",
+    examples=[("001#03 06 0F", {"board": 3, "channel": "all"})],
 )
 
 # ---------------------------------------------------------------------- 0x07–0x13: gains and switches
@@ -123,6 +164,7 @@ PositionGainA = command(
     payload=_GAINS,
     doc="Position gains of the first motor: roll on a three-channel board, all channels on one of D12.",
     source="X2; acesHubo; hubo-ach",
+    examples=[("001#00 07 C8 00 00 00 F4 01", {"board": 0, "kp": 200, "ki": 0, "kd": 500})],
 )
 PositionGainB = command(
     "PositionGainB",
@@ -130,6 +172,7 @@ PositionGainB = command(
     payload=_GAINS,
     doc="Position gains of the second motor: pitch and yaw on a three-channel board of D08.",
     source="X2; acesHubo; hubo-ach",
+    examples=[("001#00 08 C8 00 01 00 F4 01", {"board": 0, "kp": 200, "ki": 1, "kd": 500})],
 )
 TorqueGainA = command(
     "TorqueGainA",
@@ -137,6 +180,7 @@ TorqueGainA = command(
     payload=_GAINS,
     doc="Torque (current) gains of the first motor.",
     source="X2; hubo-ach",
+    examples=[("001#00 09 C8 00 01 00 F4 01", {"board": 0, "kp": 200, "ki": 1, "kd": 500})],
 )
 TorqueGainB = command(
     "TorqueGainB",
@@ -144,6 +188,7 @@ TorqueGainB = command(
     payload=_GAINS,
     doc="Torque (current) gains of the second motor.",
     source="X2; hubo-ach",
+    examples=[("001#00 0A C8 00 01 00 F4 01", {"board": 0, "kp": 200, "ki": 1, "kd": 500})],
 )
 DriverSwitch = command(
     "DriverSwitch",
@@ -151,6 +196,7 @@ DriverSwitch = command(
     payload=Struct("state" / Off),
     doc="Switch the motor drivers (FETs); HIP enable in the sheet.",
     source="X2; acesHubo; hubo-ach",
+    examples=[("001#03 0B 01", {"board": 3, "state": "on"})],
 )
 GoHome = command(
     "GoHome",
@@ -159,12 +205,21 @@ GoHome = command(
     payload=BitLayout(1, *HOME_SEARCH_D08),
     doc="Go home; the byte is the mode of a home search.",
     source="X2",
+    examples=[("001#03 0C 11", {"board": 3, "direction": "ccw", "motor": "channel_0"})],
 )
 ControlOn = command(
-    "ControlOn", opcode=0x0E, doc="Run: control the motors.", source="X2; acesHubo; hubo-ach; HuboCan"
+    "ControlOn",
+    opcode=0x0E,
+    doc="Run: control the motors.",
+    source="X2; acesHubo; hubo-ach; HuboCan",
+    examples=[("001#03 0E", {"board": 3})],
 )
 ControlOff = command(
-    "ControlOff", opcode=0x0F, doc="Stop controlling the motors.", source="X2; acesHubo; hubo-ach; HuboCan"
+    "ControlOff",
+    opcode=0x0F,
+    doc="Stop controlling the motors.",
+    source="X2; acesHubo; hubo-ach; HuboCan",
+    examples=[("001#03 0F", {"board": 3})],
 )
 ControlModeD08 = command(
     "ControlModeD08",
@@ -173,6 +228,7 @@ ControlModeD08 = command(
     payload=Struct("mode" / Enumeration(Byte, position=0, torque=1)),
     doc="What a reference means.",
     source="X2",
+    examples=[("001#03 10 01", {"board": 3, "mode": "torque"})],
 )
 ControlMode = command(
     "ControlMode",
@@ -181,6 +237,7 @@ ControlMode = command(
     payload=Struct("mode" / Enumeration(Byte, position=0, current=1, hybrid=2)),
     doc="What a reference means; `hybrid` is wrist position and finger current of a DRC-Hubo hand.",
     source="hubo-ach",
+    examples=[("001#24 10 02", {"board": 0x24, "mode": "hybrid"})],
 )
 CurrentLimit = command(
     "CurrentLimit",
@@ -189,6 +246,7 @@ CurrentLimit = command(
     payload=Struct("limit" / Int16ul),
     doc="Limit of the motor current, in unknown units.",
     source="X2",
+    examples=[("001#03 12 2C 01", {"board": 3, "limit": 300})],
 )
 SwitchingMode = command(
     "SwitchingMode",
@@ -197,6 +255,7 @@ SwitchingMode = command(
     payload=Struct("mode" / Enumeration(Byte, complementary=0, non_complementary=1)),
     doc="How the bridge switches; non-complementary lets the motor wheel freely.",
     source="hubo-ach; RoboWorld2018",
+    examples=[("001#03 13 01", {"board": 3, "mode": "non_complementary"})],
 )
 SwitchingModeShort = command(
     "SwitchingModeShort",
@@ -204,6 +263,7 @@ SwitchingModeShort = command(
     dialect="D12",
     doc="SwitchingMode as hubo-ach sends it: its length of 2 drops the mode. Read only, do not send.",
     source="hubo-ach hubo-daemon.c",
+    examples=[("001#03 13", {"board": 3})],
 )
 
 # ---------------------------------------------------------------------- 0x24–0xE0: requests and sounds of D12
@@ -215,6 +275,7 @@ GetParameters = command(
     payload=Struct("selector" / Byte),
     doc="Ask for a parameter block: 20, 21, 22 are the board's; 6 × channel + n (+ 5 from channel 3 on) is block n.",
     source="hubo-ach",
+    examples=[("001#05 24 07", {"board": 5, "selector": 7})],
 )
 Alarm = command(
     "Alarm",
@@ -223,6 +284,7 @@ Alarm = command(
     payload=Struct("sound" / Enumeration(Byte, off=0, sound_1=1, sound_2=2, sound_3=3, sound_4=4)),
     doc="Sound the alarm.",
     source="hubo-ach",
+    examples=[("001#0E 82 03", {"board": 0x0E, "sound": "sound_3"})],
 )
 Beep = command(
     "Beep",
@@ -231,6 +293,7 @@ Beep = command(
     payload=Struct("time" / Quantity(Byte, scale=0.1, unit="s")),
     doc="Beep for a time.",
     source="hubo-ach",
+    examples=[("001#0E 83 03", {"board": 0x0E, "time": 0.3})],
 )
 PowerQuery = command(
     "PowerQuery",
@@ -239,4 +302,5 @@ PowerQuery = command(
     when=channels("power"),
     doc="Ask the power board for voltage and current.",
     source="hubo-ach",
+    examples=[("001#0E E0", {"board": 0x0E})],
 )

@@ -24,6 +24,10 @@ Reference = hubo.message(
     payload=Struct("position" / Array(2, SM24)),
     doc="Position set-points. On a one-channel board repeat the first one.",
     source="X2; acesHubo; hubo-ach; HuboCan (it and acesHubo send 0 as a missing second one)",
+    examples=[
+        ("010#56 7C 00 E0 3E 80", {"board": 0, "position": [31830, -16096]}),
+        ("011#BC 31 80 BC 31 80", {"board": 1, "position": [-12732, -12732]}),
+    ],
 )
 Reference3D08 = hubo.message(
     "Reference3D08",
@@ -34,6 +38,7 @@ Reference3D08 = hubo.message(
     payload=Struct("position" / Array(3, Quantity(Int16sl, unit="count"))),
     doc="Position set-points of a three-channel board.",
     source="X2; acesHubo (a signed cast, so two's complement)",
+    examples=[("030#FF FF 2E FB 00 00", {"board": 0x20, "position": [-1, -1234, 0]})],
 )
 ReferenceHand = hubo.message(
     "ReferenceHand",
@@ -47,6 +52,7 @@ ReferenceHand = hubo.message(
     ),
     doc="Wrist roll and the current of both fingers of a DRC-Hubo hand, as in control mode `hybrid`.",
     source="hubo-ach",
+    examples=[("034#BC 31 80 05 85", {"board": 0x24, "position": -12732, "finger": [0.05, -0.05]})],
 )
 ReferenceHandPosition = hubo.message(
     "ReferenceHandPosition",
@@ -59,6 +65,9 @@ ReferenceHandPosition = hubo.message(
     payload=Struct("position" / SM24, "finger" / Array(2, Int8sl)),
     doc="Wrist roll and finger positions, while the board's control mode is known to be `position`.",
     source="hubo-ach",
+    examples=[
+        ("034#BC 31 80 19 E7", {"board": 0x24, "position": -12732, "finger": [25, -25]}, "001#24 10 00")
+    ],
 )
 ReferenceNeck = hubo.message(
     "ReferenceNeck",
@@ -72,6 +81,7 @@ ReferenceNeck = hubo.message(
     ),
     doc="Angles of the three neck servos of DRC-Hubo.",
     source="hubo-ach (its daemon scales by 4095, its reader and its servo program by 4096)",
+    examples=[("032#00 08 00 0C 00 04", {"board": 0x22, "position": [0.0, pi / 2, -pi / 2]})],
 )
 
 # ---------------------------------------------------------------------- 0x11: home search
@@ -88,6 +98,11 @@ Home = command(
     ),
     doc="Search home with the settings stored in the board; hubo-ach sends no reference for 3 s after it.",
     source="hubo-ach; HuboCan",
+    examples=[
+        ("001#05 11 12 00 00 00 00 00", {"board": 5, "stored": 1, "channel": "channel_0"}),
+        ("001#00 11 22 00 00 00 00 00", {"board": 0, "stored": 1, "channel": "channel_1"}),
+        ("001#00 11 F2 00 00 00 00 00", {"board": 0, "stored": 1, "channel": "all"}),
+    ],
 )
 
 
@@ -109,6 +124,20 @@ HomeD08 = command(
     payload=BitLayout(6, *HOME_SEARCH_D08, "offset" / Tuple(_offset(2, 1, 40), _offset(4, 3, 44))),
     doc="Search one motor's home and go to the offset, which becomes zero; the other motor stays in run state.",
     source="X2; acesHubo (high byte first, as it ran on the robot)",
+    examples=[
+        (
+            "001#00 11 11 48 A8 00 00 08",
+            {"board": 0, "direction": "ccw", "motor": "channel_0", "offset": [-18600, 0]},
+        ),
+        (
+            "001#00 11 20 00 00 3A 98 00",
+            {"board": 0, "direction": "cw", "motor": "channel_1", "offset": [0, 15000]},
+        ),
+        (
+            "001#09 11 20 00 00 38 80 10",
+            {"board": 9, "direction": "cw", "motor": "channel_1", "offset": [0, 80000]},
+        ),
+    ],
 )
 HomeD08X = command(
     "HomeD08X",
@@ -118,6 +147,16 @@ HomeD08X = command(
     payload=BitLayout(6, *HOME_SEARCH_D08, "offset" / Tuple(_offset(1, 2, 40), _offset(3, 4, 44))),
     doc="HomeD08 with the low byte first.",
     source="X2",
+    examples=[
+        (
+            "001#00 11 11 A8 48 00 00 08",
+            {"board": 0, "direction": "ccw", "motor": "channel_0", "offset": [-18600, 0]},
+        ),
+        (
+            "001#00 11 20 00 00 98 3A 00",
+            {"board": 0, "direction": "cw", "motor": "channel_1", "offset": [0, 15000]},
+        ),
+    ],
 )
 Home3D08 = command(
     "Home3D08",
@@ -132,6 +171,18 @@ Home3D08 = command(
     ),
     doc="Home search of a three-channel board: pulses of motor 0, which has the switch, and turns of the others.",
     source="X2; acesHubo (high byte first; it sends 5 turns always)",
+    examples=[
+        (
+            "001#20 11 11 19 40 32 32",
+            {
+                "board": 0x20,
+                "direction": "ccw",
+                "motor": "channel_0",
+                "pulses": 6464,
+                "revolutions": [5.0, 5.0],
+            },
+        )
+    ],
 )
 Home3D08X = command(
     "Home3D08X",
@@ -146,6 +197,18 @@ Home3D08X = command(
     ),
     doc="Home3D08 with the low byte first.",
     source="X2",
+    examples=[
+        (
+            "001#20 11 11 40 19 0A 0A",
+            {
+                "board": 0x20,
+                "direction": "ccw",
+                "motor": "channel_0",
+                "pulses": 6464,
+                "revolutions": [1.0, 1.0],
+            },
+        )
+    ],
 )
 Home5D08 = command(
     "Home5D08",
@@ -155,6 +218,7 @@ Home5D08 = command(
     payload=Struct("power" / Array(5, Byte)),
     doc="Drive all fingers with this power, each the same.",
     source="acesHubo",
+    examples=[("001#24 11 04 04 04 04 04", {"board": 0x24, "power": [4, 4, 4, 4, 4]})],
 )
 
 # ---------------------------------------------------------------------- 0x0D: open-loop PWM
@@ -180,6 +244,12 @@ PwmD08 = pwm(
     ),
     doc="Drive both motors with a duty, in unknown steps.",
     source="X1; X2",
+    examples=[
+        (
+            "001#00 0D 01 00 05 01 06",
+            {"board": 0, "mode": "on", "direction": ["plus", "minus"], "duty": [5, 6]},
+        )
+    ],
 )
 Pwm3D08 = pwm(
     "Pwm3D08",
@@ -196,6 +266,12 @@ Pwm3D08 = pwm(
     ),
     doc="Drive three motors with a duty, in unknown steps.",
     source="X2",
+    examples=[
+        (
+            "001#20 0D 01 01 05 10 06 07",
+            {"board": 0x20, "mode": "on", "direction": ["minus", "plus", "minus"], "duty": [5, 6, 7]},
+        )
+    ],
 )
 PwmFingersD08 = pwm(
     "PwmFingersD08",
@@ -206,6 +282,10 @@ PwmFingersD08 = pwm(
     payload=BitLayout(5, "duty" / Tuple(*(SignMagnitude(bits(5, 8 * finger)) for finger in range(5)))),
     doc="Drive the fingers with a duty in −15…15: the only way to move them.",
     source="acesHubo",
+    examples=[
+        ("001#24 0D 00 00 00 00 00 00", {"board": 0x24, "mode": "off", "duty": [0, 0, 0, 0, 0]}),
+        ("001#24 0D 01 04 14 0F 1F 00", {"board": 0x24, "mode": "on", "duty": [4, -4, 15, -15, 0]}),
+    ],
 )
 _WAY = {"cw": 0, "ccw": 1}
 Pwm = pwm(
@@ -224,6 +304,12 @@ Pwm = pwm(
     ),
     doc="Drive both motors with a duty.",
     source="hubo-ach (it never tried this on a robot)",
+    examples=[
+        (
+            "001#00 0D 01 00 05 01 64 00",
+            {"board": 0, "mode": "on", "direction": ["cw", "ccw"], "duty": [5, 100]},
+        )
+    ],
 )
 
 
@@ -244,6 +330,7 @@ PwmFine = pwm(
     payload=BitLayout(4, "duty" / Tuple(_fine(0), _fine(2))),
     doc="Drive both motors with a duty in steps of 0.1 %; negative is clockwise.",
     source="hubo-ach",
+    examples=[("001#00 0D 03 10 2C 31 E8", {"board": 0, "duty": [30.0, -100.0]})],
 )
 Pwm3 = pwm(
     "Pwm3",
@@ -254,6 +341,7 @@ Pwm3 = pwm(
     payload=Struct("duty" / Array(3, Quantity(SignMagnitude(8), unit="%", range=(-100, 100)))),
     doc="Drive three motors with a duty.",
     source="hubo-ach (whose own helper loses the sign)",
+    examples=[("001#24 0D 01 19 99 00", {"board": 0x24, "mode": "on", "duty": [25, -25, 0]})],
 )
 PwmFingers = pwm(
     "PwmFingers",
@@ -264,4 +352,7 @@ PwmFingers = pwm(
     payload=Struct("duty" / Array(5, Quantity(SignMagnitude(8), unit="%", range=(-100, 100)))),
     doc="Drive the fingers of a Hubo 2+ hand: they have no reference.",
     source="hubo-ach",
+    examples=[
+        ("001#24 0D 01 00 19 99 64 E4", {"board": 0x24, "mode": "on", "duty": [0, 25, -25, 100, -100]})
+    ],
 )

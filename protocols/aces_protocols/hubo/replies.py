@@ -39,6 +39,7 @@ Encoder = hubo.message(
     payload=Struct("position" / Array(2, _COUNTS32)),
     doc="Encoder positions; a one-channel board has a second slot too.",
     source="X2; hubo-ach; HuboCan; RoboWorld2018",
+    examples=[("060#BC 31 00 00 44 CE FF FF", {"board": 0, "position": [12732, -12732]})],
 )
 EncoderShort = hubo.message(
     "EncoderShort",
@@ -50,6 +51,7 @@ EncoderShort = hubo.message(
     payload=Struct("position" / Array(1, _COUNTS32), "rest" / Rest),
     doc="Encoder position of a one-channel board that leaves the second slot out.",
     source="hubo-ach (only HuboCan insists on 8 bytes)",
+    examples=[("062#44 CE FF FF", {"board": 2, "position": [-12732]})],
 )
 Encoder3 = hubo.message(
     "Encoder3",
@@ -61,6 +63,7 @@ Encoder3 = hubo.message(
     payload=Struct("position" / Array(3, _COUNTS16), "rest" / Rest),
     doc="Encoder positions of a three-channel board, a DRC-Hubo hand or the Hubo 2+ neck.",
     source="X2 (8 bytes, 6 of them used); hubo-ach; HuboCan",
+    examples=[("080#FF FF 2E FB 00 00 00 00", {"board": 0x20, "position": [-1, -1234, 0], "rest": bytes(2)})],
 )
 Encoder5 = hubo.message(
     "Encoder5",
@@ -72,6 +75,7 @@ Encoder5 = hubo.message(
     payload=Struct("position" / Array(3, _COUNTS16)),
     doc="Encoder positions of channels 0–2 of a five-channel board.",
     source="hubo-ach; HuboCan",
+    examples=[("084#FF FF 2E FB 01 00", {"board": 0x24, "position": [-1, -1234, 1]})],
 )
 Encoder5Upper = hubo.message(
     "Encoder5Upper",
@@ -83,6 +87,7 @@ Encoder5Upper = hubo.message(
     payload=Struct("position" / Array(2, _COUNTS16)),
     doc="Encoder positions of channels 3 and 4 of a five-channel board.",
     source="hubo-ach (HuboCan reads past the frame here)",
+    examples=[("084#FF FF 2E FB", {"board": 0x24, "position": [-1, -1234]})],
 )
 EncoderNeck = hubo.message(
     "EncoderNeck",
@@ -97,6 +102,7 @@ EncoderNeck = hubo.message(
     ),
     doc="Angles of the three neck servos of DRC-Hubo.",
     source="hubo-ach",
+    examples=[("082#00 08 00 0C 00 04", {"board": 0x22, "position": [0.0, pi / 2, -pi / 2]})],
 )
 Power = hubo.message(
     "Power",
@@ -114,6 +120,7 @@ Power = hubo.message(
     ),
     doc="The power board's reply, at 0x06E: an encoder's place.",
     source="hubo-ach (it reads them as signed)",
+    examples=[("06E#C0 12 D2 04 57 17", {"board": 0x0E, "voltage": 48.0, "current": 12.34, "power": 597.5})],
 )
 
 # ---------------------------------------------------------------------- 0x090, 0x120: replies of D08 only
@@ -128,6 +135,7 @@ CurrentD08 = hubo.message(
     payload=Struct("current" / Array(2, Int32sl)),
     doc="Motor currents; their unit is unknown, and that they are signed a guess.",
     source="X1; X2",
+    examples=[("093#BC 31 00 00 44 CE FF FF", {"board": 3, "current": [12732, -12732]})],
 )
 Pm = hubo.message(
     "Pm",
@@ -140,6 +148,7 @@ Pm = hubo.message(
     ),
     doc="Encoder values at the z-phase.",
     source="X1",
+    examples=[("120#84 0D 00 00 45 0F 00 00", {"board": 0, "z_phase": [3460, 3909]})],
 )
 
 # ---------------------------------------------------------------------- 0x190: what a board is
@@ -154,6 +163,10 @@ NameInfoReply = hubo.message(
     payload=Struct("period" / Milliseconds, "limit" / GreedyRange(Quantity(Byte, unit="turn"))),
     doc="A board's period and home search limits. acesHubo takes it as a sign of life and distrusts the limits.",
     source="X2 (3 bytes, also where it lists 4); acesHubo",
+    examples=[
+        ("190#0A 0A 0A", {"board": 0, "period": 10, "limit": [10, 10]}),
+        ("1B0#0A 0A 05 05", {"board": 0x20, "period": 10, "limit": [10, 5, 5]}),
+    ],
 )
 _INFO = Struct("period" / Milliseconds, "rest" / Rest)
 BoardInfo = hubo.message(
@@ -165,6 +178,7 @@ BoardInfo = hubo.message(
     payload=_INFO,
     doc="A motor board's period; RoboWorld2018 has the firmware's version in `rest`, bytes 3–6 of the frame.",
     source="hubo-ach canID.h; RoboWorld2018",
+    examples=[("193#05 00 01", {"board": 3, "period": 5, "rest": b"\x00\x01"})],
 )
 SensorBoardInfo = hubo.message(
     "SensorBoardInfo",
@@ -175,4 +189,5 @@ SensorBoardInfo = hubo.message(
     payload=_INFO,
     doc="BoardInfo of a sensor board, from 0x240 up.",
     source="hubo-ach canID.h",
+    examples=[("240#05 00 01", {"board": 0x30, "period": 5, "rest": b"\x00\x01"})],
 )

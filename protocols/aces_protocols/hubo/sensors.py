@@ -22,6 +22,7 @@ SensorRequestD08 = hubo.message(
     payload=Struct("mode" / Enumeration(Byte, all=0)),
     doc="Ask every sensor; other values hold one sensor's number and type, but the sheet is cut off there.",
     source="X2; acesHubo",
+    examples=[("002#00", {"mode": "all"})],
 )
 
 #: Requests of D12: which sensor (0xFF is all of them) and which form of its data.
@@ -51,21 +52,28 @@ SensorRequest = request(
     mode=(0x00, 0x02, 0x03, 0x04),
     doc="Ask for force/torque and acceleration (tilt) together.",
     source="hubo-ach; RoboWorld2018 (sensor 0xFF)",
+    examples=[("002#FF 02", {"sensor": 0xFF, "mode": "scaled"})],
 )
 ForceTorqueRequest = request(
-    "ForceTorqueRequest", mode=(0x11, 0x12), doc="Ask for force and torque.", source="hubo-ach; HuboCan"
+    "ForceTorqueRequest",
+    mode=(0x11, 0x12),
+    doc="Ask for force and torque.",
+    source="hubo-ach; HuboCan",
+    examples=[("002#01 12", {"sensor": 1, "mode": "ft_scaled"})],
 )
 TiltRequest = request(
     "TiltRequest",
     mode=(0x21, 0x22),
     doc="Ask for the acceleration (tilt) of a foot.",
     source="hubo-ach; HuboCan",
+    examples=[("002#02 22", {"sensor": 2, "mode": "tilt_scaled"})],
 )
 GyroRequest = request(
     "GyroRequest",
     mode=0x13,
     doc="Ask for gyro and temperature; the form of the answer is not known.",
     source="hubo-ach",
+    examples=[("002#03 13", {"sensor": 3})],
 )
 ImuRequest = request(
     "ImuRequest",
@@ -73,6 +81,7 @@ ImuRequest = request(
     payload=Struct("select" / Enumeration(Byte, imu=1)),
     doc="Ask an IMU: the third byte tells its request from a force/torque one.",
     source="hubo-ach; HuboCan",
+    examples=[("002#03 00 01", {"sensor": 3, "select": "imu"})],
 )
 
 # ---------------------------------------------------------------------- 0x81–0x89: set-up
@@ -83,6 +92,10 @@ NullSensor = command(
     payload=Struct("what" / Enumeration(Byte, force_torque=0, mx=1, my=2, fz=3, tilt=4)),
     doc="Take the present reading as zero; `tilt` is of D12, single axes are of D08.",
     source="X1; acesHubo; hubo-ach; HuboCan; RoboWorld2018",
+    examples=[
+        ("001#30 81 00", {"board": 0x30, "what": "force_torque"}),
+        ("001#30 81 04", {"board": 0x30, "what": "tilt"}),
+    ],
 )
 NullImu = command(
     "NullImu",
@@ -90,6 +103,7 @@ NullImu = command(
     dialect="D12",
     doc="Take the present reading of an IMU as zero.",
     source="hubo-ach; HuboCan; RoboWorld2018",
+    examples=[("001#32 81", {"board": 0x32})],
 )
 SetPeriod = command(
     "SetPeriod",
@@ -98,6 +112,7 @@ SetPeriod = command(
     payload=Struct("period" / Byte),
     doc="Set the sending period.",
     source="X2",
+    examples=[("001#30 82 0A", {"board": 0x30, "period": 10})],
 )
 SetSample = command(
     "SetSample",
@@ -106,6 +121,7 @@ SetSample = command(
     payload=Struct("sample" / Int16ul),
     doc="Set the sampling.",
     source="X2",
+    examples=[("001#30 83 2C 01", {"board": 0x30, "sample": 300})],
 )
 AdRead = command(
     "AdRead",
@@ -114,6 +130,7 @@ AdRead = command(
     payload=Struct("state" / Off),
     doc="Switch analogue reading.",
     source="X2",
+    examples=[("001#30 84 01", {"board": 0x30, "state": "on"})],
 )
 DaOut = command(
     "DaOut",
@@ -122,6 +139,7 @@ DaOut = command(
     payload=Struct("value" / Int16ul),
     doc="Put out an analogue value.",
     source="X2",
+    examples=[("001#30 85 2C 01", {"board": 0x30, "value": 300})],
 )
 DataType = command(
     "DataType",
@@ -130,12 +148,23 @@ DataType = command(
     payload=Struct("type" / Enumeration(Byte, raw=0, average=1)),
     doc="Send raw or averaged data.",
     source="X2",
+    examples=[("001#30 86 01", {"board": 0x30, "type": "average"})],
 )
 DaOffsetQuery = command(
-    "DaOffsetQuery", opcode=0x87, dialect=D08, doc="Ask for the D/A offsets.", source="X2"
+    "DaOffsetQuery",
+    opcode=0x87,
+    dialect=D08,
+    doc="Ask for the D/A offsets.",
+    source="X2",
+    examples=[("001#30 87", {"board": 0x30})],
 )
 AdOffsetQuery = command(
-    "AdOffsetQuery", opcode=0x88, dialect=D08, doc="Ask for the A/D offsets.", source="X2"
+    "AdOffsetQuery",
+    opcode=0x88,
+    dialect=D08,
+    doc="Ask for the A/D offsets.",
+    source="X2",
+    examples=[("001#30 88", {"board": 0x30})],
 )
 OffsetQuery = command(
     "OffsetQuery",
@@ -144,6 +173,7 @@ OffsetQuery = command(
     payload=Struct("axis" / Enumeration(Byte, mx=1, my=2, fz=3)),
     doc="Ask for both offsets of one axis.",
     source="X2",
+    examples=[("001#30 89 03", {"board": 0x30, "axis": "fz"})],
 )
 
 # ---------------------------------------------------------------------- 0x040, 0x050: data
@@ -158,6 +188,7 @@ ForceTorqueD08 = hubo.message(
     payload=_AXES,
     doc="Force and torque in the sensor's own digits.",
     source="X2; acesHubo",
+    examples=[("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -123, "my": 456, "fz": 2505})],
 )
 ForceTorque = hubo.message(
     "ForceTorque",
@@ -176,6 +207,7 @@ ForceTorque = hubo.message(
     ),
     doc="Force and torque; the same bytes in digits are ForceTorqueDigits, so the request must have been seen.",
     source="hubo-ach; HuboCan",
+    examples=[("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -1.23, "my": 4.56, "fz": 250.5}, "002#01 12")],
 )
 ForceTorqueDigits = hubo.message(
     "ForceTorqueDigits",
@@ -190,6 +222,7 @@ ForceTorqueDigits = hubo.message(
     payload=_AXES,
     doc="Force and torque in the sensor's own digits.",
     source="hubo-ach canID.h",
+    examples=[("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -123, "my": 456, "fz": 2505}, "002#01 11")],
 )
 Tilt = hubo.message(
     "Tilt",
@@ -208,6 +241,7 @@ Tilt = hubo.message(
     ),
     doc="Tilt of a foot and its vertical acceleration.",
     source="hubo-ach; HuboCan (both also turn `az` from degrees to radians, which makes no sense of g)",
+    examples=[("051#7D 00 CE FF EE 02", {"sensor": 1, "ax": 1.25, "ay": -0.5, "az": 1.0}, "002#01 22")],
 )
 TiltDigits = hubo.message(
     "TiltDigits",
@@ -222,6 +256,7 @@ TiltDigits = hubo.message(
     payload=Struct("ax" / Int16sl, "ay" / Int16sl, "az" / Int16sl),
     doc="Acceleration of a foot in the sensor's own digits.",
     source="hubo-ach canID.h",
+    examples=[("051#7D 00 CE FF EE 02", {"sensor": 1, "ax": 125, "ay": -50, "az": 750}, "002#01 21")],
 )
 Imu = hubo.message(
     "Imu",
@@ -238,6 +273,12 @@ Imu = hubo.message(
     ),
     doc="Attitude of the body.",
     source="hubo-ach; HuboCan",
+    examples=[
+        (
+            "053#6A FF 4B 00 2E FB 2C 01",
+            {"sensor": 3, "roll": -1.5, "pitch": 0.75, "roll_rate": -12.34, "pitch_rate": 3.0},
+        )
+    ],
 )
 ImuD08 = hubo.message(
     "ImuD08",
@@ -248,6 +289,9 @@ ImuD08 = hubo.message(
     payload=Struct("acceleration" / Array(2, Int16sl), "gyro" / Array(2, Int16sl)),
     doc="Acceleration and rotation in the sensor's own digits.",
     source="X2; acesHubo (which forgets the sign here)",
+    examples=[
+        ("053#6A FF 4B 00 2E FB 2C 01", {"sensor": 3, "acceleration": [-150, 75], "gyro": [-1234, 300]})
+    ],
 )
 
 # ---------------------------------------------------------------------- 0x310–0x330: offsets
@@ -261,6 +305,7 @@ DaOffset = hubo.message(
     payload=_AXES,
     doc="D/A offsets; that they are signed is a guess.",
     source="X2",
+    examples=[("311#01 00 FF FF 02 00", {"sensor": 1, "mx": 1, "my": -1, "fz": 2})],
 )
 AdOffset = hubo.message(
     "AdOffset",
@@ -271,6 +316,7 @@ AdOffset = hubo.message(
     payload=_AXES,
     doc="A/D offsets; that they are signed is a guess.",
     source="X2",
+    examples=[("321#01 00 FF FF 02 00", {"sensor": 1, "mx": 1, "my": -1, "fz": 2})],
 )
 OffsetPair = hubo.message(
     "OffsetPair",
@@ -281,4 +327,5 @@ OffsetPair = hubo.message(
     payload=Struct("ad" / Int16sl, "da" / Int16sl),
     doc="Both offsets of the axis that was asked for; that they are signed is a guess.",
     source="X2",
+    examples=[("331#01 00 FF FF", {"sensor": 1, "ad": 1, "da": -1})],
 )

@@ -25,6 +25,7 @@ DeadZone = command(
     payload=Struct("dead_zone" / Byte),
     doc="Dead zone of a motor's PWM.",
     source="hubo-ach",
+    examples=[("001#24 23 07", {"board": 0x24, "channel": 3, "dead_zone": 7})],
 )
 HomeSearch = command(
     "HomeSearch",
@@ -37,6 +38,12 @@ HomeSearch = command(
     ),
     doc="Home search: at most so many motor turns, where to, and how far the home is from the index.",
     source="hubo-ach",
+    examples=[
+        (
+            "001#0A 30 14 00 14 05 00 00",
+            {"board": 0x0A, "channel": 0, "limit": 20, "direction": "cw", "offset": 1300},
+        )
+    ],
 )
 EncoderResolution = command(
     "EncoderResolution",
@@ -50,6 +57,12 @@ EncoderResolution = command(
     ),
     doc="Encoder counts of a motor turn, and the motor's direction.",
     source="hubo-ach",
+    examples=[
+        (
+            "001#00 39 A0 CF",
+            {"board": 0, "channel": 1, "resolution": 4000, "auto_scale": 1, "direction": "cw"},
+        )
+    ],
 )
 MaxSpeed = command(
     "MaxSpeed",
@@ -58,6 +71,7 @@ MaxSpeed = command(
     payload=Struct("acceleration" / Int16ul, "velocity" / Int16ul),
     doc="Largest acceleration and velocity, in unknown units.",
     source="hubo-ach",
+    examples=[("001#03 41 D0 07 E8 03", {"board": 3, "channel": 1, "acceleration": 2000, "velocity": 1000})],
 )
 _LIMIT = Struct("options" / Flags(Byte, enable=0, update=1), "limit" / Quantity(Int32sl, unit="count"))
 LowerLimit = command(
@@ -67,6 +81,12 @@ LowerLimit = command(
     payload=_LIMIT,
     doc="Lower position limit; `update` writes the value, `enable` switches the limit on.",
     source="hubo-ach",
+    examples=[
+        (
+            "001#23 50 03 F1 67 FD FF",
+            {"board": 0x23, "channel": 0, "options": ["enable", "update"], "limit": -169999},
+        )
+    ],
 )
 UpperLimit = command(
     "UpperLimit",
@@ -75,6 +95,7 @@ UpperLimit = command(
     payload=_LIMIT,
     doc="Upper position limit; `update` writes the value, `enable` switches the limit on.",
     source="hubo-ach",
+    examples=[("001#23 56 00 10 98 02 00", {"board": 0x23, "channel": 0, "options": [], "limit": 170000})],
 )
 HomingSpeed = command(
     "HomingSpeed",
@@ -89,6 +110,20 @@ HomingSpeed = command(
     ),
     doc="How a home search moves and where it stops.",
     source="hubo-ach",
+    examples=[
+        (
+            "001#00 61 96 0A 05 02 1E",
+            {
+                "board": 0,
+                "channel": 1,
+                "acceleration": 1.5,
+                "velocity_to_switch": 10,
+                "velocity_to_offset": 5,
+                "mode": "mechanical_stop",
+                "duty": 30,
+            },
+        )
+    ],
 )
 GainOverride = command(
     "GainOverride",
@@ -97,6 +132,7 @@ GainOverride = command(
     payload=Struct("gain" / Array(2, Quantity(Byte, unit="%")), "time" / Quantity(Int16ul, unit="ms")),
     doc="Scale the gains of channels 0 and 1 within so much time.",
     source="hubo-ach",
+    examples=[("001#03 6F 32 64 E8 03", {"board": 3, "gain": [50, 100], "time": 1000})],
 )
 
 # ---------------------------------------------------------------------- 0xE0–0xFA: the board itself
@@ -108,6 +144,7 @@ SetBoardNumber = command(
     payload=Struct("number" / Byte, "period" / Milliseconds),
     doc="Give the board another number. Dangerous: two boards with one number cannot be told apart again.",
     source="hubo-ach (disabled there)",
+    examples=[("001#03 F0 07 0A", {"board": 3, "number": 7, "period": 10})],
 )
 JamLimits = command(
     "JamLimits",
@@ -121,6 +158,12 @@ JamLimits = command(
     ),
     doc="When a motor counts as jammed or its PWM as saturated.",
     source="hubo-ach",
+    examples=[
+        (
+            "001#00 F2 E8 03 F4 01 32 14",
+            {"board": 0, "jam_time": 1000, "saturation_time": 500, "limit_duty": 50, "jam_duty": 20},
+        )
+    ],
 )
 ErrorBounds = command(
     "ErrorBounds",
@@ -129,9 +172,17 @@ ErrorBounds = command(
     payload=Struct("max_step" / Int16ul, "max_error" / Int16ul, "temperature" / Int16ul),
     doc="Largest step of the input, largest position error, temperature of the warning; units unknown.",
     source="hubo-ach",
+    examples=[
+        ("001#03 F3 D0 07 20 4E 50 00", {"board": 3, "max_step": 2000, "max_error": 20000, "temperature": 80})
+    ],
 )
 InitBoard = command(
-    "InitBoard", opcode=0xFA, dialect="D12", doc="Load the board's default parameters.", source="hubo-ach"
+    "InitBoard",
+    opcode=0xFA,
+    dialect="D12",
+    doc="Load the board's default parameters.",
+    source="hubo-ach",
+    examples=[("001#03 FA", {"board": 3})],
 )
 InitSensor = command(
     "InitSensor",
@@ -140,4 +191,5 @@ InitSensor = command(
     payload=Struct(Const(0xAA, Byte)),
     doc="Initialise a force/torque board.",
     source="hubo-ach; RoboWorld2018",
+    examples=[("001#30 FA AA", {"board": 0x30})],
 )

@@ -55,6 +55,23 @@ Status = hubo.message(
     payload=Struct("motor" / Array(2, _MOTOR)),
     doc="State and errors of both motors.",
     source="hubo-ach; HuboCan",
+    examples=[
+        (
+            "150#63 04 00 00 00 00 00 00",
+            {
+                "board": 0,
+                "motor": [
+                    {
+                        "drive": ["driver_on", "control_on"],
+                        "home": "homed",
+                        "errors": ["big_error"],
+                        "reserved": 0,
+                    },
+                    {"drive": [], "home": 0, "errors": [], "reserved": 0},
+                ],
+            },
+        )
+    ],
 )
 StatusShort = hubo.message(
     "StatusShort",
@@ -67,6 +84,21 @@ StatusShort = hubo.message(
     payload=Struct("motor" / Array(1, _MOTOR), "rest" / Rest),
     doc="State and errors of a one-channel board that leaves the second motor out.",
     source="hubo-ach; HuboCan",
+    examples=[
+        (
+            "151#63 04 01 00",
+            {
+                "board": 1,
+                "motor": [
+                    {
+                        "drive": ["driver_on", "control_on"],
+                        "home": "homed",
+                        "errors": ["big_error", "below_minimum"],
+                    }
+                ],
+            },
+        )
+    ],
 )
 Status3 = hubo.message(
     "Status3",
@@ -79,6 +111,19 @@ Status3 = hubo.message(
     payload=Struct("motor" / Array(3, _MOTOR_FLAGS), "rest" / Rest),
     doc="State and errors of three motors; the home flag is not there.",
     source="hubo-ach; HuboCan",
+    examples=[
+        (
+            "174#03 43 83",
+            {
+                "board": 0x24,
+                "motor": [
+                    ["driver_on", "control_on"],
+                    ["driver_on", "control_on", "big_error"],
+                    ["driver_on", "control_on", "encoder_error"],
+                ],
+            },
+        )
+    ],
 )
 Status5 = hubo.message(
     "Status5",
@@ -91,6 +136,21 @@ Status5 = hubo.message(
     payload=Struct("motor" / Array(5, _MOTOR_FLAGS), "rest" / Rest),
     doc="State and errors of five motors.",
     source="hubo-ach; HuboCan",
+    examples=[
+        (
+            "174#03 04 43 83 10",
+            {
+                "board": 0x24,
+                "motor": [
+                    ["driver_on", "control_on"],
+                    ["current_mode"],
+                    ["driver_on", "control_on", "big_error"],
+                    ["driver_on", "control_on", "encoder_error"],
+                    ["jam"],
+                ],
+            },
+        )
+    ],
 )
 
 _FOUND = {"none": 0, "ok": 1, "fail": 2}
@@ -117,6 +177,21 @@ StatusD08 = hubo.message(
     ),
     doc="How the home searches of two motors went.",
     source="acesHubo (bytes 5 and 6, as it ran on the robot); X1 for the bits",
+    examples=[
+        (
+            "150#00 00 00 00 00 05 0A",
+            {
+                "board": 0,
+                "board_state": 0,
+                "motor_state": [0, 0],
+                "motor_control": [0, 0],
+                "motor": [
+                    {"origin": "ok", "limit_switch": "ok", "encoder": "none", "reserved": 0},
+                    {"origin": "fail", "limit_switch": "fail", "encoder": "none", "reserved": 0},
+                ],
+            },
+        )
+    ],
 )
 StatusD08X = hubo.message(
     "StatusD08X",
@@ -128,6 +203,19 @@ StatusD08X = hubo.message(
     payload=Struct("state" / Bytes(6), "motor" / Array(2, _SEARCH)),
     doc="How the home searches of two motors went, in bytes 6 and 7.",
     source="X1; X2",
+    examples=[
+        (
+            "150#00 00 00 00 00 00 15 0A",
+            {
+                "board": 0,
+                "state": bytes(6),
+                "motor": [
+                    {"origin": "ok", "limit_switch": "ok", "encoder": "ok", "reserved": 0},
+                    {"origin": "fail", "limit_switch": "fail", "encoder": "none", "reserved": 0},
+                ],
+            },
+        )
+    ],
 )
 Status3D08X = hubo.message(
     "Status3D08X",
@@ -139,4 +227,18 @@ Status3D08X = hubo.message(
     payload=Struct("state" / Bytes(5), "motor" / Array(3, _SEARCH)),
     doc="How the home searches of three motors went, in bytes 5 to 7.",
     source="X1; X2",
+    examples=[
+        (
+            "170#00 00 00 00 00 05 0A 15",
+            {
+                "board": 0x20,
+                "state": bytes(5),
+                "motor": [
+                    {"origin": "ok", "limit_switch": "ok", "encoder": "none"},
+                    {"origin": "fail", "limit_switch": "fail", "encoder": "none"},
+                    {"origin": "ok", "limit_switch": "ok", "encoder": "ok"},
+                ],
+            },
+        )
+    ],
 )

@@ -31,4 +31,5 @@ Sample = frame(
     payload=Struct("channels" / Array(3, Quantity(Int16ub, unit="count"))),
     doc="One reading of all three channels, as the converter has it: mid-scale is 2048.",
     source="recording of the board",
+    examples=[("FF FF 09 0A 0A F2 08 02", {"channels": [2314, 2802, 2050]})],
 )

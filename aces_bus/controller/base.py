@@ -1,0 +1,148 @@
+"""What every controller is: a name, a rate, the states it reads, and one method that gives set-points.
+
+1. No I/O, no thread and no sleep in a controller: the runtime calls `step(now)` at `rate_hz`, and instants are integer ns
+   of its clock. The same states and instants give the same set-points.
+2. Set-points are tagged with the state's name. An empty mapping says "nothing new".
+3. A controller reads states; it never sees a device, a frame or a byte.
+4. `handle(event)` may be called from another thread, at any time: it may set a flag, and must return at once.
+
+A state is whatever has `state[0]` (the newest value) and, where a controller asks for them, `state[-0.5]`, `state.rate()` and
+`state.integral()`: the State floor's, or a test's own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Protocol
+
+from ..errors import AcesError, CallerError, UnknownNameError
+from .events import EventLike, Listeners
+
+#: Nothing new.
+NOTHING: Mapping[str, float] = {}
+
+
+class StateLike(Protocol):
+    """What a controller needs of a state."""
+
+    def __getitem__(self, when: float, /) -> float:
+        """The value `when` seconds from now: 0 the newest, -0.5 half a second ago."""
+        ...
+
+
+class ControllerLike(Protocol):
+    """What the runtime, a guard and a supervisor need of a controller."""
+
+    @property
+    def name(self) -> str:
+        """Its name, unique in a robot."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """How often it wants to be stepped."""
+        ...
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The names of the states that it reads."""
+        ...
+
+    def bind(self, states: Mapping[str, StateLike]) -> None:
+        """Take the states it reads."""
+        ...
+
+    def start(self, now: int) -> None:
+        """It will be stepped from now on (ns)."""
+        ...
+
+    def stop(self, now: int) -> None:
+        """It will not be stepped any more."""
+        ...
+
+    def step(self, now_ns: int) -> Mapping[str, float]:
+        """The set-points of this cycle, by state."""
+        ...
+
+    def handle(self, event: EventLike) -> None:
+        """Something happened below."""
+        ...
+
+
+def checked_rate(rate_hz: float, owner: str) -> float:
+    """The rate, if it is one; the paper's own tests go to 10 kHz."""
+    if not (math.isfinite(rate_hz) and 0 < rate_hz <= 1e6):
+        raise CallerError(f"{owner}: rate_hz = {rate_hz!r} is not a rate (0 < rate_hz ≤ 1e6)")
+    return float(rate_hz)
+
+
+def known_value(state: StateLike | None) -> float | None:
+    """A state's newest value; None while it is unknown, however the state says so."""
+    if state is None:
+        return None
+    try:
+        value = float(state[0])
+    except (AcesError, LookupError, TypeError, ValueError):
+        return None
+    return value if math.isfinite(value) else None
+
+
+class Controller:
+    """A controller to derive from: say the states, and give `step`.
+
+    >>> class Damper(Controller):
+    ...     def __init__(self) -> None:
+    ...         super().__init__("damper", rate_hz=100, states=["LKP"], writes=["LKP"])
+    ...     def step(self, now_ns):
+    ...         return {"LKP": 0.9 * self.bound["LKP"][0]}
+    >>> damper = Damper()
+    >>> damper.bind({"LKP": [0.5]})
+    >>> damper.step(0)
+    {'LKP': 0.45}
+
+    `states` are the names it reads, `writes` those it gives set-points for, where that is known before it runs.
+    """
+
+    def __init__(
+        self, name: str, *, rate_hz: float, states: Iterable[str] = (), writes: Iterable[str] = ()
+    ) -> None:
+        self.name = name
+        self.rate_hz = checked_rate(rate_hz, name)
+        self.states = tuple(dict.fromkeys(states))
+        self.writes = tuple(dict.fromkeys(writes))
+        self.bound: Mapping[str, StateLike] = {}
+        self.started_ns: int | None = None
+        self.listeners = Listeners()
+
+    def bind(self, states: Mapping[str, StateLike]) -> None:
+        """Take the states it reads; `UnknownNameError` lists those that exist when one is missing."""
+        for name in self.states:
+            if name not in states:
+                raise UnknownNameError(f"state (controller {self.name!r} reads it)", name, states)
+        self.bound = {name: states[name] for name in self.states}
+
+    def unknown_states(self) -> list[str]:
+        """Those of its states that have no value yet."""
+        return [name for name in self.states if known_value(self.bound.get(name)) is None]
+
+    def start(self, now: int) -> None:
+        """It will be stepped from `now` (ns) on."""
+        self.started_ns = now
+
+    def stop(self, now: int) -> None:
+        """It will not be stepped any more."""
+        self.started_ns = None
+
+    def step(self, now_ns: int) -> Mapping[str, float]:
+        """The set-points of this cycle, by state."""
+        raise NotImplementedError(f"{type(self).__name__} has no step(now_ns)")
+
+    def handle(self, event: EventLike) -> None:
+        """Something happened below (rule 4); without a handler it is not this controller's business."""
+
+    def seconds(self, now_ns: int) -> float:
+        """Seconds since it was started."""
+        if self.started_ns is None:
+            self.started_ns = now_ns
+        return (now_ns - self.started_ns) / 1e9

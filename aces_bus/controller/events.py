@@ -1,0 +1,78 @@
+"""What a controller is told besides values, and what it tells: the upper end of the paper's shortcut.
+
+1. An event is a value; telling one never waits and never raises.
+2. Instants are integer ns of the clock that the runtime steps the controller with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import msgspec
+
+
+class EventLike(Protocol):
+    """What a handler may ask of an event, whoever made it."""
+
+    @property
+    def kind(self) -> str:
+        """What happened, in a word or two ("bus-off", "lost", "trip")."""
+        ...
+
+    @property
+    def instant(self) -> int:
+        """When, in ns."""
+        ...
+
+    @property
+    def source(self) -> str:
+        """Where: a bus, a device, a controller."""
+        ...
+
+    @property
+    def detail(self) -> str:
+        """The rest, for people."""
+        ...
+
+
+class ControlEvent(msgspec.Struct, frozen=True):
+    """Something that a controller, a guard or a supervisor has to say.
+
+    `kind` is one of "trip" (motion was stopped), "recovered", "degraded", "raised" (a controller's exception), "clipped",
+    "not finite", "late" (set-points came again after a trip), "failed" (a player or a path cannot go on).
+    """
+
+    kind: str
+    instant: int
+    source: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.source}: {self.kind}" + (f": {self.detail}" if self.detail else "")
+
+
+#: Whoever wants to know.
+Listener = Callable[[ControlEvent], None]
+
+
+class Listeners:
+    """Those who are told; `failures` counts what they raised (rule 1)."""
+
+    __slots__ = ("_all", "failures")
+
+    def __init__(self) -> None:
+        self._all: tuple[Listener, ...] = ()
+        self.failures = 0
+
+    def add(self, listener: Listener) -> None:
+        """Call `listener` with every event from now on."""
+        self._all += (listener,)
+
+    def tell(self, event: ControlEvent) -> None:
+        """Call all, whatever they do."""
+        for listener in self._all:
+            try:
+                listener(event)
+            except Exception:
+                self.failures += 1

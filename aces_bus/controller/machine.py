@@ -1,0 +1,359 @@
+"""State machines as tables: phases with equations, guarded transitions, and the same table as a diagram.
+
+1. The table is data. It is checked when it is written down: targets that are missing, phases that cannot be reached and
+   phases without a way out that are not final are named.
+2. At most one transition a step, the first in the table's order whose guard holds; rows from "*" come before the others.
+   So a step ends.
+3. A transition runs the exit equations of the old phase and the entry equations of the new one; then the step evaluates the
+   new phase's equations. Later set-points of a step win.
+
+Guards and equations are the language of `aces_bus.controller.language`, or functions. A row with `on=` is taken by an event of
+that kind (the paper's shortcut), a row with `after_s=` when the phase has lasted that long; with a guard too, both must hold.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Literal
+
+from ..errors import CallerError, UnknownNameError
+from .base import NOTHING, Controller, StateLike
+from .diagram import dot, mermaid
+from .events import EventLike
+from .language import Block, Compiled, Program, Scope, as_states, condition, equations
+
+#: A function in place of a text: takes the machine (its `bound` states, `values`, `phase_s`).
+Action = Callable[["StateMachine"], Mapping[str, float] | None]
+Test = Callable[["StateMachine"], bool]
+ANY = "*"
+
+
+class MachineError(CallerError):
+    """A table is wrong: names all that is."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A phase: what is evaluated each step, on entry and on exit. `final` ends the machine."""
+
+    name: str
+    each: str | Action = ""
+    entry: str | Action = ""
+    exit: str | Action = ""
+    final: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """A transition of the table; `source` "*" is any phase that is not final. `after_s` in seconds."""
+
+    source: str
+    target: str
+    when: str | Test = ""
+    on: str = ""
+    after_s: float | None = None
+
+    @property
+    def label(self) -> str:
+        """The condition, for diagrams."""
+        parts = [f"on {self.on}"] if self.on else []
+        parts += [f"after {self.after_s:g} s"] if self.after_s is not None else []
+        when = self.when if isinstance(self.when, str) else getattr(self.when, "__name__", "guard")
+        return " and ".join([*parts, *([when.strip()] if when else [])])
+
+
+@dataclass
+class _Arrow:
+    """A row as the interpreter walks it."""
+
+    target: _Room
+    row: Row
+    test: Callable[[float, float], object] | None = None
+    after_ns: int = -1
+
+
+@dataclass
+class _Room:
+    """A phase as the interpreter walks it."""
+
+    phase: Phase
+    each: Compiled | None = None
+    entry: Compiled | None = None
+    exit: Compiled | None = None
+    arrows: tuple[_Arrow, ...] = ()  # those that need no event
+    by_event: dict[str, list[_Arrow]] = field(default_factory=lambda: {})
+
+
+Mode = Literal["ready", "running", "paused", "stopped", "done"]
+
+
+class StateMachine(Controller):
+    """A controller that is a table.
+
+    >>> crouch = StateMachine(
+    ...     "crouch", rate_hz=15, memory={"a": 0.0},
+    ...     phases=[
+    ...         Phase("wait"),
+    ...         Phase("down", each="a += 0.5 \\n LKP[0] = 2*a"),
+    ...         Phase("up", each="a -= 0.5 \\n LKP[0] = 2*a"),
+    ...     ],
+    ...     table=[
+    ...         Row("wait", "down", after_s=0.1),
+    ...         Row("down", "up", "a >= 1"),
+    ...         Row("up", "down", "a <= 0"),
+    ...     ])
+    >>> crouch.start(0)
+    >>> [dict(crouch.step(n * 66_666_667)) for n in range(5)]
+    [{}, {}, {'LKP': 1.0}, {'LKP': 2.0}, {'LKP': 1.0}]
+    >>> print(crouch.mermaid())
+    stateDiagram-v2
+        [*] --> wait
+        wait --> down: after 0.1 s
+        down --> up: a >= 1
+        up --> down: a <= 0
+
+    The first phase is where it starts. `pause`, `resume` and `single` (one step while paused) are for whoever watches it;
+    `stop` runs the phase's exit equations no more: it stands still. `transitions` counts, `trail` has the latest as
+    (instant ns, from, to).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        phases: Sequence[Phase],
+        table: Sequence[Row],
+        rate_hz: float,
+        states: Iterable[str] | None = None,
+        parameters: Mapping[str, float] | None = None,
+        memory: Mapping[str, float] | None = None,
+    ) -> None:
+        self.phases, self.table = tuple(phases), tuple(table)
+        faults = faults_of(self.phases, self.table)
+        if faults:
+            raise MachineError(f"state machine {name!r}: " + "; ".join(faults))
+        self._scope = Scope(name, as_states(states), dict(parameters or {}), dict(memory or {}))
+        blocks: dict[str, Block] = {}
+        for i, phase in enumerate(self.phases):
+            for part, text in (("each", phase.each), ("entry", phase.entry), ("exit", phase.exit)):
+                if isinstance(text, str) and text.strip():
+                    blocks[f"{part}_{i}"] = equations(self._scope, f"phase {phase.name!r}, {part}", text)
+        for i, row in enumerate(self.table):
+            if isinstance(row.when, str) and row.when.strip():
+                place = f"transition {row.source!r} → {row.target!r}"
+                blocks[f"guard_{i}"] = condition(self._scope, place, row.when)
+        self._program = Program(self._scope, blocks)
+        reads = dict.fromkeys([*(states or ()), *self._scope.used])
+        writes = [state for block in blocks.values() for state in block.setpoints]
+        super().__init__(name, rate_hz=rate_hz, states=reads, writes=writes)
+        self.values = SimpleNamespace(**self._scope.parameters, **self._scope.memory)
+        self.mode: Mode = "ready"
+        self.transitions = 0
+        self.trail: deque[tuple[int, str, str]] = deque(maxlen=64)
+        self.waiting = False
+        self._events: deque[str] = deque(maxlen=64)  # filled from any thread
+        self._singles = 0
+        self._rooms: list[_Room] = []
+        self._room: _Room | None = None
+        self._since = 0  # ns of entry
+        self._now = 0
+        self._last: int | None = None
+        self._ready = False
+
+    # ---- the table as a picture ------------------------------------------------------------------------------------
+
+    def mermaid(self) -> str:
+        """The table as a Mermaid state diagram."""
+        return mermaid(self.phases, self.table)
+
+    def dot(self) -> str:
+        """The table as a Graphviz graph."""
+        return dot(self.name, self.phases, self.table)
+
+    # ---- operations -------------------------------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> str | None:
+        """The name of the present phase; None before the start."""
+        return self._room.phase.name if self._room else None
+
+    @property
+    def phase_s(self) -> float:
+        """Seconds in the present phase, as of the last step."""
+        return (self._now - self._since) / 1e9
+
+    def set(self, **parameters: float) -> None:
+        """Change parameters, from the next step on."""
+        for parameter, value in parameters.items():
+            if parameter not in self._scope.parameters:
+                raise UnknownNameError(f"parameter of {self.name!r}", parameter, self._scope.parameters)
+            setattr(self.values, parameter, float(value))
+
+    def pause(self) -> None:
+        """Give no set-points until `resume`; time in the phase goes on."""
+        if self.mode == "running":
+            self.mode = "paused"
+
+    def resume(self) -> None:
+        """Go on after `pause`."""
+        if self.mode == "paused":
+            self.mode = "running"
+
+    def single(self) -> None:
+        """Let the next step happen although it is paused."""
+        self._singles += 1
+
+    def handle(self, event: EventLike) -> None:
+        """An event: the rows with `on` of its kind are tried at the next step."""
+        self._events.append(event.kind)
+
+    # ---- the interpreter --------------------------------------------------------------------------------------------
+
+    def bind(self, states: Mapping[str, StateLike]) -> None:
+        """Take the states it reads."""
+        super().bind(states)
+        compiled = self._program.bind(self.bound, self.values)
+        self._rooms = [_Room(phase) for phase in self.phases]
+        by_name = {room.phase.name: room for room in self._rooms}
+        for i, room in enumerate(self._rooms):
+            room.each = self._part(room.phase.each, compiled.get(f"each_{i}"))
+            room.entry = self._part(room.phase.entry, compiled.get(f"entry_{i}"))
+            room.exit = self._part(room.phase.exit, compiled.get(f"exit_{i}"))
+            if room.phase.final:
+                continue
+            mine = [(j, row) for j, row in enumerate(self.table) if row.source == ANY != row.target]
+            mine += [(j, row) for j, row in enumerate(self.table) if row.source == room.phase.name]
+            timed: list[_Arrow] = []
+            for j, row in mine:
+                if row.source == ANY and row.target == room.phase.name:
+                    continue  # it is there
+                after = -1 if row.after_s is None else round(row.after_s * 1e9)
+                test = self._part(row.when, compiled.get(f"guard_{j}"))
+                arrow = _Arrow(by_name[row.target], row, test, after)
+                (room.by_event.setdefault(row.on, []) if row.on else timed).append(arrow)
+            room.arrows = tuple(timed)
+        self._ready = False
+
+    def _part(
+        self, text: str | Callable[[StateMachine], object], printed: Compiled | None
+    ) -> Compiled | None:
+        if callable(text):
+            action = text
+            return lambda t, dt: action(self)
+        return printed
+
+    def start(self, now: int) -> None:
+        """A run begins in the first phase, with memory's first values; entry equations run at the first step."""
+        super().start(now)
+        if not self._rooms:
+            self.bind({})
+        self.values.__dict__.update(self._scope.memory)
+        self._events.clear()
+        self._room, self._last, self._singles = None, None, 0
+        self.mode, self._ready, self.transitions = "running", False, 0
+        self.trail.clear()
+
+    def stop(self, now: int) -> None:
+        """It stands still; nothing is evaluated any more."""
+        self.mode = "stopped"
+
+    def step(self, now_ns: int) -> Mapping[str, float]:
+        """One cycle: at most one transition, then the phase's equations (rules 2 and 3)."""
+        if self.mode != "running":
+            if self.mode == "ready":
+                self.start(now_ns)
+            elif self.mode == "paused" and self._singles:
+                self._singles -= 1
+            else:
+                return NOTHING
+        if not self._ready:
+            self.waiting = bool(self.unknown_states())
+            if self.waiting:
+                return NOTHING
+            self._ready = True
+        t = self.seconds(now_ns)
+        dt = 1.0 / self.rate_hz if self._last is None else (now_ns - self._last) / 1e9
+        self._now = self._last = now_ns
+        given: Mapping[str, float] | None = None
+        room = self._room
+        if room is None:
+            room = self._rooms[0]
+            given = self._enter(room, t, dt)
+        else:
+            arrow = self._open(room, now_ns - self._since, t, dt)
+            if arrow is not None:
+                given = room.exit(t, dt) if room.exit is not None else None
+                room = arrow.target
+                given = self._enter(room, t, dt, given)
+        if room.each is not None and self.mode != "done":
+            more: Mapping[str, float] | None = room.each(t, dt)
+            given = {**given, **more} if given and more else more or given
+        return given or NOTHING
+
+    def _open(self, room: _Room, lasted: int, t: float, dt: float) -> _Arrow | None:
+        while self._events:
+            for arrow in room.by_event.get(self._events.popleft(), ()):
+                if lasted >= arrow.after_ns and (arrow.test is None or arrow.test(t, dt)):
+                    return arrow
+        for arrow in room.arrows:
+            if lasted >= arrow.after_ns and (arrow.test is None or arrow.test(t, dt)):
+                return arrow
+        return None
+
+    def _enter(
+        self, room: _Room, t: float, dt: float, given: Mapping[str, float] | None = None
+    ) -> Mapping[str, float] | None:
+        if self._room is not None:
+            self.transitions += 1
+            self.trail.append((self._now, self._room.phase.name, room.phase.name))
+        self._room, self._since = room, self._now
+        if room.phase.final:
+            self.mode = "done"
+        if room.entry is None:
+            return given
+        more: Mapping[str, float] | None = room.entry(t, dt)
+        return {**given, **more} if given and more else more or given
+
+
+def faults_of(phases: Sequence[Phase], table: Sequence[Row]) -> list[str]:
+    """What is wrong with a table, one line each."""
+    names = [phase.name for phase in phases]
+    final = {phase.name for phase in phases if phase.final}
+    if not names:
+        return ["it has no phase"]
+    listed = ", ".join(names)
+    faults = [f"the phase {name!r} is there twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+    faults += [f"a phase cannot be called {name!r}" for name in names if name == ANY or not name.strip()]
+    for number, row in enumerate(table, 1):
+        where = f"row {number} ({row.source!r} → {row.target!r})"
+        if row.source != ANY and row.source not in names:
+            faults.append(f"{where}: there is no phase {row.source!r} (there are: {listed})")
+        if row.target not in names:
+            faults.append(f"{where}: there is no phase {row.target!r} (there are: {listed})")
+        if row.source in final:
+            faults.append(f"{where}: {row.source!r} is final")
+        if not (row.when or row.on) and row.after_s is None:
+            faults.append(f"{where}: says neither when, on nor after_s")
+        if row.after_s is not None and not 0 <= row.after_s < 1e9:
+            faults.append(f"{where}: after_s = {row.after_s!r} is no time")
+    if faults:
+        return faults
+    reached, todo = {names[0]}, [names[0]]
+    while todo:
+        here = todo.pop()
+        for row in table:
+            if row.source in (here, ANY) and here not in final and row.target not in reached:
+                reached.add(row.target)
+                todo.append(row.target)
+    unreached = [name for name in names if name not in reached]
+    if unreached:
+        faults.append(f"no way leads from {names[0]!r} to {', '.join(map(repr, unreached))}")
+    stuck = [
+        name for name in names if name not in final and not any(row.source in (name, ANY) for row in table)
+    ]
+    if stuck and len(names) > 1:
+        faults.append(f"no way leads out of {', '.join(map(repr, stuck))}; say final=True if that is meant")
+    return faults

@@ -1,0 +1,184 @@
+"""Trajectories and walking patterns as files: rows of numbers, with a line of names before them or without.
+
+1. A file is untrusted: lines, columns, numbers and bytes are bounded, and whatever is wrong is an error with file:line.
+2. Line ends are LF or CRLF, blanks may trail, and the last row needs no line end. Nothing is skipped but blank lines.
+3. Numbers are plain decimals; no `nan`, no `inf`, no underscore.
+
+The format is the original framework's `Script` (names first) and `Mini Leg` (none): facts from acesHubo, orocosScripts. It says
+neither rate nor unit: the file's name may (`100hz.txt`), else the caller does.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import IO, Literal
+
+from ..errors import CallerError
+from .motion import Interpolation, Trajectory
+
+#: A row of 1000 numbers, at most.
+LONGEST_LINE = 32_768
+MOST_COLUMNS = 1_000
+#: Numbers in a file: ten hours of 60 joints at 50 Hz, some 0.9 GB while they are read.
+MOST_NUMBERS = 100_000_000
+NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+#: What no joint turns to: two turns either way. A file in degrees read as radians is found by it.
+MOST_RAD = 4 * math.pi
+
+Unit = Literal["rad", "deg"]
+#: Names of the columns: one each ("" for a column to pass over), or a function of how many there are.
+Columns = Sequence[str] | Callable[[int], Sequence[str]]
+
+
+class TrajectoryError(CallerError):
+    """A file that is no trajectory: says file:line and what would do."""
+
+
+def rate_in_name(name: str) -> float | None:
+    """The rate that a file's name says: 100hz.txt, walk_50Hz_deg.txt.
+
+    >>> rate_in_name("handwave_100hz_deg.txt"), rate_in_name("test9.txt")
+    (100.0, None)
+    """
+    found = re.search(r"(\d{1,6}(?:\.\d+)?)\s*hz", name, re.IGNORECASE)
+    return float(found[1]) if found and float(found[1]) > 0 else None
+
+
+def read_trajectory(
+    file: str | os.PathLike[str] | IO[bytes],
+    *,
+    rate_hz: float | None = None,
+    columns: Columns | None = None,
+    unit: Unit = "rad",
+    interpolation: Interpolation = "linear",
+    most_numbers: int = MOST_NUMBERS,
+) -> Trajectory:
+    """Read a file of set-points.
+
+    `columns` names the columns of a file that does not; "" passes one over, and fewer names than columns pass over the
+    rest of them. With `unit="deg"` the numbers are converted to rad; else they are kept as they stand.
+    `rate_hz` None takes the rate from the file's name. `TrajectoryError` says file:line.
+    """
+    if hasattr(file, "read"):
+        return _read(
+            file, getattr(file, "name", "trajectory"), rate_hz, columns, unit, interpolation, most_numbers
+        )
+    path = Path(os.fspath(file))
+    try:
+        with path.open("rb") as stream:
+            return _read(stream, str(path), rate_hz, columns, unit, interpolation, most_numbers)
+    except OSError as error:
+        raise TrajectoryError(f"{path}: {error.strerror or error}") from None
+
+
+def _lines(stream: IO[bytes], where: str) -> Iterator[tuple[int, bytes]]:
+    """Line numbers and lines, without blank ones."""
+    number = 0
+    while line := stream.readline(LONGEST_LINE + 1):
+        number += 1
+        if len(line) > LONGEST_LINE:
+            raise TrajectoryError(
+                f"{where}:{number}: more than {LONGEST_LINE} characters in a line: no trajectory"
+            )
+        text = line.strip()
+        if number == 1:
+            text = text.removeprefix(b"\xef\xbb\xbf")
+        if text:
+            yield number, text
+
+
+def _names(where: str, number: int, tokens: list[bytes]) -> list[str]:
+    """The line of names."""
+    if sum(1 for token in tokens if NUMBER.fullmatch(token)):
+        shown = b" ".join(tokens[:6]).decode("ascii", "replace")
+        raise TrajectoryError(f"{where}:{number}: names and numbers in one line: {shown!r}")
+    try:
+        names = [token.decode("utf-8") for token in tokens]
+    except UnicodeDecodeError:
+        raise TrajectoryError(f"{where}:{number}: neither numbers nor names: is this a text file?") from None
+    if not all(name.isprintable() for name in names):
+        raise TrajectoryError(f"{where}:{number}: neither numbers nor names: is this a text file?")
+    double = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    if double:
+        raise TrajectoryError(f"{where}:{number}: {', '.join(double)} named twice")
+    return names
+
+
+def _read(
+    stream: IO[bytes],
+    where: str,
+    rate_hz: float | None,
+    columns: Columns | None,
+    unit: Unit,
+    interpolation: Interpolation,
+    most_numbers: int,
+) -> Trajectory:
+    if unit not in ("rad", "deg"):
+        raise CallerError(f"unit is 'rad' or 'deg', not {unit!r}")
+    lines = _lines(stream, where)
+    first = next(lines, None)
+    if first is None:
+        raise TrajectoryError(f"{where}: empty")
+    number, text = first
+    tokens = text.split()
+    if len(tokens) > MOST_COLUMNS:
+        raise TrajectoryError(f"{where}:{number}: more than {MOST_COLUMNS} columns")
+    names: Sequence[str]
+    rows: list[list[float]] = []
+    if all(NUMBER.fullmatch(token) for token in tokens):
+        names = _given_names(where, columns, len(tokens))
+        rows.append(_numbers(where, number, tokens))
+    else:
+        names = _names(where, number, tokens)
+        if columns is not None and not callable(columns):
+            names = _given_names(where, columns, len(tokens))
+    width = len(tokens)
+    for number, text in lines:
+        tokens = text.split()
+        if len(tokens) != width:
+            raise TrajectoryError(
+                f"{where}:{number}: {len(tokens)} numbers where the lines before have {width}"
+            )
+        rows.append(_numbers(where, number, tokens))
+        if len(rows) * width > most_numbers:
+            raise TrajectoryError(f"{where}:{number}: more than {most_numbers} numbers")
+    if not rows:
+        raise TrajectoryError(f"{where}: names, but no row of numbers")
+    rate = rate_hz if rate_hz is not None else rate_in_name(Path(where).name)
+    if rate is None:
+        raise TrajectoryError(f"{where}: the file does not say its rate: give rate_hz (rows a second)")
+    keep = [i for i, name in enumerate(names) if name]
+    table = rows if len(keep) == width else [[row[i] for i in keep] for row in rows]
+    made = Trajectory(
+        [names[i] for i in keep], table, rate_hz=rate, interpolation=interpolation, source=Path(where).name
+    )
+    return made.scaled(dict.fromkeys(made.names, math.pi / 180)) if unit == "deg" else made
+
+
+def _given_names(where: str, columns: Columns | None, count: int) -> Sequence[str]:
+    if columns is None:
+        raise TrajectoryError(f"{where}: {count} columns without names: give columns=[…]")
+    names = list(columns(count) if callable(columns) else columns)
+    if len(names) > count:
+        raise TrajectoryError(f"{where}: {len(names)} names for {count} columns")
+    if not any(names):
+        raise TrajectoryError(f"{where}: none of its {count} columns has a name")
+    return [*names, *[""] * (count - len(names))]
+
+
+def _numbers(where: str, number: int, tokens: list[bytes]) -> list[float]:
+    """A row. What `float` takes beyond rule 3 is told apart only where it could be."""
+    try:
+        values = [float(token) for token in tokens]
+    except ValueError:
+        values = []
+    if not values or not math.isfinite(sum(values)) or b"_" in b"".join(tokens):
+        for column, token in enumerate(tokens, 1):
+            if not NUMBER.fullmatch(token) or math.isinf(float(token)):
+                shown = token[:24].decode("ascii", "replace")
+                raise TrajectoryError(f"{where}:{number}: column {column}: {shown!r} is no number")
+    return values

@@ -1,0 +1,72 @@
+"""How what many devices want becomes few words on the bus.
+
+1. A rule is a function of all that is wanted of one message in one tick. Drivers declare theirs; whoever makes a `Host`
+   may give another.
+2. A rule loses nothing: each want is in a word, or waits in its signal for the next tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+if TYPE_CHECKING:
+    from .device import Device
+
+
+class Want(msgspec.Struct, frozen=True, gc=False):
+    """One set-point that one device is to be given: `value` at `path` ("position.1") of `message`, in the sheet's unit."""
+
+    device: Any
+    message: str
+    path: str
+    value: Any
+
+
+class Outgoing(msgspec.Struct, frozen=True, gc=False):
+    """One message that is to go out, of a device (or of all, with the first one's credentials overridden by `fields`)."""
+
+    device: Any
+    message: str
+    fields: dict[str, Any]
+
+
+Rule = Callable[[Sequence[Want]], Iterable[Outgoing]]
+
+
+def a_device(wants: Sequence[Want]) -> Iterable[Outgoing]:
+    """One word a device, with all its channels: both motors of a board in one reference frame. The default.
+
+    A channel that was never given a set-point has none: its device waits until all have one, unless it says what to send
+    in its place (`Device.default_of`).
+    """
+    grouped: dict[int, list[Want]] = {}
+    for want in wants:
+        grouped.setdefault(id(want.device), []).append(want)
+    for mine in grouped.values():
+        device: Device = mine[0].device
+        fields = device.gathered(mine[0].message, mine)
+        if fields is not None:
+            yield Outgoing(device, mine[0].message, fields)
+
+
+def one_each(wants: Sequence[Want]) -> Iterable[Outgoing]:
+    """One word a want: what it costs not to coalesce. Other channels repeat what they were given last."""
+    for want in wants:
+        fields = want.device.gathered(want.message, [want])
+        if fields is not None:
+            yield Outgoing(want.device, want.message, fields)
+
+
+def put(fields: dict[str, Any], path: str, value: Any) -> None:
+    """Set `position.1` in fields that become a message: a dot and a number is an item of a list."""
+    name, _, index = path.partition(".")
+    if not index:
+        fields[name] = value
+        return
+    items = fields.setdefault(name, [])
+    number = int(index)
+    items.extend([None] * (number + 1 - len(items)))
+    items[number] = value

@@ -1,0 +1,401 @@
+"""A device: one node on a bus, as its driver knows it.
+
+1. Down: what is wanted is tagged with the device's credentials. Up: only what is its own arrives.
+2. SI outside, the sheet's units inside: conversions stand where a signal is declared, nowhere else.
+3. A driver waits for nothing: it asks, and goes on when the answer is there (`ask`, `job`).
+
+A driver is a subclass. The usual one declares what it polls and what its messages' fields mean:
+
+    class Fan(Device):
+        protocol = "fan"
+        polls = (Poll("AskState", reply="State"),)
+        provides = (
+            signal("speed", unit="rad/s", of="State.speed", set="SetSpeed.speed", scale=tau / 60),
+            signal("temperature", unit="K", of="State.temperature", offset=273.15),
+        )
+
+and overrides `setup`, `heard`, `check` or adds methods where that is not enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ..errors import CallerError, UnknownNameError
+from ..protocol import Protocol, Variant
+from .coalesce import Rule, Want, put
+from .robot import DeviceConfig, Joint, Robot, Sensor
+from .signal import UNKNOWN, Signal
+from .ticket import Job, Steps, Ticket
+
+if TYPE_CHECKING:
+    from .events import Kind
+    from .host import Host
+
+
+@dataclass(frozen=True)
+class Poll:
+    """What is asked again and again: `message` with `fields`, answered by one of `reply`.
+
+    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire.
+    """
+
+    message: str
+    reply: str | tuple[str, ...]
+    fields: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    every_s: float | None = None
+    timeout_s: float = 0.02
+
+    @property
+    def replies(self) -> frozenset[str]:
+        """The names of the messages that answer."""
+        return frozenset((self.reply,) if isinstance(self.reply, str) else self.reply)
+
+
+@dataclass(frozen=True)
+class SignalSpec:
+    """A signal as declared; see `signal`."""
+
+    name: str
+    unit: str
+    of: str | None
+    set: str | None
+    scale: float
+    offset: float
+    lower: float | None
+    upper: float | None
+    stale_s: float | None
+    doc: str
+    source: str
+
+
+def signal(
+    name: str,
+    *,
+    unit: str = "",
+    of: str | None = None,
+    set: str | None = None,
+    scale: float = 1,
+    offset: float = 0,
+    lower: float | None = None,
+    upper: float | None = None,
+    stale_s: float | None = None,
+    doc: str = "",
+    source: str = "",
+) -> SignalSpec:
+    """Declare a quantity: read from the field `of` and set through the field `set` ("Message.field" or "Message.field.1").
+
+    `unit` is SI; SI = field × `scale` + `offset`. `lower` and `upper` limit what is set, in SI. `stale_s` is how old a
+    value may be (default: five polls, at least 0.1 s).
+    """
+    return SignalSpec(name, unit, of, set, scale, offset, lower, upper, stale_s, doc, source)
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+class Device:
+    """One node. Class attributes are the driver's declaration.
+
+    `actions` names the methods that programs and the command line may call: name → what it does. `streams` are messages
+    of set-points that are repeated in each tick, once given; others are sent when set. `silent_after` is how many polls
+    in a row may miss before the device counts as silent.
+    """
+
+    #: What it speaks: the name of an installed protocol, or a protocol itself.
+    protocol: ClassVar[str | Protocol]
+    provides: ClassVar[Sequence[SignalSpec]] = ()
+    polls: Sequence[Poll] = ()
+    rules: ClassVar[Mapping[str, Rule]] = {}
+    streams: ClassVar[Collection[str]] = ()
+    actions: ClassVar[Mapping[str, str]] = {}
+    silent_after: ClassVar[int] = 3
+    stale_s: ClassVar[float] = 0.1
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "signals" in cls.__dict__:
+            raise TypeError(f"{cls.__name__}: signals are declared as `provides = (signal(…), …)`")
+
+    def __init__(self, host: Host, config: DeviceConfig, robot: Robot, variant: Variant) -> None:
+        self.host, self.config, self.robot, self.variant = host, config, robot, variant
+        self.name = config.name
+        self.clock = host.clock
+        self.credentials: dict[str, int] = dict(config.credentials)
+        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
+        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
+        self.signals: dict[str, Signal] = {}
+        #: When it was last heard (ns).
+        self.last_heard: int | None = None
+        self.is_silent = False
+        self.misses = 0
+        self.missing_since = 0
+        #: Tickets that wait for an answer, oldest first; the host's.
+        self.awaiting: list[Ticket] = []
+        #: When each kind of answer was last had.
+        self.answered: dict[str, int] = {}
+        self.timed_out: dict[str, int] = {}
+        self._updates: dict[str, list[tuple[Callable[[Any], Any], Signal]]] = {}
+        self._given: dict[str, dict[str, Any]] = {}
+        self._paths: dict[str, dict[str, None]] = {}
+        self._dirty: set[str] = set()
+        self._held: dict[str, int] = {}
+        for spec in self.provides:
+            self._declare(spec)
+        self.setup()
+
+    # ------------------------------------------------------------------ for drivers to override
+
+    def setup(self) -> None:
+        """Declare what depends on this device's configuration: `add_signal`, `self.polls`."""
+
+    def heard(self, record: Any, instant: int) -> None:
+        """A record of this device, after its declared signals were updated."""
+
+    def default_of(self, message: str, path: str) -> Any:
+        """What stands in for a set-point that nobody has given yet; None: wait for it."""
+        return None
+
+    def start(self) -> Any:
+        """What to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""
+        return None
+
+    def stop_motion(self) -> Any:
+        """Stop what moves, now; nothing by default. Returns a ticket or job, or None."""
+        return None
+
+    def no_reply(self, ticket: Ticket) -> None:
+        """A request has failed for want of an answer."""
+
+    # ------------------------------------------------------------------ signals
+
+    def _declare(self, spec: SignalSpec) -> None:
+        scale, offset = spec.scale, spec.offset
+        plain = scale == 1 and offset == 0
+        self.add_signal(
+            spec.name,
+            unit=spec.unit,
+            of=spec.of,
+            set=spec.set,
+            to_si=_same if plain else lambda value: value * scale + offset,
+            from_si=_same if plain else lambda value: (value - offset) / scale,
+            lower=spec.lower,
+            upper=spec.upper,
+            stale_s=spec.stale_s,
+            doc=spec.doc,
+            source=spec.source,
+        )
+
+    def add_signal(
+        self,
+        name: str,
+        *,
+        unit: str = "",
+        of: str | Sequence[str] | None = None,
+        set: str | None = None,
+        setter: Callable[[Any], None] | None = None,
+        to_si: Callable[[Any], Any] = _same,
+        from_si: Callable[[Any], Any] = _same,
+        lower: float | None = None,
+        upper: float | None = None,
+        stale_s: float | None = None,
+        owner: str | None = None,
+        doc: str = "",
+        source: str = "",
+    ) -> Signal:
+        """A new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
+
+        `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
+        `to_si` and `from_si` convert. Values that are set beyond `lower` or `upper` are limited, and that is told.
+        """
+        whole = f"{owner or self.name}.{name}"
+        if whole in self.signals:
+            raise CallerError(f"{self.name}: there is a signal {whole} already")
+        if set is not None:
+            message, _, path = set.partition(".")
+            self.variant[message]  # raises for a message that does not exist
+            self._paths.setdefault(message, {})[path] = None
+
+            def give(value: Any, message: str = message, path: str = path) -> None:
+                self.want(message, path, from_si(self._limited(made, value)))
+
+            setter = give
+        elif setter is not None:
+            given = setter
+
+            def give_other(value: Any) -> None:
+                given(self._limited(made, value))
+
+            setter = give_other
+        age = stale_s if stale_s is not None else self.stale_s
+        made = Signal(
+            whole,
+            self.clock,
+            unit=unit,
+            stale_after_ns=round(age * 1e9),
+            setter=setter,
+            lower=lower,
+            upper=upper,
+            doc=doc,
+            source=source,
+        )
+        for one in (of,) if isinstance(of, str) else of or ():
+            message, _, path = one.partition(".")
+            self.variant[message]
+            self._updates.setdefault(message, []).append((_reader(path, to_si), made))
+        self.signals[whole] = made
+        return made
+
+    def __getitem__(self, name: str) -> Signal:
+        """The signal of this name, with or without its owner where that is clear; raises `UnknownNameError`."""
+        found = self.signals.get(name) or self.signals.get(f"{self.name}.{name}")
+        if found is None:
+            near = [one for whole, one in self.signals.items() if whole.partition(".")[2] == name]
+            if len(near) != 1:
+                raise UnknownNameError(f"signal of {self.name}", name, self.signals)
+            found = near[0]
+        return found
+
+    def _limited(self, of: Signal, value: Any) -> Any:
+        low, high = of.lower, of.upper
+        if low is not None and value < low:
+            self.tell_event("limited", f"{of.name}: {value:g} is below {low:g} {of.unit}")
+            return low
+        if high is not None and value > high:
+            self.tell_event("limited", f"{of.name}: {value:g} is above {high:g} {of.unit}")
+            return high
+        return value
+
+    def forget(self) -> None:
+        """Nothing that was known is true any more, and set-points are not either."""
+        for one in self.signals.values():
+            one.forget()
+        self._given.clear()
+        self._dirty.clear()
+
+    def rebooted(self, detail: str) -> None:
+        """The device has forgotten what it was told."""
+        self.forget()
+        self.tell_event("rebooted", detail)
+
+    # ------------------------------------------------------------------ up
+
+    def receive(self, record: Any, instant: int) -> None:
+        """A record of this device: answers what was asked, updates signals, is given to `heard`."""
+        self.last_heard = instant
+        name = type(record).__name__
+        self.host.answered(self, name, record, instant)
+        for read, target in self._updates.get(name, ()):
+            value = read(record)
+            if value is not None:
+                target.update(value, instant)
+        self.heard(record, instant)
+
+    # ------------------------------------------------------------------ down
+
+    def want(self, message: str, path: str, value: Any) -> None:
+        """Have a field of a message sent with the next tick, in the sheet's unit."""
+        self._given.setdefault(message, {})[path] = value
+        self._dirty.add(message)
+        self.host.wake()
+
+    def drop(self, message: str) -> None:
+        """Forget the set-points of a message: a stream ends until new ones are given."""
+        self._given.pop(message, None)
+        self._dirty.discard(message)
+
+    def hold(self, message: str, duration_s: float) -> None:
+        """Send none of a message for a while; set-points given meanwhile are kept."""
+        self._held[message] = self.clock.now() + round(duration_s * 1e9)
+
+    def wants(self, now: int) -> list[Want]:
+        """What is to be sent in this tick."""
+        if not self._given:
+            return []
+        out: list[Want] = []
+        for message, given in self._given.items():
+            if message not in self._dirty and message not in self.streams:
+                continue
+            if self._held and self._held.get(message, 0) > now:
+                continue
+            self._held.pop(message, None)
+            self._dirty.discard(message)
+            for path, value in given.items():
+                out.append(Want(self, message, path, value))
+        return out
+
+    def gathered(self, message: str, wants: Sequence[Want]) -> dict[str, Any] | None:
+        """The fields of a message from what is wanted, what was given before and defaults; None: something is missing."""
+        given = self._given.get(message, {})
+        fields: dict[str, Any] = {}
+        mine = {want.path: want.value for want in wants}
+        for path in self._paths.get(message) or mine:
+            value = mine[path] if path in mine else given.get(path)
+            if value is None:
+                value = self.default_of(message, path)
+                if value is None:
+                    return None
+            put(fields, path, value)
+        return self.completed(message, fields)
+
+    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+        """What else a message of set-points needs: constant fields, the slot of a channel that is not there."""
+        return fields
+
+    def ask(
+        self,
+        message: str,
+        *,
+        reply: str | tuple[str, ...] = (),
+        timeout_s: float = 0.05,
+        retries: int = 2,
+        **fields: Any,
+    ) -> Ticket:
+        """Send a message and wait for one of `reply`, asking again `retries` times. The record is the ticket's result.
+
+        Raises `UnknownNameError` and `FieldError` as encoders do; a missing answer is the ticket's `NoReplyError`.
+        """
+        names = frozenset((reply,) if isinstance(reply, str) else reply)
+        word = self.host.word(self, message, fields)
+        return self.host.ask(Ticket(self.clock, self, message, word, names, round(timeout_s * 1e9), retries))
+
+    def tell(self, message: str, **fields: Any) -> Ticket:
+        """Send a message that is not answered."""
+        return self.ask(message, **fields)
+
+    def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:
+        """Begin something that takes several steps; see `Job`."""
+        return Job(self.clock, f"{self.name} {name}", steps)
+
+    def tell_event(self, kind: Kind, detail: str = "") -> None:
+        """Tell what has happened."""
+        self.host.tell(kind, self.name, detail)
+
+    def __repr__(self) -> str:
+        tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
+        return f"<{type(self).__name__} {self.name}: {tags}>"
+
+
+def _reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """The value at `position.1` of a record, converted; None where the record has none."""
+    name, _, index = path.partition(".")
+    if not index:
+        if to_si is _same:
+            return lambda record: getattr(record, name)
+
+        def plain(record: Any) -> Any:
+            value = getattr(record, name)
+            return None if value is None else to_si(value)
+
+        return plain
+    if not index.isdigit():
+        inner = _reader(index, to_si)
+        return lambda record: inner(getattr(record, name))
+    number = int(index)
+    return lambda record: to_si(getattr(record, name)[number])
+
+
+__all__ = ["UNKNOWN", "Device", "Poll", "SignalSpec", "signal"]

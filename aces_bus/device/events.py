@@ -1,0 +1,68 @@
+"""What happens to devices, told at once to whoever wants to know (the paper's shortcut for errors)."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Literal
+
+import msgspec
+
+Kind = Literal[
+    "silent",  # does not answer any more
+    "answers",  # does again
+    "no reply",  # a request was not answered, however often it was sent
+    "late reply",  # an answer after its time
+    "two answers",  # more answers than requests: two devices with one number
+    "stranger",  # a device that nobody put on this bus
+    "malformed",  # a word that is none of the device's messages
+    "rebooted",  # forgot what it was told
+    "alarm",  # the device reports a fault
+    "alarm over",
+    "limited",  # a set-point was beyond its limits
+    "not sent",  # the bus does not take words
+    "overrun",  # a tick's words did not fit into the tick
+    "bug",  # a driver's own code raised
+]
+
+
+class DeviceEvent(msgspec.Struct, frozen=True):
+    """What, when (ns), on which bus, of which device ("" where none is meant), and the details."""
+
+    kind: Kind
+    instant: int
+    bus: str
+    device: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        who = f"{self.bus} {self.device}".strip()
+        return f"{self.instant / 1e9:.6f} {who}: {self.kind}{f': {self.detail}' if self.detail else ''}"
+
+
+class EventLog:
+    """Handlers, counts a kind and device, and the last events. A handler that raises is dropped into `failures`."""
+
+    def __init__(self, keep: int = 1024) -> None:
+        self.handlers: list[Callable[[DeviceEvent], None]] = []
+        self.last: deque[DeviceEvent] = deque(maxlen=keep)
+        self.counts: Counter[tuple[str, str]] = Counter()
+        self.failures: deque[BaseException] = deque(maxlen=16)
+
+    def tell(self, event: DeviceEvent) -> None:
+        """Count, keep and hand on."""
+        self.counts[event.kind, event.device] += 1
+        self.last.append(event)
+        for handler in self.handlers:
+            try:
+                handler(event)
+            except Exception as error:  # a user's code: it must not stop the bus
+                self.failures.append(error)
+
+    def count(self, kind: str, device: str | None = None) -> int:
+        """How many events of a kind there were, of one device or of all."""
+        return sum(n for (k, d), n in self.counts.items() if k == kind and device in (None, d))
+
+    def of(self, kind: str) -> list[DeviceEvent]:
+        """The last events of a kind."""
+        return [event for event in self.last if event.kind == kind]

@@ -1,0 +1,501 @@
+"""The host's side of a bus: its devices, what is asked of them, what they are told, and when.
+
+1. All runs on the port's clock: no thread, no lock, no wait. The same clock, words and calls give the same words.
+2. Each tick sends set-points first, as few words as the rules make of them; then polls, in turn, as far as the budget goes.
+   What did not fit is first in the next tick.
+3. What is not answered, answered twice, not understood or nobody's is told by name, and stops nothing.
+
+On a half-duplex line one speaks at a time: a request is sent when the one before was answered or its time is up.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import AcesError, CallerError, NoReplyError
+from ..protocol import Unknown as UnknownWord
+from ..protocol import Variant
+from ..runtime import Timer
+from .coalesce import Rule, Want, a_device
+from .device import Device, Poll
+from .events import DeviceEvent, EventLog, Kind
+from .port import Port
+from .station import Station
+from .ticket import Ticket
+
+#: Events of one kind and device are told this often at most (ns); all are counted.
+TELL_EVERY = 1_000_000_000
+#: An answer this soon (ns) after another to the same request is a second device's.
+SECOND = 20_000_000
+#: The share of a tick that polls may fill when nobody says otherwise.
+BUDGET = 0.9
+
+
+@dataclass
+class HostCounts:
+    """What went over a host's bus, in words; latencies in ns.
+
+    `polls_carried` is how often a poll had to wait for another tick. `cycle_ns` is the longest time from a tick to the
+    last answer to what was asked in it, `latency_ns` that of a single request.
+    """
+
+    ticks: int = 0
+    sent: int = 0
+    set_points: int = 0
+    polls: int = 0
+    polls_carried: int = 0
+    asked: int = 0
+    answered: int = 0
+    missed: int = 0
+    repeated: int = 0
+    received: int = 0
+    not_sent: int = 0
+    latency_ns: int = 0
+    cycle_ns: int = 0
+    cycle_sum_ns: int = 0
+    cycles: int = 0
+
+
+class _Turn:
+    """One poll of one device, and when it is due."""
+
+    __slots__ = (
+        "asked_at",
+        "cost_ns",
+        "device",
+        "due",
+        "every_ns",
+        "poll",
+        "replies",
+        "timeout_ns",
+        "waiting",
+        "word",
+    )
+
+    def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
+        self.device, self.poll, self.word = device, poll, word
+        self.every_ns = 0 if poll.every_s is None else round(poll.every_s * 1e9)
+        self.timeout_ns = round(poll.timeout_s * 1e9)
+        self.replies = poll.replies
+        self.due = self.asked_at = 0
+        self.waiting: Ticket | None = None
+        #: What it costs on the wire, with its answer; learnt.
+        self.cost_ns = cost_ns
+
+
+class Host(Station[Device]):
+    """Devices on one bus. Made by `connect`, or by hand: `Host(port, [hubo.variant()], rate_hz=200)`.
+
+    `rate_hz` None: no ticks; set-points go out as they are given, nothing is polled unless `poll()` says so. `budget` is
+    the share of a tick that words may fill. `rules` replace the drivers' rules, message by message.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        variants: Sequence[Variant],
+        *,
+        rate_hz: float | None = None,
+        budget: float = BUDGET,
+        rules: Mapping[str, Rule] | None = None,
+        events: EventLog | None = None,
+    ) -> None:
+        super().__init__(port, variants, direction="from device")
+        if rate_hz is not None and rate_hz <= 0:
+            raise CallerError(f"{port.name}: a rate of {rate_hz} Hz is none")
+        self.rate_hz, self.budget = rate_hz, budget
+        self.rules = dict(rules or {})
+        self.events = events if events is not None else EventLog()
+        self.counts = HostCounts()
+        #: Words that were not understood, by reason; records that were nobody's, by message and credentials.
+        self.unknown: Counter[str] = Counter()
+        self.strangers: Counter[str] = Counter()
+        self._told: dict[tuple[str, str], int] = {}
+        self._turns: deque[_Turn] = deque()
+        self._deadlines: list[tuple[int, int, Ticket]] = []
+        self._deadline_timer: Timer | None = None
+        self._serial_number = 0
+        self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
+        self._tick_at = 0
+        self._next_tick: Timer | None = None
+        self._woken = False
+        #: Half duplex: what is to be sent, and the request that has the line (None: free).
+        self._half = port.half_duplex
+        self._line: deque[Ticket] = deque()
+        self._speaking: Ticket | None = None
+
+    # ------------------------------------------------------------------ devices
+
+    def add(self, member: Device) -> Device:
+        """Put a device on the bus; its polls begin with the next tick. Raises `CallerError` as `Station.add`."""
+        super().add(member)
+        for poll in member.polls:
+            word = self.word(member, poll.message, poll.fields)
+            self._turns.append(_Turn(member, poll, word, 2 * self.port.wire_ns(word)))
+        return member
+
+    def remove(self, name: str) -> None:
+        """Take a device off; what was asked of it is forgotten."""
+        device = self.members.get(name)
+        super().remove(name)
+        self._turns = deque(turn for turn in self._turns if turn.device is not device)
+
+    @property
+    def devices(self) -> dict[str, Device]:
+        """The devices, by name."""
+        return self.members
+
+    # ------------------------------------------------------------------ opening and ticking
+
+    def open(self) -> None:
+        """Begin to hear and, with a rate, to tick. Each device's `start` is called."""
+        super().open()
+        for device in self.members.values():
+            device.start()
+        if self._period:
+            self._tick_at = self.clock.now()
+            self._next_tick = self.clock.call_at(self._tick_at, self._tick)
+
+    def close(self) -> None:
+        """Tick and hear no more."""
+        if self._next_tick is not None:
+            self._next_tick.cancel()
+            self._next_tick = None
+        super().close()
+
+    def _tick(self) -> None:
+        self.tick()
+        now = self.clock.now()
+        self._tick_at += self._period
+        if self._tick_at <= now:  # late by whole ticks: they are left out
+            self._tick_at += (now - self._tick_at) // self._period * self._period + self._period
+        self._next_tick = self.clock.call_at(self._tick_at, self._tick)
+
+    def wake(self) -> None:
+        """Set-points were given: without a rate they go out now."""
+        if not self._period and self._is_open and not self._woken:
+            self._woken = True
+            self.clock.call_soon(self._woke)
+
+    def _woke(self) -> None:
+        self._woken = False
+        self._send_set_points(self.clock.now())
+
+    def tick(self) -> None:
+        """One round: set-points, then polls within the budget."""
+        now = self.clock.now()
+        counts = self.counts
+        counts.ticks += 1
+        used = self._send_set_points(now)
+        if self._half:
+            self._pump()
+            return
+        most = round(self._period * self.budget) if self._period else 1 << 62
+        turns = self._turns
+        for _ in range(len(turns)):
+            turn = turns[0]
+            if turn.due <= now and turn.waiting is None:
+                if used + turn.cost_ns > most:
+                    counts.polls_carried += sum(1 for t in turns if t.due <= now and t.waiting is None)
+                    break
+                used += turn.cost_ns
+                self._take_turn(turn, now)
+            turns.rotate(-1)
+
+    def poll(self) -> None:
+        """Ask everything once, now, whatever the budget: for hosts without a rate."""
+        now = self.clock.now()
+        for turn in self._turns:
+            if turn.waiting is None:
+                turn.due = now
+                if not self._half:
+                    self._take_turn(turn, now)
+        self._pump()
+
+    def _take_turn(self, turn: _Turn, now: int) -> None:
+        turn.due = now + turn.every_ns - (self._period // 2 if turn.every_ns else 0)
+        turn.asked_at = now
+        ticket = Ticket(
+            self.clock, turn.device, turn.poll.message, turn.word, turn.replies, turn.timeout_ns, 0, turn
+        )
+        turn.waiting = ticket
+        self.counts.polls += 1
+        if self._half:
+            self._speak(ticket)
+        else:
+            self._send(ticket, now)
+
+    def _send_set_points(self, now: int) -> int:
+        """What is wanted, as few words; how long they occupy the bus (ns)."""
+        wanted: dict[str, list[Want]] = {}
+        for device in self.members.values():
+            for want in device.wants(now):
+                found = wanted.get(want.message)
+                if found is None:
+                    wanted[want.message] = [want]
+                else:
+                    found.append(want)
+        used = 0
+        for message, wants in wanted.items():
+            rule = self.rules.get(message) or wants[0].device.rules.get(message, a_device)
+            for out in rule(wants):
+                try:
+                    word = self.word(out.device, out.message, out.fields)
+                except AcesError as error:  # a value that no field takes: the others go out
+                    self.tell("limited", out.device.name, str(error))
+                    continue
+                self.counts.set_points += 1
+                ticket = Ticket(self.clock, out.device, out.message, word, frozenset(), 0)
+                if self._half:
+                    self._line.append(ticket)
+                else:
+                    used += self.port.wire_ns(word)
+                    self._send(ticket, now)
+        if self._half and wanted:
+            self._pump()
+        return used
+
+    # ------------------------------------------------------------------ asking
+
+    def ask(self, ticket: Ticket) -> Ticket:
+        """Send a ticket's word, again when it is not answered; on a half-duplex line as soon as that is free."""
+        self.counts.asked += bool(ticket.reply)
+        if self._half:
+            self._line.append(ticket)
+            self._pump()
+        else:
+            self._send(ticket, self.clock.now())
+        return ticket
+
+    def _send(self, ticket: Ticket, now: int) -> None:
+        ticket.sent_at = now
+        ticket.tries += 1
+        word = ticket.word
+        if not self._is_open or not self.port.send(word):
+            self.counts.not_sent += 1
+            self.tell("not sent", ticket.device.name, f"{ticket.message}: the bus does not take it")
+        else:
+            self.counts.sent += 1
+            self.scanner.sent(word)
+        if not ticket.reply:
+            ticket.finish()
+            return
+        ticket.deadline = now + ticket.timeout_ns + self.port.wire_ns(word)
+        ticket.device.awaiting.append(ticket)
+        self._serial_number += 1
+        heapq.heappush(self._deadlines, (ticket.deadline, self._serial_number, ticket))
+        timer = self._deadline_timer
+        if timer is None or timer.action is None or timer.instant > ticket.deadline:
+            if timer is not None:
+                timer.cancel()
+            self._deadline_timer = self.clock.call_at(ticket.deadline, self._expire)
+
+    def _expire(self) -> None:
+        """Look for tickets whose time is up."""
+        now = self.clock.now()
+        deadlines = self._deadlines
+        while deadlines and (
+            deadlines[0][0] <= now or deadlines[0][2] not in deadlines[0][2].device.awaiting
+        ):
+            _, _, ticket = heapq.heappop(deadlines)
+            device: Device = ticket.device
+            if ticket.deadline <= now and ticket in device.awaiting:
+                device.awaiting.remove(ticket)
+                self._missed(ticket, now)
+        if deadlines:
+            self._deadline_timer = self.clock.call_at(deadlines[0][0], self._expire)
+        else:
+            self._deadline_timer = None
+
+    def _missed(self, ticket: Ticket, now: int) -> None:
+        device: Device = ticket.device
+        self.counts.missed += 1
+        for name in ticket.reply:
+            device.timed_out[name] = now
+        self.fell_silent()
+        if ticket.tries <= ticket.retries:
+            self.counts.repeated += 1
+            if self._half:
+                self._line.appendleft(ticket)
+                self._free(ticket)
+            else:
+                self._send(ticket, now)
+            return
+        if ticket.poll is not None:
+            ticket.poll.waiting = None
+        if device.misses == 0:
+            device.missing_since = ticket.sent_at
+        device.misses += 1
+        heard = device.last_heard is not None and device.last_heard >= device.missing_since
+        if device.misses >= device.silent_after and not device.is_silent and not heard:
+            device.is_silent = True
+            age = (
+                "never heard"
+                if device.last_heard is None
+                else f"last heard {(now - device.last_heard) / 1e9:.3f} s ago"
+            )
+            self.tell("silent", device.name, f"{device.misses} requests without an answer, {age}")
+        if ticket.poll is None:
+            tries = f"{ticket.tries} tries" if ticket.tries > 1 else "one try"
+            error = NoReplyError(
+                f"{self.name} {device.name}: no answer to {ticket.message} within {ticket.timeout_ns / 1e6:g} ms ({tries});"
+                " is it powered, on this bus, and of this number?"
+            )
+            self.tell("no reply", device.name, f"{ticket.message}, {tries}")
+            ticket.fail(error)
+            device.no_reply(ticket)
+        else:
+            device.no_reply(ticket)
+        if self._half:
+            self._free(ticket)
+
+    def answered(self, device: Device, name: str, record: Any, instant: int) -> None:
+        """A record of a device: the oldest request that it answers is done. Called by `Device.receive`."""
+        self.counts.received += 1
+        if device.is_silent:
+            device.is_silent = False
+            self.tell("answers", device.name)
+        for ticket in device.awaiting:
+            if name in ticket.reply:
+                break
+        else:
+            self._unasked(device, name, instant)
+            return
+        device.awaiting.remove(ticket)
+        device.misses = 0
+        device.answered[name] = instant
+        device.timed_out.pop(name, None)
+        ticket.answered_at = instant
+        counts = self.counts
+        counts.answered += 1
+        latency = instant - ticket.sent_at
+        if latency > counts.latency_ns:
+            counts.latency_ns = latency
+        turn: _Turn | None = ticket.poll
+        if turn is not None:
+            turn.waiting = None
+            self._learn(turn, record, instant)
+        if ticket is self._speaking:
+            self._free(ticket)
+        ticket.finish(record)
+
+    def _learn(self, turn: _Turn, record: Any, instant: int) -> None:
+        """What a poll costs with its answer, and how long the round takes."""
+        counts = self.counts
+        cycle = instant - turn.asked_at
+        if cycle > counts.cycle_ns:
+            counts.cycle_ns = cycle
+        counts.cycle_sum_ns += cycle
+        counts.cycles += 1
+        if self._half:
+            turn.cost_ns = cycle
+
+    def _unasked(self, device: Device, name: str, instant: int) -> None:
+        """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""
+        before = device.answered.get(name)
+        if name in device.timed_out:
+            del device.timed_out[name]
+            self.tell("late reply", device.name, name)
+        elif before is not None and instant - before < SECOND:
+            self.tell(
+                "two answers",
+                device.name,
+                f"{name} came twice; are there two devices with {self._who(device)}?",
+            )
+
+    @staticmethod
+    def _who(device: Device) -> str:
+        return ", ".join(f"{key} {value:#04x}" for key, value in device.credentials.items())
+
+    # ------------------------------------------------------------------ half duplex: one at a time
+
+    def _pump(self) -> None:
+        """The line is free: let the next one speak."""
+        if not self._half or self._speaking is not None or not self._is_open:
+            return
+        now = self.clock.now()
+        if self._line:
+            self._speak(self._line.popleft())
+            return
+        turns = self._turns
+        for _ in range(len(turns)):
+            turn = turns[0]
+            if turn.due <= now and turn.waiting is None:
+                if self._period and now + turn.cost_ns > self._tick_at + self._period and self.counts.ticks:
+                    self.counts.polls_carried += 1
+                    return  # the next tick begins before its answer
+                turns.rotate(-1)
+                self._take_turn(turn, now)
+                return
+            turns.rotate(-1)
+
+    def _speak(self, ticket: Ticket) -> None:
+        now = self.clock.now()
+        self._speaking = ticket
+        self._send(ticket, now)
+        if not ticket.reply:
+            self.clock.call_in(self.port.wire_ns(ticket.word), lambda: self._free(ticket))
+
+    def _free(self, ticket: Ticket) -> None:
+        """Who spoke has been answered, or will not be."""
+        if self._speaking is ticket:
+            self._speaking = None
+            self.clock.call_soon(self._pump)
+
+    # ------------------------------------------------------------------ what is wrong
+
+    def _not_understood(self, word: UnknownWord, instant: int) -> None:
+        self.unknown[word.reason] += 1
+        if not word.reason.startswith("malformed"):
+            return
+        device = self._suspect(word)
+        raw = word.meta.raw.hex(" ")
+        where = f"{word.meta.identifier:#05x} " if word.meta.identifier is not None else ""
+        self.tell("malformed", device.name if device is not None else "", f"{where}{raw}: {word.reason[11:]}")
+
+    def _suspect(self, word: UnknownWord) -> Device | None:
+        """Whose word it may have been: by its identifier, or whoever has the line."""
+        identifier = word.meta.identifier
+        if identifier is None:
+            return self._speaking.device if self._speaking is not None else None
+        for variant in self.variants.values():
+            for message in variant.facing("from device"):
+                if message.identifier is None:
+                    continue
+                captures = message.identifier.match(identifier)
+                if not captures:
+                    continue
+                for device in self.members.values():
+                    if device.variant is variant and any(
+                        device.credentials.get(name) == value for name, value in captures.items()
+                    ):
+                        return device
+        return None
+
+    def _nobodys(self, record: Any, instant: int) -> None:
+        kind = type(record)
+        names = {name for device in self.members.values() for name in device.credentials}
+        who = ", ".join(
+            f"{n} {getattr(record, n):#04x}"
+            for n in sorted(names)
+            if isinstance(getattr(record, n, None), int)
+        )
+        self.strangers[f"{kind.__name__} {who}"] += 1
+        self.tell("stranger", "", f"{kind.__name__} of {who or 'somebody'}, which is not in this robot")
+
+    def tell(self, kind: Kind, device: str, detail: str = "") -> None:
+        """Tell what has happened; the same of one device at most once a second, all are counted."""
+        now = self.clock.now()
+        key = (kind, f"{device} {detail}" if kind == "stranger" else device)
+        last = self._told.get(key)
+        if last is not None and now - last < TELL_EVERY and kind not in ("silent", "answers"):
+            self.events.counts[kind, device] += 1
+            return
+        if len(self._told) > 10_000:
+            self._told.clear()
+        self._told[key] = now
+        self.events.tell(DeviceEvent(kind, now, self.name, device, detail))

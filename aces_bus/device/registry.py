@@ -1,0 +1,72 @@
+"""The registry of drivers: what is installed, by name, imported on use.
+
+1. Lazy: listing imports no driver. Loud: an unknown name lists those that exist. Singular: two claims on one name raise,
+   with both places.
+2. Ours are registered as others' are: entry points of the group `aces_bus.devices`, each naming a `Driver`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from ..errors import SpecError, UnknownNameError
+from .device import Device
+from .twin import Twin
+
+GROUP = "aces_bus.devices"
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A driver: the device's class, its twin's, and what tests and tools need to know of both.
+
+    `example` is a small robot file (TOML) with devices of this driver in each of their models and dialects; the
+    conformance tests run on it. `scan` finds such devices on a bus: a function of a `Host` that returns `Steps` (see
+    `Job`) ending in a list of `DeviceConfig`; None: they cannot be found. `virtual` False: it runs on real time only, with
+    buses of its own. `settings` describes the keys of `settings` in robot files.
+    """
+
+    name: str
+    device: type[Device]
+    twin: type[Twin]
+    example: str
+    doc: str = ""
+    source: str = ""
+    scan: Callable[[Any], Any] | None = None
+    virtual: bool = True
+    settings: Mapping[str, str] | None = None
+
+    @property
+    def protocol(self) -> str:
+        """The name of the protocol that its devices speak."""
+        own = self.device.protocol
+        return own if isinstance(own, str) else own.name
+
+
+def list_drivers() -> dict[str, EntryPoint]:
+    """The installed drivers, by name, without importing them. Raises `SpecError` when two packages claim a name."""
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points(group=GROUP):
+        other = found.get(point.name)
+        if other is not None and other.value != point.value:
+            raise SpecError(
+                f"two packages claim the driver name {point.name!r}: {other.value} and {point.value}"
+            )
+        found[point.name] = point
+    return dict(sorted(found.items()))
+
+
+def load_driver(name: str) -> Driver:
+    """The installed driver `name`; raises `UnknownNameError` with the names that exist."""
+    known = list_drivers()
+    if name not in known:
+        raise UnknownNameError("driver", name, known)
+    driver = known[name].load()
+    if not isinstance(driver, Driver):
+        raise SpecError(f"{known[name].value} is not a Driver but {type(driver).__name__}")
+    if driver.name != name:
+        raise SpecError(f"{known[name].value} calls itself {driver.name!r} and is registered as {name!r}")
+    return driver

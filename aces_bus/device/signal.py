@@ -1,0 +1,138 @@
+"""One quantity of a device: its newest value, when it was measured, who wants to know, and how it is set.
+
+1. Unknown is a value: `UNKNOWN` until something was heard, and again after `forget` (a board that rebooted).
+2. A stale value never passes as fresh: `value` is `UNKNOWN` once it is older than `stale_after_ns`; `last` says what it was.
+3. An update costs two stores and one call a listener: there are thousands a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgspec
+
+from ..errors import CallerError
+from ..runtime import Clock
+
+
+class Unknown:
+    """The type of `UNKNOWN`. It is false, and equal to itself only."""
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __repr__(self) -> str:
+        return "UNKNOWN"
+
+    def __reduce__(self) -> str:
+        return "UNKNOWN"
+
+
+#: What a quantity is before anything was heard of it, and when what was heard is stale.
+UNKNOWN: Final = Unknown()
+
+Listener = Callable[[Any, int], None]
+
+
+class Reading(msgspec.Struct, frozen=True):
+    """What is known of a quantity: its last value, the instant (ns) it was measured at, how old that is now."""
+
+    value: Any
+    instant: int | None
+    age_ns: int | None
+    is_stale: bool
+
+
+class Signal:
+    """One quantity, as a device knows it.
+
+    `name` is unique within a robot ("RHY.position"), `unit` SI or "" (enumerations, flags). `setter` takes a new set-point;
+    without one the quantity is read-only. `lower` and `upper` are in `unit`, None where nobody has stated them.
+    """
+
+    __slots__ = (
+        "clock",
+        "doc",
+        "instant",
+        "last",
+        "listeners",
+        "lower",
+        "name",
+        "setter",
+        "source",
+        "stale_after_ns",
+        "unit",
+        "upper",
+    )
+
+    def __init__(
+        self,
+        name: str,
+        clock: Clock,
+        *,
+        unit: str = "",
+        stale_after_ns: int | None = None,
+        setter: Callable[[Any], None] | None = None,
+        lower: float | None = None,
+        upper: float | None = None,
+        doc: str = "",
+        source: str = "",
+    ) -> None:
+        self.name, self.clock, self.unit = name, clock, unit
+        self.stale_after_ns = stale_after_ns
+        self.setter = setter
+        self.lower, self.upper = lower, upper
+        self.doc, self.source = doc, source
+        #: The last value that was heard, however old; `UNKNOWN` before.
+        self.last: Any = UNKNOWN
+        #: When that was measured (ns of `clock`).
+        self.instant: int | None = None
+        self.listeners: list[Listener] = []
+
+    def update(self, value: Any, instant: int) -> None:
+        """A new value has been heard."""
+        self.last = value
+        self.instant = instant
+        for listener in self.listeners:
+            listener(value, instant)
+
+    def forget(self) -> None:
+        """What was known is not true any more."""
+        self.last, self.instant = UNKNOWN, None
+
+    @property
+    def value(self) -> Any:
+        """The value if it is fresh, else `UNKNOWN`."""
+        return UNKNOWN if self.is_stale else self.last
+
+    @property
+    def age_ns(self) -> int | None:
+        """How long ago it was measured; None when it never was."""
+        return None if self.instant is None else self.clock.now() - self.instant
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether it is too old, or was never heard."""
+        if self.instant is None:
+            return True
+        return self.stale_after_ns is not None and self.clock.now() - self.instant > self.stale_after_ns
+
+    def read(self) -> Reading:
+        """Value, instant, age and staleness, together."""
+        return Reading(self.last, self.instant, self.age_ns, self.is_stale)
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether it can be set."""
+        return self.setter is not None
+
+    def set(self, value: Any) -> None:
+        """Give a set-point, in `unit`; it is sent with the next tick. Raises `CallerError` for what is read-only."""
+        if self.setter is None:
+            raise CallerError(f"{self.name} is read-only")
+        self.setter(value)
+
+    def __repr__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        return f"<{self.name} = {self.value!r}{unit}>"

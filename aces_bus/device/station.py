@@ -1,0 +1,196 @@
+"""What both ends of a bus have in common: words in, records out to whom they are about, fields in, words out.
+
+1. Each record goes to those whose credentials it carries, by one look-up; a broadcast goes to all; what is nobody's is told.
+2. No I/O and no time of its own: a port brings words and instants.
+
+A record is about a device when its credential fields have the device's values: `board` of Hubo's identifiers, `id` of a
+Dynamixel packet. A device may have several (a sensor board's commands carry `board`, its data `sensor`); any that a
+message has must agree. Messages with none of them are about every device of their protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+from ..errors import CallerError
+from ..protocol import Unknown as UnknownWord
+from ..protocol import Variant, make_scanner
+from .port import Port
+
+
+class Member(Protocol):
+    """Who stands at a station: a device or a twin."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the robot."""
+        ...
+
+    @property
+    def variant(self) -> Variant:
+        """What it speaks."""
+        ...
+
+    @property
+    def credentials(self) -> Mapping[str, int]:
+        """What identifies it on the bus."""
+        ...
+
+    def receive(self, record: Any, instant: int) -> None:
+        """A record that is about it."""
+        ...
+
+
+M = TypeVar("M", bound=Member)
+#: A record's type: the credential field to look at (None: it has none), who is meant by its values, and all of them.
+_Route = tuple[str | None, dict[int, list[M]], int | None]
+
+
+class Station(Generic[M]):
+    """One side of a bus; see `Host` and `Twins`."""
+
+    def __init__(
+        self, port: Port, variants: Sequence[Variant], *, direction: Literal["to device", "from device"]
+    ) -> None:
+        if not variants:
+            raise CallerError(f"{port.name}: a station needs at least one protocol")
+        self.port, self.clock, self.name = port, port.clock, port.name
+        self.variants = {variant.name: variant for variant in variants}
+        self.direction = direction
+        self.scanner = make_scanner(list(variants), direction=direction, everything=True)
+        self.members: dict[str, M] = {}
+        self._routes: dict[type, _Route[M]] = {}
+        self._feed: Callable[[Any], list[Any]] = self.scanner.feed
+        self._is_can = port.link == "can"
+        self._is_open = False
+
+    # ------------------------------------------------------------------ members
+
+    def add(self, member: M) -> M:
+        """Put a device or twin on the bus.
+
+        Raises `CallerError` when the name is taken or nothing here speaks its protocol.
+        """
+        if member.name in self.members:
+            raise CallerError(f"{self.name}: there is a device {member.name} already")
+        if member.variant.name not in self.variants:
+            raise CallerError(
+                f"{self.name}: nothing here speaks {member.variant.name} ({member.name} does); the bus has "
+                + ", ".join(self.variants)
+            )
+        self.members[member.name] = member
+        self._routes.clear()
+        return member
+
+    def remove(self, name: str) -> None:
+        """Take a device or twin off."""
+        self.members.pop(name, None)
+        self._routes.clear()
+
+    def _route(self, record: Any) -> _Route[M]:
+        """Who may be meant by records of this type."""
+        kind = type(record)
+        members = [m for m in self.members.values() if m.variant.name == kind._protocol]
+        fields = kind.__struct_fields__
+        names = {name for m in members for name in m.credentials}
+        # The field with the most different numbers tells devices apart best.
+        chosen = max(
+            sorted(names.intersection(fields)),
+            key=lambda name: len({m.credentials.get(name) for m in members}),
+            default=None,
+        )
+        if chosen is None:
+            return None, {0: members}, None
+        table: dict[int, list[M]] = {}
+        for member in members:
+            if chosen in member.credentials:
+                table.setdefault(member.credentials[chosen], []).append(member)
+        return chosen, table, self.variants[kind._protocol].protocol.broadcast.get(chosen)
+
+    def meant_by(self, record: Any) -> Collection[M]:
+        """The members that a record is about."""
+        route = self._routes.get(type(record))
+        if route is None:
+            route = self._routes[type(record)] = self._route(record)
+        name, table, everybody = route
+        if name is None:
+            return table[0]
+        number = getattr(record, name)
+        found = table.get(number)
+        if found is None:
+            if number is not None and number == everybody:
+                return [m for members in table.values() for m in members]
+            return ()
+        if len(found) == 1:
+            return found
+        return [m for m in found if agrees(m.credentials, record)]
+
+    # ------------------------------------------------------------------ words
+
+    def open(self) -> None:
+        """Begin to hear; what is open stays so."""
+        if not self._is_open:
+            self._is_open = True
+            self.port.open(self._received)
+
+    def close(self) -> None:
+        """Hear no more."""
+        if self._is_open:
+            self._is_open = False
+            self.port.close()
+
+    def _received(self, word: Any, instant: int) -> None:
+        """One word of the port."""
+        for record in self._feed((word,) if self._is_can else word):
+            self.deliver(record, instant)
+
+    def fell_silent(self) -> None:
+        """A stream is silent: what is incomplete never will be."""
+        if not self._is_can:
+            now = self.clock.now()
+            for record in self.scanner.idle(now / 1e9):
+                self.deliver(record, now)
+
+    def deliver(self, record: Any, instant: int) -> None:
+        """Give a record to whom it is about."""
+        if record.__class__ is UnknownWord:
+            self._not_understood(record, instant)
+            return
+        members = self.meant_by(record)
+        if not members:
+            self._nobodys(record, instant)
+            return
+        for member in members:
+            member.receive(record, instant)
+
+    def _not_understood(self, word: UnknownWord, instant: int) -> None:
+        """A word that is no message."""
+
+    def _nobodys(self, record: Any, instant: int) -> None:
+        """A record of a device that is not here."""
+
+    def word(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:
+        """The frame or packet of a member's message: its credentials are added.
+
+        Raises `UnknownNameError` and `FieldError` as encoders do.
+        """
+        variant = member.variant
+        found = variant[message]
+        tagged = {**tags_of(member, found), **fields}
+        return variant.encoder.word(found, tagged)
+
+
+def tags_of(member: Member, message: Any) -> dict[str, int]:
+    """The credentials that a message has fields for."""
+    cache: dict[str, dict[str, int]] = member.__dict__.setdefault("_tags", {})
+    found = cache.get(message.name)
+    if found is None:
+        known = set(message.fields)
+        found = cache[message.name] = {k: v for k, v in member.credentials.items() if k in known}
+    return found
+
+
+def agrees(credentials: Mapping[str, int], record: Any) -> bool:
+    """Whether every credential that a record has is this one's."""
+    return all(getattr(record, name, number) == number for name, number in credentials.items())

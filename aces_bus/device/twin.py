@@ -1,0 +1,276 @@
+"""Twins: simulated devices, made from the same spec as the drivers that talk to them.
+
+1. A twin knows what the device's sheet says, and nothing of the driver: it hears requests and answers them.
+2. Its time is the clock's, its chance the world's: the same seed, the same run.
+3. It misbehaves on request, in the ways that devices do.
+
+The usual twin has a method a message:
+
+    class FanTwin(Twin):
+        @on("AskState")
+        def answer(self, request):
+            self.reply("State", speed=self.speed, temperature=40)
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, TypeVar
+from typing import Protocol as Interface
+
+from ..errors import CallerError, UnknownNameError
+from ..protocol import Protocol, Variant
+from ..runtime import EventClock, Timer
+from .port import Port
+from .robot import DeviceConfig, Joint, Robot, Sensor
+from .station import Station
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class JointModel(Interface):
+    """A simulated joint, as other twins see it (a foot's force sensor asks for the ankle's angle)."""
+
+    def position(self, now: int) -> float:
+        """Where it is at the instant `now` (ns): rad, or m."""
+        ...
+
+
+@dataclass
+class World:
+    """What all twins of a robot share: the clock, the chance, the joints."""
+
+    clock: EventClock
+    seed: int = 0
+    joints: dict[str, JointModel] = field(default_factory=dict[str, JointModel])
+
+    def random(self, name: str) -> random.Random:
+        """A source of chance of its own for each twin: who is there does not change what another draws."""
+        return random.Random(f"{self.seed} {name}")
+
+
+def on(*messages: str) -> Callable[[F], F]:
+    """Have a twin's method called with each request of these messages."""
+
+    def mark(method: F) -> F:
+        method.__dict__["_hears"] = messages
+        return method
+
+    return mark
+
+
+#: How every twin can misbehave; see `Twin.fault`.
+FAULTS: Mapping[str, str] = {
+    "silent": "hears and does not answer",
+    "late": "answers 50 ms late (or as many seconds as said)",
+    "wrong_check": "the last byte of each answer is wrong",
+    "wrong_number": "answers with another device's number (one more, or the number said)",
+    "twice": "answers twice, as two devices with one number do",
+    "loses": "loses every third answer (or every n-th as said)",
+    "short": "answers with a word cut short by a byte",
+}
+
+
+class Twin:
+    """One simulated device. `faults` (class) are the ways in which this kind misbehaves beyond `FAULTS`."""
+
+    #: What it speaks: the name of an installed protocol, or a protocol itself.
+    protocol: ClassVar[str | Protocol]
+    faults: ClassVar[Mapping[str, str]] = {}
+    #: From hearing a request to beginning the answer (ns).
+    reply_delay_ns: int = 50_000
+    _hearing: ClassVar[Mapping[str, str]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        found = dict(cls._hearing)
+        for name, method in vars(cls).items():
+            for message in getattr(method, "_hears", ()):
+                found[message] = name
+        cls._hearing = found
+
+    def __init__(
+        self, twins: Twins, config: DeviceConfig, robot: Robot, variant: Variant, world: World
+    ) -> None:
+        self.twins, self.config, self.robot, self.variant, self.world = twins, config, robot, variant, world
+        self.name = config.name
+        self.clock = twins.clock
+        self.random = world.random(config.name)
+        self.credentials: dict[str, int] = dict(config.credentials)
+        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
+        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
+        #: The faults that are on, with their amounts.
+        self.active_faults: dict[str, float] = {}
+        self.is_powered = True
+        #: How many requests were heard and how many answers were sent.
+        self.requests = self.replies = 0
+        for message in self._hearing:
+            if message not in variant.protocol.messages:
+                raise UnknownNameError(f"message of {variant.name}", message, variant.protocol.messages)
+        self._handlers: dict[str, Callable[[Any], None]] = {
+            message: getattr(self, name) for message, name in self._hearing.items()
+        }
+        self._timers: list[Timer] = []
+        self.setup()
+
+    # ------------------------------------------------------------------ for twins to override
+
+    def setup(self) -> None:
+        """Make the state of a device that was just powered."""
+
+    def heard(self, record: Any, instant: int) -> None:
+        """A request that no method is for."""
+
+    # ------------------------------------------------------------------ hearing and answering
+
+    def receive(self, record: Any, instant: int) -> None:
+        """A request to this device."""
+        if not self.is_powered:
+            return
+        self.requests += 1
+        handler = self._handlers.get(type(record).__name__)
+        if handler is not None:
+            handler(record)
+        else:
+            self.heard(record, instant)
+
+    def reply(self, message: str, *, delay_ns: int | None = None, **fields: Any) -> None:
+        """Send a message of the device, by default `reply_delay_ns` from now; credentials are added."""
+        if not self.is_powered:
+            return
+        delay = self.reply_delay_ns if delay_ns is None else delay_ns
+        faults = self.active_faults
+        if not faults:
+            word = self.twins.word(self, message, fields)
+            self._transmit(word, delay)
+            return
+        if "silent" in faults:
+            return
+        if "loses" in faults and self.replies % max(1, round(faults["loses"])) == 0:
+            self.replies += 1
+            return
+        if "wrong_number" in faults:
+            fields = {**self._other_number(message, int(faults["wrong_number"])), **fields}
+        word = self.twins.word(self, message, fields)
+        if "wrong_check" in faults:
+            word = with_data(word, lambda data: data[:-1] + bytes((data[-1] ^ 0x55,)) if data else data)
+        if "short" in faults:
+            word = with_data(word, lambda data: data[:-1])
+        if "late" in faults:
+            delay += round(faults["late"] * 1e9)
+        self._transmit(word, delay)
+        if "twice" in faults:
+            self._transmit(word, delay + 500_000)
+
+    def _transmit(self, word: Any, delay: int) -> None:
+        self.replies += 1
+        if delay:
+            self.clock.post(self.clock.now() + delay, partial(self.twins.send, word))
+        else:
+            self.twins.send(word)
+
+    def send_raw(self, word: Any) -> None:
+        """Send any word, as a device out of its mind might."""
+        self.twins.send(word)
+
+    def _other_number(self, message: str, number: int) -> dict[str, int]:
+        known = set(self.variant[message].fields)
+        return {k: number if number >= 0 else v + 1 for k, v in self.credentials.items() if k in known}
+
+    def every(self, period_s: float, action: Callable[[], None]) -> None:
+        """Do something again and again, from one period from now on, while the device is powered."""
+        period = round(period_s * 1e9)
+        if period <= 0:
+            raise CallerError(f"{self.name}: a period of {period_s} s is none")
+
+        def again() -> None:
+            if self.is_powered:
+                action()
+            self._timers[slot] = self.clock.call_in(period, again)
+
+        slot = len(self._timers)
+        self._timers.append(self.clock.call_in(period, again))
+
+    # ------------------------------------------------------------------ misbehaving
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """Misbehave, or stop: one of `FAULTS` or of this kind's `faults`. Raises `UnknownNameError`."""
+        known = {**FAULTS, **self.faults}
+        if name not in known:
+            raise UnknownNameError(f"fault of {type(self).__name__}", name, known)
+        if not on:
+            self.active_faults.pop(name, None)
+        else:
+            usual = {"late": 0.05, "wrong_number": -1, "loses": 3}
+            self.active_faults[name] = usual.get(name, 1) if amount is None else amount
+
+    def power(self, on: bool) -> None:
+        """Switch it off, or on again: a device that was off has forgotten what it was told."""
+        if on and not self.is_powered:
+            self.setup()
+        self.is_powered = on
+
+    def reboot(self) -> None:
+        """Off and on."""
+        self.power(False)
+        self.power(True)
+
+    def stop(self) -> None:
+        """End what repeats."""
+        for timer in self._timers:
+            timer.cancel()
+
+    def __repr__(self) -> str:
+        tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
+        return f"<{type(self).__name__} {self.name}: {tags}>"
+
+
+class Twins(Station[Twin]):
+    """The simulated devices of one bus: they share its port, as boards share a backplane.
+
+    Two twins that must collide on the wire, or be unplugged alone, stand at ports of their own.
+    """
+
+    def __init__(self, port: Port, variants: Sequence[Variant]) -> None:
+        super().__init__(port, variants, direction="to device")
+        #: Words the bus did not take.
+        self.not_sent = 0
+        #: Requests that were not understood, or were for nobody here.
+        self.unknown = self.others = 0
+
+    @property
+    def twins(self) -> dict[str, Twin]:
+        """The twins, by name."""
+        return self.members
+
+    def send(self, word: Any) -> None:
+        """Put a word on the bus."""
+        if not self._is_open or not self.port.send(word):
+            self.not_sent += 1
+
+    def close(self) -> None:
+        """Hear and say no more."""
+        for twin in self.members.values():
+            twin.stop()
+        super().close()
+
+    def _not_understood(self, word: Any, instant: int) -> None:
+        self.unknown += 1
+
+    def _nobodys(self, record: Any, instant: int) -> None:
+        self.others += 1
+
+
+def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:
+    """A frame or packet with other data bytes."""
+    if isinstance(word, (bytes, bytearray)):
+        return change(bytes(word))
+    import msgspec
+
+    return msgspec.structs.replace(word, data=change(word.data))
+
+
+__all__ = ["FAULTS", "JointModel", "Twin", "Twins", "World", "on", "with_data"]

@@ -1,0 +1,235 @@
+"""Ports: any bus as the device floor wants it, one way in, one way out, and what a word costs on the wire.
+
+1. `received` is called on the clock's own thread (virtual or `Loop`), one word at a time: nothing above needs a lock.
+2. A port is of one bus; who may listen only does so through a gate that cannot send.
+
+A wire is simulated and needs no thread; a gate has threads, whose words are handed to the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+from ..errors import CallerError
+from ..frame import Frame
+from ..runtime import EventClock, Loop
+from .can import CanGate, Received
+from .datagram import Datagram, DatagramGate
+from .datagram_wire import DatagramWire
+from .frame_time import INTERMISSION, frame_bits
+from .serial import Heard, SerialGate
+from .serial_wire import BITS, SerialWire
+from .wire import Wire, WireEvent
+
+Handler = Callable[[Any, int], None]
+
+
+class CanPort:
+    """A CAN bus: a node on a `Wire`, or a `CanGate` with the `Loop` that its frames are handed to."""
+
+    link: Literal["can"] = "can"
+    half_duplex = False
+
+    def __init__(
+        self,
+        bus: Wire | CanGate,
+        loop: Loop | None = None,
+        *,
+        name: str = "",
+        bitrate: int | None = None,
+        happened: Callable[[WireEvent], None] | None = None,
+    ) -> None:
+        self._bus = bus
+        self._happened = happened
+        if isinstance(bus, Wire):
+            self.clock: EventClock = bus.clock
+            self.bitrate = bus.bitrate
+            self.data_bitrate = bus.data_bitrate
+        else:
+            self.clock = _loop_of(loop)
+            self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
+        self.name = name or getattr(bus, "name", "") or "can"
+        self._inbox: Any = None
+
+    def open(self, received: Handler) -> None:
+        """Begin to hear."""
+        if isinstance(self._bus, Wire):
+            self.node = self._bus.attach(self.name, received, self._happened, mailboxes=4096)
+            self.node.hears_sent = False
+            self._send: Callable[[Frame], Any] = self.node.send
+            return
+        loop, handle = self.clock, received
+
+        def heard(items: list[Received]) -> None:
+            def hand_over() -> None:
+                for item in items:
+                    handle(item.frame, item.host_ns)
+
+            loop.call_soon(hand_over)
+
+        self._send = self._bus.send
+        self._bus.__enter__()
+        self._inbox = self._bus.listen(heard)
+
+    def send(self, word: Frame) -> bool:
+        """Send a frame; False when it cannot be (mailboxes full, bus-off)."""
+        return self._send(word) is not False
+
+    def wire_ns(self, word: Frame) -> int:
+        """How long a frame occupies the bus, its intermission included."""
+        bits = frame_bits(word)
+        return (
+            bits.duration_ns(self.bitrate, self.data_bitrate) + INTERMISSION * 1_000_000_000 // self.bitrate
+        )
+
+    def close(self) -> None:
+        """Hear no more; a gate is stopped."""
+        if isinstance(self._bus, Wire):
+            self._bus.detach(self.node)
+        else:
+            if self._inbox is not None:
+                self._inbox.inbox.close()
+            self._bus.stop()
+
+
+class SerialPort:
+    """A serial line: a node on a `SerialWire`, or a `SerialGate` with its `Loop`."""
+
+    link: Literal["serial"] = "serial"
+
+    def __init__(
+        self,
+        line: SerialWire | SerialGate,
+        loop: Loop | None = None,
+        *,
+        name: str = "",
+        baud: int | None = None,
+        half_duplex: bool | None = None,
+    ) -> None:
+        self._line = line
+        if isinstance(line, SerialWire):
+            self.clock: EventClock = line.clock
+            self.baud, self.half_duplex = line.baud, line.half_duplex
+        else:
+            self.clock = _loop_of(loop)
+            self.baud = baud or 115_200
+            self.half_duplex = bool(half_duplex)
+        self.name = name or getattr(line, "name", "") or "serial"
+        self._inbox: Any = None
+
+    def open(self, received: Handler) -> None:
+        """Begin to hear."""
+        if isinstance(self._line, SerialWire):
+            # An adapter for half-duplex lines takes its own echo out.
+            self.node = self._line.attach(self.name, received, echo=False)
+            self._send: Callable[[bytes], Any] = self.node.send
+            return
+        loop, handle = self.clock, received
+
+        def heard(items: list[Heard]) -> None:
+            def hand_over() -> None:
+                for item in items:
+                    handle(item.data, item.host_ns)
+
+            loop.call_soon(hand_over)
+
+        self._send = self._line.send
+        self._line.__enter__()
+        self._inbox = self._line.listen(heard)
+
+    def send(self, word: bytes) -> bool:
+        """Send bytes."""
+        self._send(word)
+        return True
+
+    def wire_ns(self, word: bytes) -> int:
+        """How long bytes occupy the line."""
+        return len(word) * BITS * 1_000_000_000 // self.baud
+
+    def close(self) -> None:
+        """Hear no more; a gate is stopped."""
+        if isinstance(self._line, SerialWire):
+            self.node.is_connected = False
+            if self.node in self._line.nodes:
+                self._line.nodes.remove(self.node)
+        else:
+            if self._inbox is not None:
+                self._inbox.inbox.close()
+            self._line.stop()
+
+
+class DatagramPort:
+    """Datagrams: a node on a `DatagramWire`, or a `DatagramGate` with its `Loop`. They cost no time worth counting."""
+
+    link: Literal["datagram"] = "datagram"
+    half_duplex = False
+
+    def __init__(
+        self, network: DatagramWire | DatagramGate, loop: Loop | None = None, *, name: str = ""
+    ) -> None:
+        self._network = network
+        self.clock: EventClock = network.clock if isinstance(network, DatagramWire) else _loop_of(loop)
+        self.name = name or getattr(network, "name", "") or "udp"
+        self._inbox: Any = None
+        self._last_source: tuple[str, int] | None = None
+
+    def open(self, received: Handler) -> None:
+        """Begin to hear."""
+        if isinstance(self._network, DatagramWire):
+            self.node = self._network.attach(self.name, received)
+            return
+        loop, handle = self.clock, received
+
+        def heard(items: list[Datagram]) -> None:
+            def hand_over() -> None:
+                for item in items:
+                    self._last_source = item.source
+                    handle(item.data, item.host_ns)
+
+            loop.call_soon(hand_over)
+
+        self._network.__enter__()
+        self._inbox = self._network.listen(heard)
+
+    def send(self, word: bytes) -> bool:
+        """Send a datagram: to the peer, or to whom was heard last; False when there is neither."""
+        if isinstance(self._network, DatagramWire):
+            self.node.send(word)
+            return True
+        to = self._network.peer or self._last_source
+        if to is None:
+            return False
+        self._network.send(word, to)
+        return True
+
+    def wire_ns(self, word: bytes) -> int:
+        """Nothing worth counting."""
+        return 0
+
+    def close(self) -> None:
+        """Hear no more; a gate is stopped."""
+        if isinstance(self._network, DatagramWire):
+            if self.node in self._network.nodes:
+                self._network.nodes.remove(self.node)
+        else:
+            if self._inbox is not None:
+                self._inbox.inbox.close()
+            self._network.stop()
+
+
+def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> CanPort | SerialPort | DatagramPort:
+    """The port of a wire or gate of any kind; options are those of the port. Raises `CallerError` for anything else."""
+    if isinstance(bus, (Wire, CanGate)):
+        return CanPort(bus, loop, **options)
+    if isinstance(bus, (SerialWire, SerialGate)):
+        return SerialPort(bus, loop, **options)
+    if isinstance(bus, (DatagramWire, DatagramGate)):
+        return DatagramPort(bus, loop, **options)
+    raise CallerError(f"a {type(bus).__name__} is neither a wire nor a gate")
+
+
+def _loop_of(loop: Loop | None) -> Loop:
+    if loop is None:
+        raise CallerError("a gate needs a Loop that its words are handed to")
+    return loop

@@ -1,0 +1,20 @@
+"""Serial chains: where the tips of a body are, how they move with its joints, and which joint angles reach a goal."""
+
+from __future__ import annotations
+
+from .body import Body, Chain, Fixed, Move, Pose, Slide, Step, Turn
+from .inverse import Goal, Solution, solve
+
+__all__ = [
+    "Body",
+    "Chain",
+    "Fixed",
+    "Goal",
+    "Move",
+    "Pose",
+    "Slide",
+    "Solution",
+    "Step",
+    "Turn",
+    "solve",
+]

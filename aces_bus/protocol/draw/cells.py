@@ -1,0 +1,368 @@
+"""Which bits and bytes of a message belong to whom, as panels of rows: what `text` and `svg` draw.
+
+1. Plan in, rows out: nothing here reads a construct or a file. What a plan does not carry (checks, lengths, the names of
+   matched numbers) comes as `Mark`s, which `marks_of` takes from a message.
+2. Every bit of a message of fixed length is in exactly one cell; blank cells belong to no field.
+3. A row is `ROW` columns of cells, `BIT` a bit and one between two bits; -1 is the last byte where the length is not fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from ..codegen import plan as p
+from ..spec.fields import described
+from ..spec.message import Message
+
+#: Columns of one bit, and of a row without its frame.
+BIT = 8
+ROW = 8 * BIT + 7
+#: Lists of more bytes than this are one row; in messages of more bytes, so is each number of whole bytes.
+LONGEST = 16
+#: What stands above a picture of fields whose bits are those of others, too.
+SHARING = "of the same bits:"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Bytes that are no field: `offset` counts from the packet's first byte, or, negative, from its end."""
+
+    offset: int
+    size: int
+    label: str
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Whole bytes in one row: `size` None is to the end."""
+
+    offset: int
+    size: int | None
+    label: str
+    is_told: bool = False
+
+
+@dataclass
+class _Cells:
+    """Who owns each bit: canonical bit number → (label, bit of the owner's number, number of its bits)."""
+
+    bits: dict[int, tuple[str, int, int]] = field(default_factory=dict)
+    blocks: dict[int, _Block] = field(default_factory=dict)
+    lines: list[tuple[str, str]] = field(default_factory=list)
+    taken: set[int] = field(default_factory=set)
+
+    def claim(self, label: str, bits: Sequence[int]) -> None:
+        for index, position in enumerate(bits):
+            self.bits.setdefault(position, (label, index, len(bits)))
+
+
+#: A row: what stands in front, and its cells as (columns, text).
+Row = tuple[str, list[tuple[int, str]]]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a message's bytes; `title` says when it is so, "" for always."""
+
+    title: str
+    rows: list[Row]
+
+
+def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[Panel]:
+    """The layout of a message; of multiplexed fields one more panel a selector value, of fields that share bits one more
+    for those behind the first."""
+    marks = list(marks)
+    base = _Cells()
+    _mark(base, plan, [m for m in marks if m.offset >= 0])
+    always: list[_Cells] = [base]
+    variants: dict[tuple[str, tuple[int, ...]], list[_Cells]] = {}
+    is_brief = plan.least > LONGEST
+    for one, when in _placed(plan.fields, "", None):
+        layers = always if when is None else variants.setdefault(when, [_Cells()])
+        _claim(_free(layers, one[1]), *one, is_brief=is_brief)
+    for (selector, _), layers in variants.items():
+        for position in layers[0].bits:
+            base.bits.setdefault(position, (f"(by {selector})", -1, 0))
+        for offset, block in layers[0].blocks.items():
+            base.blocks.setdefault(offset, _Block(offset, block.size, f"(by {selector})"))
+    if plan.opaque:
+        base.lines.append(("…", f"{', '.join(_payload_names(plan))}: no fixed places ({plan.opaque})"))
+    tail = sorted((m for m in marks if m.offset < 0), key=lambda m: m.offset)
+    found = [Panel("", _all_rows(base, plan, tail))]
+    found += [Panel(SHARING, _all_rows(cells, None, [])) for cells in always[1:]]
+    for (selector, values), layers in variants.items():
+        found.append(Panel(f"{selector} = {listed(values)}:", _all_rows(layers[0], None, [])))
+        found += [Panel(SHARING, _all_rows(cells, None, [])) for cells in layers[1:]]
+    return found
+
+
+def _free(layers: list[_Cells], node: p.Node) -> _Cells:
+    """The first picture in which no other field has the bits of this one; a new one where there is none."""
+    bits: Sequence[int] = node.bits if isinstance(node, p.Scalar) else ()
+    if isinstance(node, p.Scalar) and node.kind == "float" and not bits:
+        bits = range(8 * node.offset, 8 * (node.offset + (node.size or 0)))
+    for cells in layers:
+        # Only numbers share bits; bytes of open size stand behind them.
+        if cells.taken.isdisjoint(bits):
+            break
+    else:
+        cells = _Cells()
+        layers.append(cells)
+    cells.taken.update(bits)
+    return cells
+
+
+def marks_of(message: Message) -> list[Mark]:
+    """What a message's template says of its bytes beyond its fields."""
+    marks: list[Mark] = []
+    framing = message.framing
+    if framing is not None and framing.sync:
+        marks += [Mark(i, 1, f"sync {byte:#04x}") for i, byte in enumerate(framing.sync)]
+    shown = {head.name for head in message.heads}
+    for head in message.heads_written:
+        name = head.name or "constant"
+        if head.is_constant:
+            assert head.pattern is not None
+            raw = head.bytes(head.pattern.constant)
+            marks += [Mark(head.offset + i, 1, f"{name} {byte:#04x}") for i, byte in enumerate(raw)]
+        elif head.name not in shown:
+            order = f" {8 * head.size - 1}…0, {'high' if head.order == 'big' else 'low'} byte first"
+            marks.append(Mark(head.offset, head.size, name + (order if head.size > 1 else "")))
+    if message.check is not None:
+        offset, size, _ = message.check_span
+        marks.append(Mark(offset, size, f"{message.check.field}: {message.check.describe}"))
+    if framing is not None:
+        end = len(framing.end)
+        if framing.check is not None:
+            marks.append(
+                Mark(-end - framing.check.size, framing.check.size, f"check: {framing.check.describe}")
+            )
+        marks += [Mark(i - end, 1, f"end {byte:#04x}") for i, byte in enumerate(framing.end)]
+    return marks
+
+
+# ---------------------------------------------------------------------- who owns which bits
+
+_When = tuple[str, tuple[int, ...]] | None
+_Place = tuple[str, p.Node]
+
+
+def _placed(fields: Sequence[p.PlanField], prefix: str, when: _When) -> Iterator[tuple[_Place, _When]]:
+    for one in fields:
+        inner = one.when or when
+        if isinstance(one.node, p.Group):
+            yield from _placed(one.node.fields, f"{prefix}{one.name}.", inner)
+        elif isinstance(one.node, p.Many) and not is_long(one.node):
+            for index, item in enumerate(one.node.items):
+                if isinstance(item, p.Group):
+                    yield from _placed(item.fields, f"{prefix}{one.name}.{index}.", inner)
+                else:
+                    yield from _placed([p.PlanField(f"{one.name}.{index}", item)], prefix, inner)
+        else:
+            yield (prefix + one.name, one.node), inner
+
+
+def is_long(node: p.Node) -> bool:
+    span = span_of(node)
+    return span is not None and span[1] > LONGEST
+
+
+def span_of(node: p.Node) -> tuple[int, int] | None:
+    """Offset and size of a list whose items stand one behind the other in whole bytes."""
+    if isinstance(node, p.Scalar) and node.size is not None:
+        if node.bits and len(node.bits) != 8 * node.size:
+            return None
+        return node.offset, node.size
+    items: list[p.Node] = []
+    if isinstance(node, p.Many):
+        items = list(node.items)
+    elif isinstance(node, p.Group):
+        items = [one.node for one in node.fields]
+    spans = [span_of(item) for item in items]
+    if not spans or spans[0] is None:
+        return None
+    start = end = spans[0][0]
+    for span in spans:
+        if span is None or span[0] != end:
+            return None
+        end += span[1]
+    return start, end - start
+
+
+def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
+    if isinstance(node, p.Scalar):
+        _claim_scalar(cells, label, node, is_brief=is_brief)
+    elif isinstance(node, p.Many):
+        span = span_of(node)
+        assert span is not None
+        cells.blocks[span[0]] = _Block(*span, f"{label}.0…{len(node.items) - 1}")
+    elif isinstance(node, p.FromIdentifier) and node.number is not None:
+        bits = node.number.bits
+        if node.is_alone:
+            text = f"{label}" if not node.constant and not node.shift else f"{node.constant:#04x} + {label}"
+            cells.claim(text if not node.shift else f"{text} << {node.shift}", bits)
+        else:
+            cells.claim(label, bits[node.shift : node.shift + node.width])
+    elif isinstance(node, p.Cell):
+        cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
+    elif isinstance(node, p.MoreCells):
+        cells.lines.append((f"#{node.start}…", label))
+
+
+def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) -> None:
+    if node.kind in ("bytes", "text"):
+        if node.size == 1:
+            cells.claim(label, range(8 * node.offset, 8 * node.offset + 8))
+        else:
+            cells.blocks[node.offset] = _Block(node.offset, node.size, label)
+        return
+    assert node.size is not None
+    bits = node.bits
+    if not bits:  # a float
+        little = tuple(range(8 * node.offset, 8 * (node.offset + node.size)))
+        bits = little if node.order == "little" else p.big_endian_bits(node.offset, node.size)
+    is_flags = any(isinstance(step, p.FlagBits) for step in node.steps)
+    is_whole = not node.bits if node.kind == "float" else node.is_whole
+    if is_brief and node.size > 1 and not is_flags and is_whole:
+        order = "low" if bits[0] < bits[-1] else "high"
+        cells.blocks[node.offset] = _Block(
+            node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True
+        )
+        return
+    flags = {
+        number: name for step in node.steps if isinstance(step, p.FlagBits) for name, number in step.bits
+    }
+    for number, name in flags.items():
+        cells.claim(name, (bits[number],))
+    cells.claim(label, bits)
+
+
+def _mark(cells: _Cells, plan: p.MessagePlan, marks: Sequence[Mark]) -> None:
+    for mark in marks:
+        if mark.size == 1:
+            cells.claim(mark.label, range(8 * mark.offset, 8 * mark.offset + 8))
+        else:
+            cells.blocks[mark.offset] = _Block(mark.offset, mark.size, mark.label, is_told=True)
+    for constant in plan.constants:
+        if constant.mask == 0xFF:
+            cells.claim(f"{constant.value:#04x}", range(8 * constant.offset, 8 * constant.offset + 8))
+            continue
+        for bit in range(8):
+            if constant.mask >> bit & 1:
+                cells.claim(f"={constant.value >> bit & 1}", (8 * constant.offset + bit,))
+
+
+def _payload_names(plan: p.MessagePlan) -> list[str]:
+    return [one.name for one in plan.fields if isinstance(one.node, p.Opaque)]
+
+
+# ---------------------------------------------------------------------- rows
+
+
+def _all_rows(cells: _Cells, plan: p.MessagePlan | None, tail: Sequence[Mark]) -> list[Row]:
+    rows = _rows(cells, plan, sum(mark.size for mark in tail))
+    fixed = (
+        plan.lengths[0] if plan is not None and plan.lengths is not None and len(plan.lengths) == 1 else None
+    )
+    for mark in tail:
+        if fixed is not None:
+            place = range_text(fixed + mark.offset, mark.size)
+        else:
+            place = f"{mark.offset}" if mark.size == 1 else f"{mark.offset}…"
+        rows.append((place, [(ROW, mark.label)]))
+    return rows
+
+
+def _rows(cells: _Cells, plan: p.MessagePlan | None, tail: int) -> list[Row]:
+    rows: list[Row] = []
+    used = {position // 8 for position in cells.bits} | set(cells.blocks)
+    last = max(used, default=-1)
+    size: int | None = None
+    if plan is not None and plan.split is None and not plan.opaque:
+        last = max(last, plan.least - tail - 1)
+        if plan.lengths is not None and len(plan.lengths) == 1:
+            size = plan.lengths[0] - tail
+            last = max(last, size - 1)
+    byte = 0
+    while byte <= last:
+        block = cells.blocks.get(byte)
+        if block is not None:
+            open_end = f"{byte}…"
+            rows.append(
+                (
+                    open_end if block.size is None else range_text(byte, block.size),
+                    [(ROW, _block_label(block))],
+                )
+            )
+            if block.size is None:
+                break
+            byte += max(1, block.size)
+            if not block.size:
+                rows.pop()
+            continue
+        if byte in used or plan is not None:
+            rows.append((str(byte), _byte(cells, byte)))
+        byte += 1
+    return _merged(rows) + [(place, [(ROW, text)]) for place, text in cells.lines]
+
+
+def _merged(rows: Sequence[Row]) -> list[Row]:
+    """Neighbouring bytes of nothing but multiplexed fields are one row."""
+    found: list[Row] = []
+    for place, parts in rows:
+        if found and found[-1][1] == parts and len(parts) == 1 and parts[0][1].startswith("(by "):
+            found[-1] = f"{found[-1][0].partition('…')[0]}…{place.rpartition('…')[2]}", parts
+        else:
+            found.append((place, parts))
+    return found
+
+
+def _block_label(block: _Block) -> str:
+    if block.is_told:
+        return block.label
+    return f"{block.label} (to the end)" if block.size is None else f"{block.label} ({block.size} bytes)"
+
+
+def range_text(offset: int, size: int) -> str:
+    return str(offset) if size == 1 else f"{offset}…{offset + size - 1}"
+
+
+def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
+    """The cells of one byte, bit 7 first: neighbouring bits of one number share a cell."""
+    parts: list[tuple[int, str]] = []
+    bit = 7
+    while bit >= 0:
+        label, index, width = cells.bits.get(8 * byte + bit, ("", -1, 0))
+        count = 1
+        while bit - count >= 0:
+            other, lower, _ = cells.bits.get(8 * byte + bit - count, ("", -1, 0))
+            if other != label or (index >= 0 and lower != index - count):
+                break
+            count += 1
+        text = label
+        if index >= 0 and count < width:
+            text += f" {index}…{index - count + 1}" if count > 1 else f" {index}"
+        parts.append((count * (BIT + 1) - 1, text))
+        bit -= count
+    return parts
+
+
+def listed(values: Sequence[int]) -> str:
+    """Numbers one by one, or many as their runs."""
+    return ", ".join(map(str, values)) if len(values) <= 4 else described(values)
+
+
+__all__ = [
+    "BIT",
+    "ROW",
+    "Mark",
+    "Panel",
+    "Row",
+    "is_long",
+    "listed",
+    "marks_of",
+    "panels",
+    "range_text",
+    "span_of",
+]

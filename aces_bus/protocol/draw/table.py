@@ -1,0 +1,215 @@
+"""The fields of a message as a table: place, type, unit, scale, range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from ..codegen import plan as p
+from ..spec.message import Message
+from ..spec.pattern import describe_values
+from .cells import is_long, listed, range_text, span_of
+
+
+@dataclass(frozen=True)
+class FieldRow:
+    """One line of a field table. `place` is where it stands, `range` what it can be or, if stated, what may be sent."""
+
+    name: str
+    place: str
+    type: str
+    unit: str = ""
+    scale: str = ""
+    offset: str = ""
+    range: str = ""
+    names: str = ""
+    doc: str = ""
+
+
+def table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
+    """The fields of a message; `captured` says what captured parts can be."""
+    return list(_table(plan.fields, "", captured or {}))
+
+
+def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
+    """The line of a single value, such as a register's."""
+    return _field_row(name, node, doc, {})
+
+
+def captured_values(message: Message) -> dict[str, str]:
+    """The values of the captured parts of identifier and head."""
+    captures = list(message.identifier.captures)
+    for head in message.heads_written:
+        captures += head.pattern.captures if head.pattern is not None else ()
+    return {capture.name: describe_values(capture.values) for capture in captures}
+
+
+def _table(fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, str]) -> Iterator[FieldRow]:
+    for one in fields:
+        name, node, doc = prefix + one.name, one.node, one.doc
+        if one.when is not None:
+            doc = f"only while {one.when[0]} is {listed(one.when[1])}" + (f"; {doc}" if doc else "")
+        if isinstance(node, p.Group):
+            yield from _table(node.fields, f"{name}.", captured)
+        elif isinstance(node, p.Many) and not is_long(node):
+            for index, item in enumerate(node.items):
+                inner = p.PlanField(f"{one.name}.{index}", item, doc if not index else "", None)
+                yield from _table([inner], prefix, captured)
+        else:
+            yield _field_row(name, node, doc, captured)
+
+
+def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -> FieldRow:
+    if isinstance(node, p.Many):
+        span = span_of(node)
+        inner = _field_row("", node.items[0], "", captured) if node.items else FieldRow("", "", "")
+        place = "byte " + range_text(*span) if span is not None else ""
+        kind = f"{len(node.items)} × {inner.type or 'record'}"
+        return FieldRow(
+            name, place, kind, inner.unit, inner.scale, inner.offset, inner.range, inner.names, doc
+        )
+    if isinstance(node, p.Scalar):
+        return _scalar_row(name, node, doc)
+    if isinstance(node, p.FromIdentifier):
+        if node.number is not None:
+            place = bits_place(
+                node.number.bits if node.is_alone else node.number.bits[node.shift : node.shift + node.width]
+            )
+        else:
+            place = (
+                "identifier" if node.is_alone else f"identifier {node.shift + node.width - 1}…{node.shift}"
+            )
+        scale, offset, _ = _scaling(node.steps)
+        names = _names(node.steps)
+        return FieldRow(
+            name, place, f"uint{node.width}", node.unit, scale, offset, captured.get(name, ""), names, doc
+        )
+    if isinstance(node, p.FromRequest):
+        return FieldRow(name, "request", "as there", doc=doc)
+    if isinstance(node, p.Rest):
+        return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
+    if isinstance(node, p.Cell):
+        kind = {"names": "enumeration"}.get(node.conversion, node.conversion)
+        names = ", ".join(f"{raw}={text}" for raw, text in node.names)
+        note = "may be left out" if node.optional else ""
+        return FieldRow(name, f"field {node.index}", kind, node.unit, names=names, doc=doc or note)
+    if isinstance(node, p.MoreCells):
+        return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
+    reason = node.reason if isinstance(node, p.Opaque) else ""
+    return FieldRow(name, "", "by construct", doc=doc or reason)
+
+
+def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
+    scale, offset, bounds = _scaling(node.steps)
+    if node.kind in ("bytes", "text"):
+        place = f"byte {node.offset}…" if node.size is None else f"byte {range_text(node.offset, node.size)}"
+        return FieldRow(name, place, node.kind if node.size is None else f"{node.kind}[{node.size}]", doc=doc)
+    assert node.size is not None
+    if node.kind == "float":
+        return FieldRow(
+            name,
+            bits_place(node.bits) if node.bits else f"byte {range_text(node.offset, node.size)}",
+            f"float{len(node.bits) or 8 * node.size}{_order_of(node)}",
+            node.unit,
+            scale,
+            offset,
+            bounds or "",
+            doc=doc,
+        )
+    width = len(node.bits)
+    kind = f"{node.kind}{width}{_order_of(node)}"
+    low, high = (-(1 << width - 1), (1 << width - 1) - 1) if node.kind == "int" else (0, (1 << width) - 1)
+    for step in node.steps:
+        if isinstance(step, p.Magnitude):
+            kind = f"sign+mag{width}{_order_of(node)}"
+            high = (1 << width - 1) - 1
+            low = -high
+        elif isinstance(step, p.FlagBits):
+            kind = f"flags{width}{_order_of(node)}"
+        elif isinstance(step, p.Names):
+            kind = f"enum{width}{_order_of(node)}"
+    span = bounds
+    if span is None:
+        edges = [float(low), float(high)]
+        for step in node.steps:
+            if isinstance(step, p.Scale):
+                edges = [edge * step.scale + step.offset for edge in edges]
+        is_number = any(isinstance(step, p.Scale) for step in node.steps) or not _names(node.steps)
+        span = f"{_short(min(edges))}…{_short(max(edges))}" if is_number and width <= 64 else ""
+    return FieldRow(
+        name, bits_place(node.bits), kind, node.unit, scale, offset, span, _names(node.steps), doc
+    )
+
+
+def _order_of(node: p.Scalar) -> str:
+    """Byte order, where there is one to speak of."""
+    if node.size == 1 or (node.bits and len({bit // 8 for bit in node.bits}) == 1):
+        return ""
+    if not node.bits:
+        return " le" if node.order == "little" else " be"
+    if list(node.bits) == list(range(node.bits[0], node.bits[0] + len(node.bits))):
+        return " le"
+    if node.bits == p.big_endian_bits(node.offset, node.size or 0):
+        return " be"
+    return ""
+
+
+def bits_place(bits: Sequence[int]) -> str:
+    """`byte 2…5`, `byte 1 bits 7…4 + byte 2`."""
+    by_byte: dict[int, list[int]] = {}
+    for bit in sorted(bits):
+        by_byte.setdefault(bit // 8, []).append(bit % 8)
+    parts: list[str] = []
+    whole: list[int] = []
+    for byte, inside in by_byte.items():
+        if len(inside) == 8:
+            if whole and whole[-1] == byte - 1:
+                whole.append(byte)
+                parts[-1] = f"byte {whole[0]}…{byte}"
+            else:
+                whole = [byte]
+                parts.append(f"byte {byte}")
+            continue
+        if inside == list(range(inside[0], inside[-1] + 1)):
+            text = f"bits {inside[-1]}…{inside[0]}" if len(inside) > 1 else f"bit {inside[0]}"
+        else:
+            text = f"bits {', '.join(map(str, reversed(inside)))}"
+        parts.append(f"byte {byte} {text}")
+    return " + ".join(parts)
+
+
+def _scaling(steps: Sequence[p.Step]) -> tuple[str, str, str | None]:
+    """Scale, offset and stated range of a value."""
+    for step in steps:
+        if isinstance(step, p.Scale):
+            scale = "" if step.scale == 1 else _short(step.scale)
+            offset = _short(step.offset) if step.offset else ""
+            if step.bounds is not None:
+                return scale, offset, f"{_short(step.bounds[0])}…{_short(step.bounds[1])}"
+            if step.raw_bounds is not None:
+                ends = sorted(raw * step.scale + step.offset for raw in step.raw_bounds)
+                return scale, offset, f"{_short(ends[0])}…{_short(ends[1])}"
+            return scale, offset, None
+    return "", "", None
+
+
+def _names(steps: Sequence[p.Step]) -> str:
+    for step in steps:
+        if isinstance(step, p.Names):
+            return ", ".join(f"{raw}={name}" for raw, name in step.values)
+        if isinstance(step, p.FlagBits):
+            return ", ".join(f"bit {number}={name}" for name, number in step.bits)
+        if isinstance(step, p.Scale) and (step.unknown or step.names):
+            parts = [f"{raw}={name}" for raw, name in step.names]
+            unknown = "not known: " + ", ".join(_short(raw) for raw in step.unknown)
+            return ", ".join([*parts, unknown] if step.unknown else parts)
+    return ""
+
+
+def _short(number: float) -> str:
+    if float(number).is_integer() and abs(number) < 1e12:
+        return str(int(number))
+    return f"{number:.6g}"
+
+
+__all__ = ["FieldRow", "bits_place", "captured_values", "row_of", "table"]

@@ -1,0 +1,214 @@
+"""Whether a message's worked examples hold: read, written back, and recognised.
+
+1. What reads is the message's construct and the reference; nothing generated, nothing cached.
+2. An example holds when its bytes give its fields, its fields give its bytes, and in some shipped dialect and
+   configuration the rule that scanners follow gives this message. A reply without its request may stay unrecognised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from construct import ConstructError
+
+from ...errors import AcesError
+from ...frame import Frame
+from ..scan.reference import Found, Reference
+from ..spec.examples import Example, Word
+from ..spec.fields import FlagSet
+from ..spec.message import Message
+from ..spec.packet import ContentError, LengthError, NotThisError, WrongCheckError
+from ..spec.protocol import Protocol, Variant
+from .finding import Finding
+
+
+def check_examples(protocol: Protocol) -> Iterator[Finding]:
+    """What is wrong with the examples of a protocol."""
+    for message in protocol.declared:
+        for example in message.examples:
+            text = failure(message, example)
+            if text is not None:
+                yield Finding(
+                    "error",
+                    "example",
+                    message.place,
+                    f"{message.name}: example {example.word}: {text}",
+                    message.name,
+                    _witness(example.word),
+                )
+    without = [m.name for m in protocol.declared if not m.examples]
+    if without and len(without) < len(protocol.declared):
+        shown = ", ".join(without[:6]) + (", …" if len(without) > 6 else "")
+        yield Finding(
+            "note",
+            "example",
+            protocol.place,
+            f"{len(without)} of {len(protocol.declared)} messages have no worked example: {shown}",
+        )
+
+
+def _witness(word: Word) -> str:
+    return str(word) if word.identifier is not None else f"hex:{word.data.hex().upper()}"
+
+
+def failure(message: Message, example: Example) -> str | None:
+    """Why an example does not hold; None when it does."""
+    request: Mapping[str, Any] | None = None
+    if example.request is not None:
+        asked = _request_of(message, example.request)
+        if isinstance(asked, str):
+            return asked
+        request = asked
+    image = example.word.image
+    try:
+        values = message.struct.parse(image, request=request)
+    except NotThisError as error:
+        return f"it is not {message.name}: {_said(error)}"
+    except LengthError as error:
+        return f"its length does not go with the fields of {message.name}: {_said(error)}"
+    except WrongCheckError:
+        return "its check does not hold"
+    except ContentError as error:
+        return f"a field cannot be read: {_said(error)}"
+    except (ConstructError, AcesError) as error:
+        return f"it cannot be read: {_said(error)}"
+    found = plain(values)
+    for name, wanted in example.fields.items():
+        if name not in found:
+            return f"there is no field {name!r} (there are: {', '.join(found)})"
+        if not agree(found[name], wanted):
+            return f"{name} is read as {show(found[name])}, and should be {show(wanted)}"
+    try:
+        built = bytes(message.struct.build({**values, **example.fields}))
+    except (ConstructError, AcesError, KeyError, TypeError, AttributeError, ValueError) as error:
+        return f"its fields cannot be written: {_said(error)}"
+    if built != image:
+        return f"its fields are written as {_shown(built, example.word)}"
+    return _unrecognised(message, example)
+
+
+def _shown(image: bytes, like: Word) -> str:
+    if like.identifier is None:
+        return image.hex(" ").upper()
+    number = int.from_bytes(image[:4], "big") & 0x1FFF_FFFF
+    return str(Word(image[5:], number, like.extended, like.remote, like.fd))
+
+
+def _request_of(message: Message, word: Word) -> Mapping[str, Any] | str:
+    """The raw fields of the request in an example, or why it is none."""
+    wanted = [*message.reply_to, *message.after]
+    if not wanted:
+        return f"it has a request, and {message.name} answers none (reply_to=, after=)"
+    for request in wanted:
+        try:
+            values = request.message.struct.parse(word.image, raw=True)
+        except (ConstructError, AcesError):
+            continue
+        if request.accepts(values):
+            return dict(values)
+    return f"its request {word} is none of {', '.join(map(str, wanted))}"
+
+
+def _unrecognised(message: Message, example: Example) -> str | None:
+    """What scanners make of an example that they do not take for this message; None when one does."""
+    others: dict[str, str] = {}
+    for variant in message.protocol.variants():
+        here = variant.messages.get(message.name)
+        if here is None or here.place != message.place:
+            continue
+        found = read(variant, message, example)
+        if found.message == message.name:
+            return None
+        if found.reason.startswith("unknown: needs request") and example.request is None:
+            return None
+        others.setdefault(found.message or found.reason, variant.label)
+    if not others:
+        return "no shipped dialect and configuration has this message"
+    (what, label), *_ = others.items()
+    return f"in {label} it is read as {what}"
+
+
+def read(variant: Variant, message: Message, example: Example) -> Found:
+    """What the reference makes of an example, its request being seen first."""
+    if message.framing is None:
+        reference = Reference([variant])
+        words = [example.word] if example.request is None else [example.request, example.word]
+        return reference.frames([frame_of(word) for word in words])[-1]
+    reference = Reference([variant], direction=message.direction)
+    if example.request is not None:
+        reference.sent(example.request.data)
+    (first, *_) = reference.stream(example.word.data)
+    return first
+
+
+def frame_of(word: Word) -> Frame:
+    """A frame with these bytes."""
+    return Frame(
+        word.identifier or 0,
+        word.data,
+        is_extended_id=word.extended,
+        is_remote_frame=word.remote,
+        is_fd=word.fd,
+    )
+
+
+# ---------------------------------------------------------------------- values
+
+
+def plain(value: Any) -> Any:
+    """What construct parsed, as dicts, lists and values, without its own entries."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items() if not str(k).startswith("_")}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return value
+
+
+def agree(found: Any, wanted: Any) -> bool:
+    """Whether a value is what an example says: floats up to rounding, flags by name, of nested records what is named."""
+    if isinstance(found, FlagSet):
+        if isinstance(wanted, int):
+            return int(found) == wanted
+        return not found.unknown and list(found) == list(wanted)
+    if isinstance(wanted, Mapping):
+        return isinstance(found, Mapping) and all(
+            name in found and agree(found[name], value) for name, value in wanted.items()
+        )
+    if isinstance(wanted, Sequence) and not isinstance(wanted, (str, bytes)):
+        return (
+            isinstance(found, list)
+            and len(found) == len(wanted)
+            and all(agree(one, other) for one, other in zip(found, wanted, strict=True))
+        )
+    if isinstance(found, float) or isinstance(wanted, float):
+        if not isinstance(found, (int, float)) or not isinstance(wanted, (int, float)):
+            return False
+        if math.isnan(found) or math.isnan(wanted):
+            return math.isnan(found) and math.isnan(wanted)
+        return math.isclose(found, wanted, rel_tol=1e-6, abs_tol=1e-12)
+    return bool(found == wanted)
+
+
+def show(value: Any) -> str:
+    """A value in a sentence: bytes as hexadecimal, floats short."""
+    if isinstance(value, bytes):
+        return value.hex(" ").upper() or "no bytes"
+    if isinstance(value, FlagSet):
+        return repr(value)
+    if isinstance(value, float):
+        return f"{value:.9g}"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name}: {show(item)}" for name, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(show, value)) + "]"
+    return repr(value) if isinstance(value, str) else str(value)
+
+
+def _said(error: BaseException) -> str:
+    lines = [line for line in str(error).splitlines() if not line.startswith("Error in path")]
+    return " ".join(" ".join(lines or str(error).splitlines()).split()) or type(error).__name__
+
+
+__all__ = ["agree", "check_examples", "failure", "frame_of", "plain", "read", "show"]

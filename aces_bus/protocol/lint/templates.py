@@ -1,0 +1,312 @@
+"""What is wrong with templates: messages that nothing can be, requests that cannot have been, order that settles nothing.
+
+1. CAN is decided exactly, as in `spec.ambiguity`; what is claimed of streams is proved or left out.
+2. A finding about two messages names both places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from ..codegen.flatten import flatten
+from ..spec.ambiguity import Demands, conflict, demands, needing_context, solved
+from ..spec.message import Message, Request
+from ..spec.pattern import Pattern
+from ..spec.protocol import Protocol, Variant
+from .finding import Finding, Level
+
+#: Patterns of more numbers than this are not walked.
+WALKED = 4096
+
+
+def check_templates(protocol: Protocol) -> Iterator[Finding]:
+    """What is wrong or doubtful about the templates of a protocol."""
+    variants = protocol.variants()
+    for message in protocol.declared:
+        yield from _possible(message)
+        yield from _somewhere(message, variants)
+        yield from _order(message)
+        yield from _requests(message, variants)
+    yield from _shadows(variants)
+    yield from _directions(variants)
+    used = {name for message in protocol.declared for name in message.dialects or ()}
+    for name in protocol.dialects:
+        if name not in used and len(protocol.dialects) > 1 and used:
+            yield Finding(
+                "note", "dialect", protocol.place, f"dialect {name!r} has no message that others have not"
+            )
+
+
+def _finding(level: Level, rule: str, message: Message, text: str, *others: Message) -> Finding:
+    return Finding(
+        level,
+        rule,
+        message.place,
+        f"{message.name}: {text}",
+        message.name,
+        None,
+        tuple(o.place for o in others),
+    )
+
+
+# ---------------------------------------------------------------------- one message
+
+
+def _possible(message: Message) -> Iterator[Finding]:
+    """Whether some bytes satisfy the template."""
+    lengths = [None] if message.framing is not None else sorted(message.lengths or ())
+    if all(_solution(message, length) is None for length in lengths):
+        yield _finding(
+            "error", "unreachable", message, "no packet is this message: its template contradicts itself"
+        )
+
+
+def _solution(message: Message, length: int | None) -> dict[int, int] | None:
+    wanted = demands(message, length)
+    if wanted is None:
+        return None
+    return solved(wanted.fixed, sorted(wanted.choices, key=lambda c: (c.excluded, len(c.values))))
+
+
+def _somewhere(message: Message, variants: list[Variant]) -> Iterator[Finding]:
+    if any(_here(variant, message) is not None for variant in variants):
+        return
+    conditions = ", ".join(
+        f"{c.key} of {c.capture} is {', '.join(sorted(map(str, c.values)))}" for c in message.when
+    )
+    dialects = ", ".join(sorted(message.dialects)) if message.dialects else ""
+    why = " and ".join(filter(None, [f"dialect {dialects}" if dialects else "", conditions]))
+    yield _finding(
+        "warning",
+        "unreachable",
+        message,
+        f"no shipped dialect and configuration has it (only where {why or 'nowhere'})",
+    )
+
+
+def _here(variant: Variant, message: Message) -> Message | None:
+    """The message as a variant has it, its identifiers narrowed."""
+    found = variant.messages.get(message.name)
+    return (
+        found
+        if found is not None and found.place == message.place and found.dialects == message.dialects
+        else None
+    )
+
+
+def _order(message: Message) -> Iterator[Finding]:
+    for name in message.over:
+        others = [m for m in message.protocol.declared if m.name == name]
+        if not others:
+            known = ", ".join(m.name for m in message.protocol.declared[:8])
+            yield _finding(
+                "error", "over", message, f"over={name!r} names no message (there are: {known}, …)"
+            )
+        elif all(conflict(message, other) is None for other in others):
+            yield _finding(
+                "warning",
+                "over",
+                message,
+                f"over={name!r} settles nothing: no packet is both",
+                *others,
+            )
+
+
+# ---------------------------------------------------------------------- requests
+
+
+def _requests(message: Message, variants: list[Variant]) -> Iterator[Finding]:
+    if message.within is not None and message.within <= 0:
+        yield _finding("error", "request", message, f"within={message.within:g} s: no request is that young")
+    every = [("reply_to", r) for r in message.reply_to] + [("after", r) for r in message.after]
+    for what, request in every:
+        yield from _request(message, what, request)
+    if not every:
+        return
+    for variant in variants:
+        here = _here(variant, message)
+        if here is None:
+            continue
+        if not any(_fits(variant, here, request) for _, request in every):
+            names = ", ".join(str(request) for _, request in every)
+            if message.name in needing_context(list(variant.messages.values())):
+                yield _finding(
+                    "error",
+                    "unreachable",
+                    message,
+                    f"in {variant.label} its request ({names}) cannot have been, so it is never recognised",
+                )
+            else:
+                yield _finding(
+                    "note", "request", message, f"in {variant.label} nothing asks for it: there is no {names}"
+                )
+            return
+
+
+def _request(message: Message, what: str, request: Request) -> Iterator[Finding]:
+    asked = request.message
+    if message.direction is not None and message.direction == asked.direction and what == "reply_to":
+        yield _finding(
+            "warning",
+            "direction",
+            message,
+            f"reply_to={asked.name}, but both go {message.direction}",
+            asked,
+        )
+    for name, wanted in request.values:
+        possible = _values(asked, name)
+        if possible is not None and not any(value in possible for value in wanted):
+            yield _finding(
+                "error",
+                "request",
+                message,
+                f"{what}={request} cannot be: {name} of {asked.name} is never {', '.join(map(str, sorted(wanted)))}",
+                asked,
+            )
+
+
+def _values(message: Message, name: str) -> range | frozenset[int] | None:
+    """What a field of a message may be, as far as its template and width say; None: not known."""
+    patterns: list[tuple[str | None, Pattern]] = [(None, message.identifier)]
+    patterns += [(h.name, h.pattern) for h in message.heads_written if h.pattern is not None]
+    for own, pattern in patterns:
+        if own == name and not pattern.captures:
+            return frozenset([pattern.constant])
+        for capture in pattern.captures:
+            if capture.name == name:
+                values = capture.values
+                return values if isinstance(values, range) else frozenset(values)
+    for field in flatten(message).fields:
+        bits = getattr(field.node, "bits", ())
+        kind = getattr(field.node, "kind", "")
+        if field.name == name and bits and kind in ("uint", "int"):
+            low = -(1 << len(bits) - 1) if kind == "int" else 0
+            return range(low, low + (1 << len(bits)))
+    return None
+
+
+def _fits(variant: Variant, message: Message, request: Request) -> bool:
+    """Whether a variant has the request, for a device that may send the message."""
+    asked = variant.messages.get(request.message.name)
+    if asked is None:
+        return False
+    shared = set(message.fields) & set(asked.fields)
+    for name in shared:
+        mine, theirs = _values(message, name), _values(asked, name)
+        if not (_is_outer(message, name) and _is_outer(asked, name)) or mine is None or theirs is None:
+            continue
+        everyone = variant.protocol.broadcast.get(name)
+        if everyone is not None and everyone in theirs:
+            continue
+        few, many = (mine, theirs) if len(mine) <= len(theirs) else (theirs, mine)
+        if len(few) <= 65536 and not any(value in many for value in few):
+            return False
+    return True
+
+
+def _is_outer(message: Message, name: str) -> bool:
+    return any(c.name == name for c in message.identifier.captures) or any(
+        h.name == name or (h.pattern is not None and any(c.name == name for c in h.pattern.captures))
+        for h in message.heads_written
+    )
+
+
+# ---------------------------------------------------------------------- messages that others take
+
+
+def _shadows(variants: list[Variant]) -> Iterator[Finding]:
+    """Messages whose every frame is another's, which is tried first."""
+    seen: set[tuple[str, str]] = set()
+    for variant in variants:
+        messages = list(variant.messages.values())
+        hanging = needing_context(messages)
+        for first in messages:
+            for name in first.over:
+                other = variant.messages.get(name)
+                if other is None or (first.name, name) in seen or first.name in hanging or name in hanging:
+                    continue
+                if {first.direction, other.direction} == {"to device", "from device"}:
+                    continue
+                if _covers(first, other):
+                    seen.add((first.name, name))
+                    yield _finding(
+                        "error",
+                        "unreachable",
+                        other,
+                        f"never reached: every packet of it is {first.name}, which is tried first (over=)",
+                        first,
+                    )
+
+
+def _covers(first: Message, other: Message) -> bool:
+    """Whether every packet of `other` is one of `first`; False when that is not proved."""
+    plan = flatten(first)
+    if plan.opaque or plan.split is not None or first.check is not None or first.framing is not other.framing:
+        return False
+    if (first.extended, first.remote, first.fd) != (other.extended, other.remote, other.fd):
+        return False
+    if first.framing is None:
+        if len(other.identifier) > WALKED or any(first.identifier.match(n) is None for n in other.identifier):
+            return False
+        if not set(other.lengths or ()) <= set(first.lengths or ()):
+            return False
+        lengths: list[int | None] = [*(other.lengths or ())]
+    else:
+        theirs = flatten(other)
+        if plan.lengths is not None and plan.lengths != theirs.lengths:
+            return False
+        if plan.lengths is None and theirs.least < plan.least:
+            return False
+        lengths = [None]
+    for length in lengths:
+        mine, others = demands(first, length), demands(other, length)
+        if mine is None or others is None or not _implied(mine, others):
+            return False
+    return True
+
+
+def _implied(wanted: Demands, given: Demands) -> bool:
+    if any(given.fixed.get(bit) != value for bit, value in wanted.fixed.items()):
+        return False
+    for choice in wanted.choices:
+        number = _number(choice.bits, given.fixed)
+        if number is not None:
+            if (number in choice.values) is choice.excluded:
+                return False
+        elif not any(
+            one.bits == choice.bits
+            and not one.excluded
+            and not choice.excluded
+            and len(one.values) <= 65536
+            and all(value in choice.values for value in one.values)
+            for one in given.choices
+        ):
+            return False
+    return True
+
+
+def _number(bits: tuple[int, ...], fixed: Mapping[int, int]) -> int | None:
+    if any(bit not in fixed for bit in bits):
+        return None
+    return sum(fixed[bit] << i for i, bit in enumerate(bits))
+
+
+# ---------------------------------------------------------------------- direction
+
+
+def _directions(variants: list[Variant]) -> Iterator[Finding]:
+    for variant in variants:
+        clash = variant.needs_direction
+        if clash is not None and variant.link != "can":
+            one, other = clash
+            yield _finding(
+                "note",
+                "direction",
+                one,
+                f"bytes alone do not tell it from {other.name}: a raw capture needs --direction to|from|both",
+                other,
+            )
+            return
+
+
+__all__ = ["check_templates"]

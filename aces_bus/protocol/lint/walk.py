@@ -1,0 +1,128 @@
+"""The fields of a protocol as the spec wrote them: name, adapters, and the number on the wire below them.
+
+1. A construct that several messages share is one field: it is remarked upon once.
+2. What is no number of fixed size (texts, bytes, opaque constructs) has no limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import construct as c
+
+from ..spec.bits import BitLayout, Bits
+from ..spec.delimited import Delimited
+from ..spec.fields import Field, Multiplexed, SignMagnitude
+from ..spec.message import Message
+from ..spec.place import Place
+from ..spec.protocol import Protocol
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A field: its adapters from the outside in, and its innermost construct."""
+
+    owner: str
+    name: str
+    adapters: tuple[Any, ...]
+    inner: Any
+    place: Place
+
+    @property
+    def label(self) -> str:
+        return f"{self.owner}.{self.name}" if self.name else self.owner
+
+    @property
+    def limits(self) -> tuple[int, int] | None:
+        """The least and the greatest raw number."""
+        for adapter in self.adapters:
+            if isinstance(adapter, SignMagnitude):
+                return -adapter.limit, adapter.limit
+        inner = self.inner
+        if isinstance(inner, Bits):
+            return None if inner.is_float else _span(inner.width, inner.signed)
+        if isinstance(inner, c.FormatField) and inner.fmtstr[-1:] in "BbHhLlQqIi":
+            return _span(8 * inner.length, inner.fmtstr[-1:].islower())
+        if isinstance(inner, c.BytesInteger) and isinstance(inner.length, int):
+            return _span(8 * inner.length, bool(inner.signed))
+        return None
+
+    @property
+    def byte_order(self) -> str | None:
+        """ "little" or "big" of a number of several bytes."""
+        inner = self.inner
+        if isinstance(inner, c.FormatField) and inner.length > 1 and inner.fmtstr[:1] in "<>":
+            return "little" if inner.fmtstr.startswith("<") else "big"
+        if isinstance(inner, c.BytesInteger) and inner.length != 1 and isinstance(inner.swapped, bool):
+            return "little" if inner.swapped else "big"
+        return None
+
+
+def _span(width: int, signed: bool) -> tuple[int, int]:
+    return (-(1 << width - 1), (1 << width - 1) - 1) if signed else (0, (1 << width) - 1)
+
+
+def fields_of(protocol: Protocol) -> Iterator[Written]:
+    """Every field that some message or register of the protocol has, each construct once."""
+    seen: set[int] = set()
+    for message in protocol.declared:
+        for item in [*_heads(message), *_payload(message)]:
+            key = id(item.adapters[0]) if item.adapters else id(item.inner)
+            # construct's own numbers (Byte, Int16ul) are shared by everybody: they are told apart by name.
+            if item.adapters and key in seen:
+                continue
+            seen.add(key)
+            yield item
+    registers = protocol.register_map
+    for register in registers.values() if registers is not None else ():
+        yield from _walk(register.field, "register", register.name, register.place)
+
+
+def _heads(message: Message) -> Iterator[Written]:
+    for head in message.heads_written:
+        if head.name is not None:
+            yield from _walk(head.field, message.name, head.name, message.place)
+
+
+def _payload(message: Message) -> Iterator[Written]:
+    yield from _walk(message.payload, message.name, "", message.place)
+
+
+def _walk(con: Any, owner: str, name: str, place: Place) -> Iterator[Written]:
+    if isinstance(con, c.Renamed):
+        inner = f"{name}.{con.name}" if name and con.name else con.name or name
+        yield from _walk(con.subcon, owner, inner, place.of_field(con.name) if con.name else place)
+    elif isinstance(con, BitLayout):
+        for slot in con.slots:
+            where = place.of_field(slot.name)
+            yield from _walk(slot.field, owner, f"{name}.{slot.name}" if name else slot.name, where)
+    elif isinstance(con, Delimited):
+        for one in con.fields:
+            yield from _walk(one, owner, name, place)
+    elif isinstance(con, Multiplexed):
+        yield from _walk(con.body, owner, name, place)
+    elif isinstance(con, c.IfThenElse):
+        for case in (con.thensubcon, con.elsesubcon):
+            yield from _walk(case, owner, name, place)
+    elif isinstance(con, c.Switch):
+        for case in [*con.cases.values(), con.default]:
+            yield from _walk(case, owner, name, place)
+    elif hasattr(con, "subcons"):
+        for item in con.subcons:
+            yield from _walk(item, owner, name, place)
+    else:
+        adapters: list[Any] = []
+        while hasattr(con, "subcon") and not isinstance(con, (c.Array, c.GreedyRange)):
+            if isinstance(con, Field):
+                adapters.append(con)
+            con = con.subcon
+        if isinstance(con, (c.Array, c.GreedyRange)):
+            yield from _walk(con.subcon, owner, name, place)
+            return
+        own = adapters[0].place if adapters else place
+        yield Written(owner, name, tuple(adapters), con, own)
+
+
+__all__ = ["Written", "fields_of"]

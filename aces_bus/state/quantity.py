@@ -1,0 +1,283 @@
+"""One quantity over time: how it is read, whatever gives its values.
+
+1. `q[t]` is the value `t` seconds from its *origin*. Without an estimator the origin is the newest sample, so that with samples
+   at f hertz `q[-1 / f]` is the one before, as in the paper; with an estimator it is now. `q.at(instant)` takes an instant (ns).
+2. Unknown is a value: `UNKNOWN` before the first sample, where a sample was unknown, and in `q[0]` when it is stale: an old
+   value never passes as a fresh one. `q.last` is the newest sample, however old.
+3. What lies outside the history and has no estimator raises `StateError`; it is never clamped. `q.get(t, default)` does not raise.
+4. Arithmetic gives quantities, evaluated when they are read. `rate`, `integral` and `filtered` give the same object when
+   asked the same again, so that a control loop may call them each cycle.
+
+A subclass says where values come from: `State` keeps samples, `Derived` computes from other quantities, `Running` (integral,
+filters) is a state fed by another quantity.
+"""
+
+from __future__ import annotations
+
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any
+
+from ..device.signal import UNKNOWN, Reading
+from ..runtime import Clock
+from .errors import StateError
+
+if TYPE_CHECKING:
+    from .derived import Derived
+    from .filters import Filter
+    from .rate import Rate
+    from .running import Running, Uneven
+    from .spectrum import Spectrum
+    from .window import Window
+
+Listener = Callable[[Any, int], None]
+
+#: Asked so little beyond the first or last sample, it is meant: -3 / f seconds is not a whole number of nanoseconds.
+EDGE_NS = 1_000
+
+#: Integrals, filters and derivatives of one quantity, at most: each costs time with every sample.
+MOST_MADE = 64
+
+
+class Quantity(ABC):
+    """What can be read like a state. `unit` is "" for a plain number and None where nobody has stated it."""
+
+    name: str
+    unit: str | None
+    clock: Clock
+
+    def __init__(self, name: str, unit: str | None, clock: Clock) -> None:
+        self.name, self.unit, self.clock = name, unit, clock
+        self._made: dict[Hashable, Quantity] = {}
+
+    # ---- what a subclass gives ------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def last(self) -> Any:
+        """The newest value (float), however old; `UNKNOWN` where there is none."""
+
+    @property
+    @abstractmethod
+    def span(self) -> tuple[int, int] | None:
+        """The instants (ns) between which it has values of its own; None before the first."""
+
+    @property
+    @abstractmethod
+    def is_stale(self) -> bool:
+        """Whether the newest value is too old, or there is none."""
+
+    @abstractmethod
+    def at(self, instant: int) -> Any:
+        """The value at an instant (ns of `clock`): float or `UNKNOWN`. Raises `StateError` outside of what it can know."""
+
+    @abstractmethod
+    def samples_up_to(self, instant: int, most: int) -> list[int]:
+        """Instants of up to `most` samples, ascending; the last one is the first that is not before `instant`."""
+
+    @abstractmethod
+    def samples_between(self, start: int, end: int) -> list[int]:
+        """Instants of all samples kept with start ≤ instant ≤ end, ascending."""
+
+    @property
+    @abstractmethod
+    def forgotten(self) -> int | None:
+        """Samples before this instant were there and are not kept any more; None when none was dropped."""
+
+    @abstractmethod
+    def subscribe(self, listener: Listener) -> None:
+        """Call `listener(value, instant)` with each new sample; it must return soon, and may get `UNKNOWN`."""
+
+    # ---- reading --------------------------------------------------------------------------------------------------
+
+    @property
+    def instant(self) -> int | None:
+        """When the newest value was measured (ns); None before the first."""
+        span = self.span
+        return None if span is None else span[1]
+
+    @property
+    def origin(self) -> int | None:
+        """The instant that `q[0]` stands for (rule 1)."""
+        return self.instant
+
+    @property
+    def value(self) -> Any:
+        """The newest value (float) if it is fresh, else `UNKNOWN`; the same as `q[0]`."""
+        return UNKNOWN if self.is_stale else self.last
+
+    @property
+    def age_ns(self) -> int | None:
+        """How old the newest value is; None when there is none."""
+        instant = self.instant
+        return None if instant is None else max(0, self.clock.now() - instant)
+
+    @property
+    def age_s(self) -> float | None:
+        """The same in seconds."""
+        age = self.age_ns
+        return None if age is None else age / 1e9
+
+    @property
+    def is_known(self) -> bool:
+        """Whether `q[0]` is a number."""
+        return self.value is not UNKNOWN
+
+    def read(self) -> Reading:
+        """Last value, its instant, age and staleness, together."""
+        return Reading(self.last, self.instant, self.age_ns, self.is_stale)
+
+    def __getitem__(self, t: float) -> Any:
+        """The value `t` seconds from the origin (rule 1): float or `UNKNOWN`; raises `StateError` outside the history."""
+        if not t:
+            return self.value
+        origin = self.origin
+        if origin is None:
+            return UNKNOWN
+        return self.at(origin + self._ns(t))
+
+    def get(self, t: float, default: Any = UNKNOWN) -> Any:
+        """`q[t]`, or `default` where that is unknown or outside of what can be known."""
+        try:
+            value = self[t]
+        except StateError:
+            return default
+        return default if value is UNKNOWN else value
+
+    def _ns(self, t: float) -> int:
+        try:
+            return round(t * 1e9)
+        except (OverflowError, ValueError, TypeError):
+            raise StateError(f"state {self.name!r}: {t!r} is not a time in seconds") from None
+
+    def _outside(self, instant: int, hint: str) -> StateError:
+        """The error for an instant outside of the history."""
+        origin, span = self.origin, self.span
+        if origin is None or span is None:
+            return StateError(f"state {self.name!r}: nothing was heard yet")
+        return StateError(
+            f"state {self.name!r} has no value at t = {(instant - origin) / 1e9:+.9g} s: its history reaches from "
+            f"{(span[0] - origin) / 1e9:.9g} to {(span[1] - origin) / 1e9:.9g} s; {hint}"
+        )
+
+    # ---- quantities made from it ----------------------------------------------------------------------------------
+
+    def _make(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        made = self._made.get(key)
+        if made is None:
+            if len(self._made) >= MOST_MADE:
+                raise StateError(
+                    f"state {self.name!r} has {MOST_MADE} integrals, filters and derivatives already; "
+                    "are their parameters changed each cycle? Make them once"
+                )
+            made = self._made[key] = make()
+        return made
+
+    def rate(self, order: int = 1) -> Rate:
+        """The derivative (unit per second), from the polynomial through the `order` + 1 samples up to the asked instant.
+
+        Real time stamps count. Order 1 is the slope of the last two samples, with an error up to half a sampling period times
+        the second derivative; higher orders are exact for polynomials of that order and louder with noise.
+        """
+        made: Any = self._made.get(("rate", order))
+        if made is not None:
+            return made  # type: ignore[no-any-return]
+        from .rate import Rate
+
+        return self._make(("rate", order), lambda: Rate(self, order))  # type: ignore[no-any-return]
+
+    def integral(self, start: float = 0.0, *, max_gap_s: float | None = None) -> Running:
+        """The integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at the first call.
+
+        Unknown samples are bridged; known ones further apart than `max_gap_s` (default: what makes the state stale, or any
+        distance) are not: that time adds nothing and is counted in `.skipped_s`. `.reset()` begins again.
+        """
+        key = ("integral", start, max_gap_s)
+        made: Any = self._made.get(key)
+        if made is not None:
+            return made  # type: ignore[no-any-return]
+        from .running import Integral
+
+        return self._make(key, lambda: Integral(self, start, max_gap_s=max_gap_s))  # type: ignore[no-any-return]
+
+    def filtered(self, kind: Filter, *, uneven: Uneven = "resample") -> Running:
+        """The quantity behind a filter (see `aces_bus.state.filters` and `design`), with a history of its own.
+
+        A filter designed for a rate needs even samples. `uneven` says what becomes of others: "resample" interpolates onto the
+        even grid of the filter's rate, "refuse" makes the output `UNKNOWN` where samples are not even to 10 % of the period and
+        starts the filter anew, "accept" takes each sample as one. Filters without a rate take samples as they come.
+        """
+        key = ("filtered", kind, uneven)
+        made: Any = self._made.get(key)
+        if made is not None:
+            return made  # type: ignore[no-any-return]
+        from .running import Filtered
+
+        return self._make(key, lambda: Filtered(self, kind, uneven=uneven))  # type: ignore[no-any-return]
+
+    def window(self, t0: float | None = None, t1: float = 0.0, *, rate_hz: float | None = None) -> Window:
+        """Samples from `t0` to `t1` (seconds from the origin; None: all that are kept) as arrays, NaN where unknown.
+
+        `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that time were dropped.
+        """
+        from .window import window_of
+
+        return window_of(self, t0, t1, rate_hz)
+
+    def spectrum(self, window_s: float, *, taper: str = "hann", rate_hz: float | None = None) -> Spectrum:
+        """Amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.spectrum`."""
+        from .spectrum import spectrum_of
+
+        return spectrum_of(self, window_s, taper, rate_hz)
+
+    # ---- arithmetic -----------------------------------------------------------------------------------------------
+
+    def _with(self, symbol: str, function: Callable[..., Any], left: Any, right: Any) -> Derived:
+        from .derived import combined
+
+        return combined(symbol, function, left, right)
+
+    def __add__(self, other: Quantity | float) -> Derived:
+        return self._with("+", operator.add, self, other)
+
+    def __radd__(self, other: float) -> Derived:
+        return self._with("+", operator.add, other, self)
+
+    def __sub__(self, other: Quantity | float) -> Derived:
+        return self._with("-", operator.sub, self, other)
+
+    def __rsub__(self, other: float) -> Derived:
+        return self._with("-", operator.sub, other, self)
+
+    def __mul__(self, other: Quantity | float) -> Derived:
+        return self._with("*", operator.mul, self, other)
+
+    def __rmul__(self, other: float) -> Derived:
+        return self._with("*", operator.mul, other, self)
+
+    def __truediv__(self, other: Quantity | float) -> Derived:
+        return self._with("/", operator.truediv, self, other)
+
+    def __rtruediv__(self, other: float) -> Derived:
+        return self._with("/", operator.truediv, other, self)
+
+    def __pow__(self, other: float) -> Derived:
+        return self._with("**", operator.pow, self, other)
+
+    def __neg__(self) -> Derived:
+        return self._with("*", operator.mul, -1, self)
+
+    def __abs__(self) -> Derived:
+        from .derived import derived
+
+        return derived(f"|{self.name}|", abs, self, unit=self.unit)
+
+    def __repr__(self) -> str:
+        age = self.age_s
+        unit = f" {self.unit}" if self.unit else ""
+        aged = "" if age is None else f", {age:.3g} s old"
+        return f"<{type(self).__name__} {self.name} = {self.last!r}{unit}{aged}>"
+
+    # Quantities are things, not their values: two are equal when they are the same. `a[0] == b[0]` compares values.
+    __iter__ = None  # indexing takes seconds, not places

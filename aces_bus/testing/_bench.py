@@ -1,0 +1,166 @@
+"""What is made once to judge many scenes of one wire: scanners, the reference, what construct said before.
+
+1. A scanner is made once and reset for each scene: making one costs more than a scene.
+2. With `remembers`, what construct says of one image is asked once. Nothing that a scanner says is ever remembered.
+3. A bench belongs to who made it: a fault that is planted afterwards is not hidden by what an earlier bench knows.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from typing import Any
+
+from construct import ConstructError
+
+from ..errors import AcesError
+from ..protocol.scan.reference import Found, Reference
+from ..protocol.scan.scanner import Scanner, make_scanner
+from ..protocol.spec.ambiguity import needing_context
+from ..protocol.spec.framing import Framing
+from ..protocol.spec.message import Message
+from ..protocol.spec.protocol import Variant
+from ._scenes import Scene, Way, Wire, cast, variants_of
+
+#: Images that are remembered at most, so that a run of hours stays small.
+REMEMBERED = 20_000
+
+
+class Bench:
+    """The tools for judging scenes of a wire in a direction."""
+
+    def __init__(self, wire: Wire, direction: Way, *, remembers: bool = False) -> None:
+        self.wire = wire
+        self.variants = variants_of(wire)
+        self.direction: Way = direction
+        self.remembers = remembers
+        self.is_can = self.variants[0].link == "can"
+        self._scanners: dict[tuple[bool, bool], Scanner] = {}
+        self._said: dict[Any, Any] = {}
+
+    @property
+    def label(self) -> str:
+        """As the command line names it."""
+        return " + ".join(v.label for v in self.variants)
+
+    def scanner(self, *, everything: bool = True, raw: bool = True) -> Scanner:
+        """A scanner as if just made."""
+        made = self._scanners.get((everything, raw))
+        if made is None:
+            made = make_scanner(self.variants, direction=self.direction, everything=everything, raw=raw)
+            self._scanners[everything, raw] = made
+        made.reset()
+        return made
+
+    def reference(self, *, raw: bool = True) -> Reference:
+        """The slow truth."""
+        kind = _Remembering if self.remembers else Reference
+        made = kind(self.variants, direction=self.direction, raw=raw)
+        if isinstance(made, _Remembering):
+            made.said = self._said
+        return made
+
+    def once(self, key: Any, ask: Any) -> Any:
+        """What `ask()` gives; with `remembers`, asked once for a key."""
+        if not self.remembers:
+            return ask()
+        try:
+            return self._said[key]
+        except KeyError:
+            pass
+        if len(self._said) > REMEMBERED:
+            self._said.clear()
+        self._said[key] = answer = ask()
+        return answer
+
+    @cached_property
+    def by_name(self) -> dict[tuple[str, str], Message]:
+        """The messages of the wire by the names of protocol and message."""
+        return {(v.name, m.name): m for v, m in cast(self.wire, self.direction).messages}
+
+    @cached_property
+    def contextual(self) -> frozenset[tuple[str, str]]:
+        """The names of messages that hang on others."""
+        return frozenset(
+            (v.name, name) for v in self.variants for name in needing_context(v.facing(self.direction))
+        )
+
+    @cached_property
+    def framings(self) -> list[tuple[Variant, Framing, tuple[Message, ...]]]:
+        """Each framing of the wire with its messages."""
+        found: dict[tuple[Variant, Framing], list[Message]] = {}
+        for variant, message in cast(self.wire, self.direction).messages:
+            if message.framing is not None:
+                found.setdefault((variant, message.framing), []).append(message)
+        return [(variant, framing, tuple(messages)) for (variant, framing), messages in found.items()]
+
+    @cached_property
+    def extras(self) -> list[dict[int, bytes] | None]:
+        """For each framing the bytes that seed its check."""
+        found: list[dict[int, bytes] | None] = []
+        for _, _, messages in self.framings:
+            extras: dict[int, bytes] = {}
+            for message in messages:
+                extras.update(message.extras or {})
+            found.append(extras or None)
+        return found
+
+    def reads(self, message: Message, image: bytes) -> bool:
+        """Whether construct reads an image as `message`."""
+        return bool(self.once(("reads", message, image), lambda: reads(message, image)))
+
+
+def reads(message: Message, image: bytes) -> bool:
+    """Whether construct reads an image as `message`."""
+    try:
+        message.struct.parse(image, raw=True)
+    except (ConstructError, AcesError):
+        return False
+    return True
+
+
+class _Remembering(Reference):
+    """The same rule, with what it has decided about whole packets kept.
+
+    Where no message hangs on another, what a packet is follows from its bytes alone. On CAN, messages of other
+    identifiers are left out before construct is asked, by the test that construct begins with.
+    """
+
+    said: dict[Any, Any]
+
+    def _decode(
+        self, image: bytes, channel: Any, time: float | None, framing: Framing | None
+    ) -> tuple[str, Message | None, Any]:
+        if any(contextual for _, _, contextual, _ in self.sides):
+            if framing is not None:
+                return super()._decode(image, channel, time, framing)
+            identifier = int.from_bytes(image[:4], "big") & 0x1FFF_FFFF
+            sides = self.sides
+            self.sides = [
+                (v, [m for m in messages if m.identifier.match(identifier) is not None], names, context)
+                for v, messages, names, context in sides
+            ]
+            try:
+                return super()._decode(image, channel, time, framing)
+            finally:
+                self.sides = sides
+        key = (self.raw, image, framing, tuple(side[0] for side in self.sides))
+        answer = self.said.get(key)
+        if answer is None:
+            if len(self.said) > REMEMBERED:
+                self.said.clear()
+            answer = self.said[key] = super()._decode(image, channel, time, framing)
+        found: tuple[str, Message | None, Any] = answer
+        return found
+
+
+@lru_cache(maxsize=256)
+def _bench(variants: tuple[Variant, ...], direction: Way) -> Bench:
+    return Bench(variants, direction)
+
+
+def bench_of(wire: Wire, direction: Way) -> Bench:
+    """A bench that is kept; it remembers scanners and nothing else."""
+    return _bench(variants_of(wire), direction)
+
+
+__all__ = ["Bench", "Found", "Scene", "bench_of", "reads"]

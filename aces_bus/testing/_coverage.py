@@ -1,0 +1,215 @@
+"""What a run of scenes has reached of a protocol: messages, fields, named values, templates; and what never.
+
+1. Expected is what the spec declares, over all variants that are scanned; reached is what a scanner gave.
+2. A template is reached in every way that it can end: accepted, and refused for each reason that it has.
+3. A field has been reached when it had a value; an optional one, when it also had none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ..protocol.scan.record import Unknown
+from ..protocol.spec.bits import BitLayout
+from ..protocol.spec.delimited import Delimited
+from ..protocol.spec.fields import Multiplexed
+from ..protocol.spec.framing import Framing
+from ..protocol.spec.head import enumeration_of
+from ..protocol.spec.message import Message
+from ._bench import Bench
+from ._trial import Trial
+
+#: (protocol, kind, name): kind is "message", "field", "value" or "template".
+Feature = tuple[str, str, str]
+KINDS = ("message", "field", "value", "template")
+
+
+def expected(bench: Bench) -> set[Feature]:
+    """What scenes of this wire should reach."""
+    found: set[Feature] = set()
+    for (protocol, name), message in bench.by_name.items():
+        found.add((protocol, "message", name))
+        for field, optional in _fields(message).items():
+            found.add((protocol, "field", f"{name}.{field}"))
+            if optional:
+                found.add((protocol, "field", f"{name}.{field} (absent)"))
+        for field, names in _named(message).items():
+            found |= {(protocol, "value", f"{name}.{field}={value}") for value in names.values()}
+        if message.framing is None:
+            found.add((protocol, "template", f"{name}: accepted"))
+            if message.lengths is None or len(message.lengths) < (16 if message.fd else 9):
+                if not message.remote:
+                    found.add((protocol, "template", f"{name}: other length"))
+            if message.check is not None:
+                found.add((protocol, "template", f"{name}: wrong check"))
+    for variant, framing, _ in bench.framings:
+        found |= {(variant.name, "template", f"{_label(framing)}: {end}") for end in _ends(framing)}
+    return found
+
+
+def _ends(framing: Framing) -> list[str]:
+    ends = ["accepted"]
+    if framing.check is not None:
+        ends.append("wrong check")
+    if framing.affine is not None:
+        head = framing.affine.length
+        most = framing.affine.factor * ((1 << 8 * head.size) - 1) + framing.affine.constant
+        if most > framing.max_size or framing.affine.constant < framing.min_size:
+            ends.append("impossible length")
+    if framing.end:
+        ends.append("no end")
+    if framing.head_end and not framing.is_silent:
+        ends.append("cut off")
+    return ends
+
+
+def _label(framing: Framing) -> str:
+    return f"framing {framing.name}"
+
+
+def _fields(message: Message) -> dict[str, bool]:
+    """Names of a record's fields, and whether each may be absent."""
+    optional: set[str] = set()
+    payload: Any = message.payload
+    if isinstance(payload, BitLayout):
+        optional |= {slot.name for slot in payload.slots if slot.mux is not None}
+    elif isinstance(payload, Delimited):
+        optional |= {item.name for item in payload.fields[payload.least :]}
+    else:
+        for item in payload.subcons:
+            if item.name and isinstance(getattr(item, "subcon", None), Multiplexed):
+                optional.add(item.name)
+    own = {f for f in message.fields if f not in message.request_fields}
+    return {name: name in optional for name in message.fields if name in own}
+
+
+def _named(message: Message) -> dict[str, Mapping[int, str]]:
+    """The named values of top-level fields."""
+    found: dict[str, Mapping[int, str]] = {}
+    payload: Any = message.payload
+    pairs: list[tuple[str, Any]] = []
+    if isinstance(payload, BitLayout):
+        pairs = [(slot.name, slot.field) for slot in payload.slots]
+    elif not isinstance(payload, Delimited):
+        pairs = [(item.name, item.subcon) for item in payload.subcons if item.name]
+    for name, con in pairs:
+        enumeration = enumeration_of(con)
+        if enumeration is not None and name in message.fields and len(enumeration.values) <= 64:
+            found[name] = enumeration.values
+    return found
+
+
+class Coverage:
+    """What was reached, how often, over any number of wires. Two can be added: processes report theirs."""
+
+    def __init__(self) -> None:
+        self.reached: Counter[Feature] = Counter()
+        self.expected: set[Feature] = set()
+        self._named: dict[Message, dict[str, Mapping[int, str]]] = {}
+
+    def expects(self, bench: Bench) -> None:
+        """Reckon with what this wire can reach."""
+        self.expected |= expected(bench)
+
+    def add(self, other: Coverage) -> None:
+        """Take over what another run has reached."""
+        self.reached += other.reached
+        self.expected |= other.expected
+
+    def note(self, trial: Trial) -> bool:
+        """Count what a trial reached; whether some of it is new."""
+        before = len(self.reached)
+        reached = self.reached
+        names = trial.bench.by_name
+        for number, item in enumerate(trial.given):
+            if isinstance(item, Unknown):
+                if item.reason.startswith(("malformed", "pending")):
+                    self._refused(trial, number, item)
+                continue
+            name = type(item).__name__
+            protocol = item._protocol
+            reached[protocol, "message", name] += 1
+            message = names.get((protocol, name))
+            if message is None:
+                continue
+            where = f"{name}: accepted" if message.framing is None else f"{_label(message.framing)}: accepted"
+            reached[protocol, "template", where] += 1
+            if reached[protocol, "message", name] & 7 < 5:
+                self._fields(protocol, message, item)
+        return len(reached) > before
+
+    def _fields(self, protocol: str, message: Message, record: Any) -> None:
+        named = self._named.get(message)
+        if named is None:
+            named = self._named[message] = _named(message)
+        for field in message.fields:
+            value = getattr(record, field, None)
+            what = f"{message.name}.{field}" if value is not None else f"{message.name}.{field} (absent)"
+            self.reached[protocol, "field", what] += 1
+            if field in named and (text := named[field].get(value)) is not None:
+                self.reached[protocol, "value", f"{message.name}.{field}={text}"] += 1
+
+    def _refused(self, trial: Trial, number: int, item: Unknown) -> None:
+        """Which template a loss belongs to."""
+        bench = trial.bench
+        if bench.is_can:
+            frame = trial.scene.words[number] if number < len(trial.scene.words) else None
+            if frame is None:
+                return
+            end = "wrong check" if "checksum" in item.reason else "other length"
+            for (protocol, name), message in bench.by_name.items():
+                if message.identifier.match(frame.arbitration_id) is not None:
+                    if message.extended == frame.is_extended_id:
+                        self.reached[protocol, "template", f"{name}: {end}"] += 1
+            return
+        end = next(
+            (text for part, text in _WHY if part in item.reason),
+            "cut off" if item.reason == "pending" else "",
+        )
+        if end:
+            for variant, framing, _ in bench.framings:
+                if item.meta.raw.startswith(framing.sync[:1]):
+                    self.reached[variant.name, "template", f"{_label(framing)}: {end}"] += 1
+
+    def never(self, protocol: str | None = None) -> list[Feature]:
+        """What was expected and never reached, in the order of `KINDS`."""
+        left = [f for f in self.expected if f not in self.reached and protocol in (None, f[0])]
+        return sorted(left, key=lambda f: (f[0], KINDS.index(f[1]), f[2]))
+
+    def parts(self, protocol: str, kind: str) -> tuple[int, int]:
+        """How many features of a kind were reached, and how many there are."""
+        wanted = [f for f in self.expected if f[0] == protocol and f[1] == kind]
+        return sum(f in self.reached for f in wanted), len(wanted)
+
+    def of_message(self, protocol: str, message: str, kind: str) -> tuple[int, int]:
+        """The same of one message."""
+        start = f"{message}." if kind in ("field", "value") else f"{message}:"
+        wanted = [f for f in self.expected if f[0] == protocol and f[1] == kind and f[2].startswith(start)]
+        return sum(f in self.reached for f in wanted), len(wanted)
+
+    @property
+    def protocols(self) -> list[str]:
+        """The names of the protocols, sorted."""
+        return sorted({f[0] for f in self.expected})
+
+
+#: What a reason for a loss says about the template.
+_WHY = (
+    ("checksum", "wrong check"),
+    ("malformed: length", "impossible length"),
+    ("no end", "no end"),
+    ("incomplete", "cut off"),
+)
+
+
+def merged(parts: Iterable[Coverage]) -> Coverage:
+    """Several as one."""
+    whole = Coverage()
+    for part in parts:
+        whole.add(part)
+    return whole
+
+
+__all__ = ["KINDS", "Coverage", "Feature", "expected", "merged"]

@@ -1,0 +1,396 @@
+"""Makes a scene that breaks a law small: first fewer words, then shorter packets, then simpler values.
+
+1. Whatever is tried is a whole scene, and kept only when the same law fails on it. The result fails, always.
+2. The number of trials is bounded; what is best by then is the answer.
+3. A packet is cut as a packet: bytes are taken out of its contents, and its length and check are made to fit again.
+
+Deleting bytes blindly (delta debugging) cannot shorten a packet with a check; rebuilding alone cannot show that half a header
+is enough. The passes take turns until none helps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import construct as c
+
+from ..errors import AcesError
+from ..frame import Frame
+from ..protocol.spec.framing import Framing, Verdict
+from ..protocol.spec.message import Message
+from ._bench import Bench
+from ._scenes import Scene, rechecked
+from ._values import Packet
+
+Cuts = tuple[int, ...]
+Fails = Callable[[Scene, Cuts], bool]
+
+
+@dataclass
+class Calls:
+    """How many trials may still be made, and how many were."""
+
+    most: int
+    made: int = 0
+
+    @property
+    def are_left(self) -> bool:
+        return self.made < self.most
+
+
+def shrunk(bench: Bench, scene: Scene, cuts: Cuts, fails: Fails, calls: Calls) -> tuple[Scene, Cuts]:
+    """The smallest scene and cuts found on which `fails` still says so. `scene` must fail."""
+    best = _Best(scene, cuts, fails, calls)
+    if scene.packets:
+        best.offer(replace(scene, packets=()), cuts)
+    if best.scene.packets:
+        _packets(best)
+    _without_events(best)
+    passes = _of_frames if bench.is_can else _of_bytes
+    while calls.are_left:
+        before = best.weight
+        passes(bench, best)
+        _without_events(best)
+        if best.weight >= before:
+            break
+    return best.scene, best.cuts
+
+
+class _Best:
+    """The smallest so far."""
+
+    def __init__(self, scene: Scene, cuts: Cuts, fails: Fails, calls: Calls) -> None:
+        self.scene, self.cuts = scene, cuts
+        self._fails, self.calls = fails, calls
+        self.weight = _weight(scene, cuts)
+
+    def offer(self, scene: Scene, cuts: Cuts | None = None, *, equal: bool = False) -> bool:
+        """Take a scene when it is smaller and fails."""
+        cuts = self.cuts if cuts is None else cuts
+        weight = _weight(scene, cuts)
+        if not (weight < self.weight or (equal and weight == self.weight)) or not self.calls.are_left:
+            return False
+        self.calls.made += 1
+        if not self._fails(scene, cuts):
+            return False
+        self.scene, self.cuts, self.weight = scene, cuts, weight
+        return True
+
+
+def _weight(scene: Scene, cuts: Cuts) -> tuple[int, ...]:
+    """What is smaller is better: words, events, cuts, then values."""
+    events = len(scene.idle_at) + sum(1 + len(word_bytes(word)) for _, word in scene.sent_at)
+    packets = sum(1 + len(p.image) for p in scene.packets)
+    if isinstance(scene.words, bytes):
+        nonzero, total = len(scene.words) - scene.words.count(0), sum(scene.words)
+        return len(scene.words) + packets, events, len(cuts), nonzero, total
+    data = [word_bytes(frame) for frame in scene.words]
+    sizes = sum(map(len, data))
+    marks = sum(
+        (f.timestamp is not None) + (f.channel is not None) + (f.is_rx is not None) + (f.dlc is not None)
+        for f in scene.words
+    )
+    total = sum(map(sum, data)) + sum(f.arbitration_id for f in scene.words)
+    nonzero = sum(len(d) - d.count(0) for d in data)
+    values = sum(len(p.image) - p.image.count(0) for p in scene.packets)
+    return len(data) + packets, events, len(cuts), sizes, marks, nonzero, total, values
+
+
+def word_bytes(word: Any) -> bytes:
+    """The bytes of a packet or a frame."""
+    return word if isinstance(word, bytes) else bytes(word.data)
+
+
+# ---------------------------------------------------------------------- events, and words taken out
+
+
+def _without_events(best: _Best) -> None:
+    best.offer(replace(best.scene, idle_at=(), sent_at=()), ())
+    for cuts in ((), _inside(best)):
+        best.offer(best.scene, cuts)
+    best.offer(replace(best.scene, idle_at=()))
+    best.offer(replace(best.scene, sent_at=()))
+    for index in range(len(best.cuts) - 1, -1, -1):
+        best.offer(best.scene, best.cuts[:index] + best.cuts[index + 1 :])
+    for index in range(len(best.scene.idle_at) - 1, -1, -1):
+        idle = best.scene.idle_at
+        best.offer(replace(best.scene, idle_at=idle[:index] + idle[index + 1 :]))
+    for index in range(len(best.scene.sent_at) - 1, -1, -1):
+        sent = best.scene.sent_at
+        best.offer(replace(best.scene, sent_at=sent[:index] + sent[index + 1 :]))
+
+
+def _inside(best: _Best) -> Cuts:
+    """Cuts that cut something, each once."""
+    return tuple(sorted({cut for cut in best.cuts if 0 < cut < len(best.scene)}))
+
+
+def without(scene: Scene, cuts: Cuts, start: int, stop: int) -> tuple[Scene, Cuts]:
+    """A scene without the words `start`…`stop`; what stood behind moves up."""
+
+    def moved(offset: int) -> int:
+        return offset if offset <= start else max(start, offset - (stop - start))
+
+    return (
+        replace(
+            scene,
+            words=scene.words[:start] + scene.words[stop:],
+            idle_at=tuple(dict.fromkeys(moved(o) for o in scene.idle_at)),
+            sent_at=tuple((moved(o), word) for o, word in scene.sent_at),
+        ),
+        tuple(moved(cut) for cut in cuts),
+    )
+
+
+def _delete(best: _Best) -> None:
+    """Delta debugging: ever smaller runs of words are left out."""
+    size = max(1, len(best.scene) // 2)
+    while best.calls.are_left:
+        start = max(0, len(best.scene) - size)
+        while best.calls.are_left:
+            best.offer(*without(best.scene, best.cuts, start, min(len(best.scene), start + size)))
+            if start <= 0:
+                break
+            start = max(0, min(start, len(best.scene)) - size)
+        if size == 1:
+            return
+        size //= 2
+
+
+# ---------------------------------------------------------------------- bytes
+
+
+def _of_bytes(bench: Bench, best: _Best) -> None:
+    _delete(best)
+    _repacked(bench, best)
+    _events_repacked(bench, best)
+    for at in range(len(best.scene) - 1, -1, -1):
+        if at < len(best.scene) and best.scene.words[at]:
+            for value in (0, 1, best.scene.words[at] >> 1):
+                words = best.scene.words
+                if best.offer(replace(best.scene, words=words[:at] + bytes([value]) + words[at + 1 :])):
+                    break
+
+
+def _repacked(bench: Bench, best: _Best) -> None:
+    """Packets with less in them."""
+    start = 0
+    while start < len(best.scene) and best.calls.are_left:
+        for framing, message, size in _whole(bench, best.scene.words, start):
+            words = best.scene.words
+            packet = words[start : start + size]
+            for smaller in lesser(framing, message, packet):
+                if _replaced(best, start, size, smaller):
+                    break
+            else:
+                continue
+            break  # the same place once more, in its new form
+        else:
+            start += 1
+
+
+def _replaced(best: _Best, start: int, size: int, smaller: bytes) -> bool:
+    """Offer the scene with other bytes in the place of a packet."""
+    scene, cuts = best.scene, best.cuts
+    if len(smaller) < size:
+        scene, cuts = without(scene, cuts, start + len(smaller), start + size)
+    words = scene.words[:start] + smaller + scene.words[start + len(smaller) :]
+    return best.offer(replace(scene, words=words), cuts)
+
+
+def _events_repacked(bench: Bench, best: _Best) -> None:
+    """What we sent, with less in it."""
+    for index in range(len(best.scene.sent_at)):
+        again = True
+        while again and best.calls.are_left:
+            again = False
+            offset, word = best.scene.sent_at[index]
+            for framing, message, size in _whole(bench, word, 0):
+                for smaller in lesser(framing, message, word[:size]):
+                    sent = list(best.scene.sent_at)
+                    sent[index] = (offset, smaller)
+                    if best.offer(replace(best.scene, sent_at=tuple(sent))):
+                        again = True
+                        break
+
+
+def _whole(bench: Bench, words: bytes, start: int) -> list[tuple[Framing, Message, int]]:
+    """The framings that have a whole packet at `start`, one message of each, and the packet's size."""
+    found: list[tuple[Framing, Message, int]] = []
+    for (_, framing, messages), extras in zip(bench.framings, bench.extras, strict=True):
+        judged = framing.judge(words, start, silent=True, extras=extras)
+        if judged.verdict is Verdict.WHOLE:
+            packet = words[start : start + judged.size]
+            message = next((m for m in messages if bench.reads(m, packet)), messages[0])
+            found.append((framing, message, judged.size))
+    return found
+
+
+def lesser(framing: Framing, message: Message, packet: bytes) -> Iterator[bytes]:
+    """Packets of a framing that have less in them than `packet`: fewer bytes, then smaller ones."""
+    try:
+        logical = framing.logical(packet)
+    except ValueError:
+        return
+    end = len(logical) - framing.check_size - len(framing.end)
+    head, body = logical[len(framing.sync) : framing.head_end], logical[framing.head_end : end]
+    seen = {packet}
+
+    def framed(head: bytes, body: bytes) -> Iterator[bytes]:
+        try:
+            made = message.struct.framed(framing, head, body)
+        except (AcesError, c.ConstructError, LookupError, ValueError):
+            return
+        if made not in seen:
+            seen.add(made)
+            yield made
+
+    size = len(body)
+    while size:
+        for start in range(0, len(body), size):
+            yield from framed(head, body[:start] + body[start + size :])
+        size //= 2
+    for at in range(len(body)):
+        for value in (0, 1, body[at] >> 1):
+            if value < body[at]:
+                yield from framed(head, body[:at] + bytes([value]) + body[at + 1 :])
+    for at in range(len(head)):
+        for value in (0, 1):
+            if value < head[at]:
+                yield from framed(head[:at] + bytes([value]) + head[at + 1 :], body)
+
+
+# ---------------------------------------------------------------------- frames
+
+
+def _of_frames(bench: Bench, best: _Best) -> None:
+    _delete(best)
+    for index in range(len(best.scene)):
+        for frame in simpler_frames(bench, best.scene.words[index]):
+            words = best.scene.words
+            best.offer(replace(best.scene, words=(*words[:index], frame, *words[index + 1 :])))
+        _frame_bytes(bench, best, index)
+    for index in range(len(best.scene.sent_at)):
+        for frame in simpler_frames(bench, best.scene.sent_at[index][1]):
+            sent = list(best.scene.sent_at)
+            sent[index] = (sent[index][0], frame)
+            best.offer(replace(best.scene, sent_at=tuple(sent)))
+
+
+def _frame_bytes(bench: Bench, best: _Best, index: int) -> None:
+    for at in range(len(best.scene.words[index].data) - 1, -1, -1):
+        frame = best.scene.words[index]
+        if at >= len(frame.data) or not frame.data[at]:
+            continue
+        for value in (0, 1, frame.data[at] >> 1):
+            data = frame.data[:at] + bytes([value]) + frame.data[at + 1 :]
+            if any(
+                best.offer(
+                    replace(
+                        best.scene,
+                        words=(*best.scene.words[:index], made, *best.scene.words[index + 1 :]),
+                    )
+                )
+                for made in _with_data(bench, frame, data)
+            ):
+                break
+
+
+def _with_data(bench: Bench, frame: Frame, data: bytes) -> Iterator[Frame]:
+    """The frame with other data: with the check that goes with them, and as they are."""
+    for message in bench.by_name.values():
+        if message.check is not None and message.identifier.match(frame.arbitration_id) is not None:
+            if message.lengths is not None and len(data) in message.lengths:
+                yield _changed(frame, data=rechecked(message, frame.arbitration_id, data))
+    yield _changed(frame, data=data)
+
+
+def simpler_frames(bench: Bench, frame: Frame) -> Iterator[Frame]:
+    """The frame with less about it: no time, no channel, no data, a smaller identifier."""
+    plain = {"timestamp": None, "channel": None, "is_rx": None}
+    yield _changed(frame, **plain)
+    for name in plain:
+        yield _changed(frame, **{name: None})
+    if frame.data:
+        for size in (0, 1, len(frame.data) // 2, len(frame.data) - 1):
+            if size < len(frame.data) and (size <= 8 or not frame.is_fd):
+                yield _changed(frame, data=frame.data[:size])
+        yield from _with_data(bench, frame, bytes(len(frame.data)))
+    for message in bench.by_name.values():
+        captures = message.identifier.match(frame.arbitration_id)
+        if captures:
+            least = {
+                capture.name: next(iter(sorted(capture.values)))
+                if not isinstance(capture.values, range)
+                else capture.values[0]
+                for capture in message.identifier.captures
+            }
+            yield _changed(frame, arbitration_id=message.identifier.number(least))
+
+
+def _changed(frame: Frame, **changed: Any) -> Frame:
+    about = {name: getattr(frame, name) for name in frame.__struct_fields__}
+    about.update(changed)
+    return Frame(**about)
+
+
+# ---------------------------------------------------------------------- values of packets
+
+
+def _packets(best: _Best) -> None:
+    """For laws about packets as they were drawn: one packet, alone, with the simplest values."""
+    for packet in best.scene.packets:
+        if best.offer(Scene(_words_of(best.scene, packet), packets=(packet,)), ()):
+            break
+    if len(best.scene.packets) != 1:
+        return
+    again = True
+    while again and best.calls.are_left:
+        again = False
+        (packet,) = best.scene.packets
+        for values in simpler_values(packet.values):
+            try:
+                image = bytes(packet.message.struct.build(values, raw=True))
+            except Exception:  # what cannot be built is not simpler
+                continue
+            made = replace(packet, values=values, image=image)
+            if best.offer(Scene(_words_of(best.scene, made), packets=(made,))):
+                again = True
+                break
+
+
+def _words_of(scene: Scene, packet: Packet) -> Any:
+    return packet.image if isinstance(scene.words, bytes) else (packet.word,)
+
+
+def simpler_values(values: Any) -> Iterator[Any]:
+    """Values with one thing in them made simpler."""
+    if isinstance(values, Mapping):
+        for name, value in values.items():
+            for simpler in simpler_values(value):
+                made = c.Container(values)
+                made[name] = simpler
+                yield made
+    elif isinstance(values, (list, tuple)):
+        for index in range(len(values)):
+            yield c.ListContainer([*values[:index], *values[index + 1 :]])
+        for index, value in enumerate(values):
+            for simpler in simpler_values(value):
+                yield c.ListContainer([*values[:index], simpler, *values[index + 1 :]])
+    elif isinstance(values, bool) or values is None:
+        return
+    elif isinstance(values, int):
+        for simpler in (0, 1, values // 2):
+            if abs(simpler) < abs(values):
+                yield type(values)(simpler)
+    elif isinstance(values, float):
+        if values != 0.0:
+            yield 0.0
+    elif isinstance(values, (bytes, str)) and values:
+        yield values[:0]
+        yield values[: len(values) // 2]
+
+
+__all__ = ["Calls", "lesser", "shrunk", "without", "word_bytes"]

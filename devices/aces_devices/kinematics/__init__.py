@@ -1,0 +1,1 @@
+"""Bodies of real robots, as chains."""

@@ -1,0 +1,240 @@
+"""The printed Wireshark dissector shows what the scanner decodes: tshark reads our captures with it, value for value.
+
+1. Wireshark itself is the oracle of its own Lua; without tshark on the machine these tests skip.
+2. Compared are raw numbers as they are, floats to the digits that tshark prints.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import shutil
+import struct
+import subprocess
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from aces_bus.capture.write.pcapng import PcapngWriter
+from aces_bus.frame import Frame
+from aces_bus.frame_table import FrameTable
+from aces_bus.protocol import StreamScanner, Unknown, Variant, make_scanner
+from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.printers.leaves import leaves, scale_of
+from aces_bus.protocol.printers.wireshark import print_dissector
+from aces_bus.testing._source import spread
+from aces_bus.testing._values import UndrawableError, draw_packet
+from aces_protocols.hubo.spec import hubo
+from aces_protocols.robotis.spec import robotis
+from tests.specs import catalogue
+
+TSHARK = shutil.which("tshark")
+needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed")
+
+#: A message as tshark shows it: field without the protocol's name → what it shows, once for each time it is there.
+Shown = dict[str, list[str]]
+
+
+def tshark(folder: Path, source: str, capture: Path, *more: str) -> list[list[Shown]]:
+    """What the dissector shows of each packet of a capture: the messages in it."""
+    assert TSHARK is not None
+    script = folder / "dissector.lua"
+    script.write_text(source, encoding="utf-8")
+    command = [TSHARK, "-X", f"lua_script:{script}", "-r", str(capture), "-T", "pdml", *more]
+    run = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", timeout=60)
+    assert "Lua" not in run.stderr, run.stderr
+    assert run.returncode == 0, run.stderr
+    found = []
+    for packet in ElementTree.fromstring(run.stdout).iter("packet"):
+        assert packet.find(".//field[@name='_ws.lua.error']") is None, ElementTree.tostring(packet)
+        assert packet.find(".//proto[@name='_ws.lua.error']") is None, ElementTree.tostring(packet)
+        found.append([shown for proto in packet.iter("proto") for shown in _messages(proto)])
+    return found
+
+
+def _messages(proto: ElementTree.Element) -> Iterable[Shown]:
+    """A message is whatever has a field `….message` or `….problem` as its child."""
+    for parent in proto.iter():
+        names = [str(child.get("name")) for child in parent]
+        if any(name.endswith((".message", ".problem")) and name.count(".") == 1 for name in names):
+            shown: Shown = {}
+            for field in parent.iter("field"):
+                name = str(field.get("name"))
+                if not name.startswith("_ws"):  # a line of text
+                    shown.setdefault(name.partition(".")[2], []).append(str(field.get("show")))
+            yield shown
+
+
+def record(folder: Path, frames: Sequence[Frame]) -> Path:
+    """Frames as a pcapng file of our own."""
+    path = folder / "frames.pcapng"
+    with path.open("wb") as file:
+        writer = PcapngWriter(file, "frames.pcapng")
+        writer.write(FrameTable.from_frames(frames))
+        writer.close()
+    return path
+
+
+def packets(folder: Path, words: Sequence[bytes], link: int = 147) -> Path:
+    """Words as packets of a user's link type, in a pcap file."""
+    path = folder / "words.pcap"
+    with path.open("wb") as file:
+        file.write(struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, link))
+        for number, word in enumerate(words):
+            file.write(struct.pack("<IIII", number // 1000, number % 1000 * 1000, len(word), len(word)) + word)
+    return path
+
+
+def value_at(record: Any, path: str) -> Any:
+    value = record
+    for part in path.split("."):
+        if value is None:
+            return None
+        value = value[int(part)] if part.isdigit() else getattr(value, part)
+    return value
+
+
+def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
+    """Assert that a message is shown as it is decoded; how many values were compared."""
+    name = record.meta.message
+    assert shown["message"] == [name], (shown, record)
+    plan = flatten(variant[name])
+    own = next((key.partition(".")[0] for key in shown if "." in key), "")
+    count = 0
+    for leaf in leaves(plan):
+        node = leaf.node
+        if isinstance(node, p.Opaque):
+            continue
+        key = f"{own}.{leaf.identifier}"
+        value = value_at(record, leaf.path) if not isinstance(node, (p.Cell, p.MoreCells)) else None
+        if isinstance(node, p.Cell):
+            found = shown.get(key, [""])[0]
+            text = getattr(record, leaf.path)
+            assert found == (text or ""), (leaf, found, text)
+        elif isinstance(node, p.MoreCells):
+            assert shown.get(key, []) == list(getattr(record, leaf.path))
+        elif value is None:
+            assert key not in shown, (leaf, shown)
+            continue
+        elif isinstance(node, p.Scalar) and node.kind in ("bytes", "text"):
+            found = shown.get(key, [""])[0]
+            if node.kind == "bytes":
+                assert found.replace(":", "") == value.hex(), (leaf, found, value)
+        elif isinstance(node, p.Rest) and node.size > 8:
+            continue
+        elif isinstance(node, p.Scalar) and len(node.bits) > 64:
+            continue
+        elif isinstance(node, p.Scalar) and node.kind == "float":
+            assert _near(float(shown[key + ".raw" if key + ".raw" in shown else key][0]), value), (leaf, value)
+        else:
+            scale = scale_of(node) if isinstance(node, (p.Scalar, p.FromIdentifier)) else None
+            is_scaled = scale is not None and (scale.scale != 1 or bool(scale.offset))
+            assert int(shown[f"{key}.raw" if is_scaled else key][0], 0) == int(value), (leaf, shown, value)
+            meant = value_at(physical, leaf.path)
+            if is_scaled and isinstance(meant, (int, float)):
+                assert _near(float(shown[key][0]), meant), (leaf, shown, meant)
+        count += 1
+    return count
+
+
+def _near(one: float, other: float) -> bool:
+    if math.isnan(other) or math.isinf(other):
+        return True  # tshark's words for them differ between versions
+    return math.isclose(one, other, rel_tol=1e-5, abs_tol=1e-30)
+
+
+def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list[Any]:
+    """Words of every message of a variant, each behind the request that it answers."""
+    words: list[Any] = []
+    for seed in seeds:
+        for message in variant.facing(direction):
+            try:
+                packet = draw_packet(message, spread(seed), variant)
+            except UndrawableError:
+                continue
+            if packet.request is not None:
+                words.append(packet.request.word)
+            words.append(packet.word)
+    return words
+
+
+def check_can(folder: Path, variant: Variant, words: Sequence[Frame]) -> set[str]:
+    """Assert that tshark shows of each frame what a scanner decodes; names of the messages that were among them."""
+    frames = [Frame(w.arbitration_id, w.data, is_extended_id=w.is_extended_id, is_remote_frame=w.is_remote_frame,
+                    is_fd=w.is_fd, timestamp=0.001 * n) for n, w in enumerate(words)]  # fmt: skip
+    raw = make_scanner([variant], everything=True, raw=True).feed(frames)
+    physical = make_scanner([variant], everything=True).feed(frames)
+    source, _ = print_dissector(variant)
+    shown = tshark(folder, source, record(folder, frames))
+    assert len(shown) == len(raw) == len(frames)
+    seen = set()
+    compared = 0
+    for frame, one, meant, messages in zip(frames, raw, physical, shown, strict=True):
+        if isinstance(one, Unknown):
+            assert all("message" not in message for message in messages), (frame, one, messages)
+            continue
+        assert len(messages) == 1, (frame, one, messages)
+        compared += compare(variant, one, meant, messages[0])
+        seen.add(one.meta.message)
+    assert compared
+    return seen
+
+
+@needs_tshark
+@pytest.mark.parametrize("dialect", ["D12", "D08"])
+def test_every_message_of_hubo_is_shown_as_it_is_decoded(dialect: str, tmp_path: Path) -> None:
+    """Also replies that only their request tells, sign and magnitude, split fields, captured boards and opcodes."""
+    for configuration in ("hubo2plus", "hubo2", "drc_hubo"):
+        variant = hubo.variant(dialect, configuration)
+        seen = check_can(tmp_path, variant, drawn(variant, range(4)))
+        assert seen == set(variant.messages)
+
+
+@needs_tshark
+@pytest.mark.parametrize("name", [n for n, one in catalogue.SPECS.items() if one.link == "can"])
+def test_every_message_of_other_protocols_on_can(name: str, tmp_path: Path) -> None:
+    """29-bit patterns, CAN FD, remote frames, checks over the identifier, multiplexers, floats, registers."""
+    for variant in catalogue.SPECS[name].variants():
+        seen = check_can(tmp_path, variant, drawn(variant, range(5)))
+        assert seen, variant
+
+
+def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence[bytes]) -> set[str]:
+    """As `check_can`, for words in packets of their own."""
+    scanners = [StreamScanner([variant], direction=direction, everything=True, raw=raw) for raw in (True, False)]
+    wanted: list[list[Any]] = []
+    for word in words:
+        raw, physical = (scanner.datagram(word) for scanner in scanners)
+        wanted.append([(a, b) for a, b in zip(raw, physical, strict=True) if not isinstance(a, Unknown)])
+    source, _ = print_dissector(variant, direction=direction)
+    shown = tshark(folder, source, packets(folder, words))
+    seen = set()
+    for word, records, messages in zip(words, wanted, shown, strict=True):
+        told = [message for message in messages if "message" in message]
+        assert [m["message"][0] for m in told] == [a.meta.message for a, _ in records], (word.hex(), records, messages)
+        for (raw, physical), message in zip(records, told, strict=True):
+            compare(variant, raw, physical, message)
+            seen.add(raw.meta.message)
+    return seen
+
+
+@needs_tshark
+@pytest.mark.parametrize("name", ["robotis", *(n for n, one in catalogue.SPECS.items() if one.link != "can")])
+def test_streams(name: str, tmp_path: Path) -> None:
+    """Lengths, ends, silence, stuffing, checks, characters: packets whole, cut, behind junk and several in a word."""
+    protocol = robotis if name == "robotis" else catalogue.SPECS[name]
+    for variant in protocol.variants():
+        for direction in ("to device", "from device", "both"):
+            if not variant.facing(direction):
+                continue
+            words = drawn(variant, range(4), direction)
+            rng = random.Random(name)
+            words += [rng.randbytes(3) + word for word in words[:6]]
+            words += [word[: rng.randrange(1, len(word) + 1)] for word in words[:6]]
+            words.append(b"".join(words[:8]))
+            assert check_stream(tmp_path, variant, direction, words), variant
