@@ -128,6 +128,8 @@ class Device:
         self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
         self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
         self.signals: dict[str, Signal] = {}
+        #: The names of those that are read from messages.
+        self.readable: set[str] = set()
         #: When it was last heard (ns).
         self.last_heard: int | None = None
         self.is_silent = False
@@ -242,6 +244,8 @@ class Device:
             doc=doc,
             source=source,
         )
+        if of:
+            self.readable.add(whole)
         for one in (of,) if isinstance(of, str) else of or ():
             message, _, path = one.partition(".")
             self.variant[message]

@@ -11,6 +11,7 @@ On a half-duplex line one speaks at a time: a request is sent when the one befor
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from ..runtime import Timer
 from .coalesce import Rule, Want, a_device
 from .device import Device, Poll
 from .events import DeviceEvent, EventLog, Kind
+from .robot import DeviceConfig, Robot
 from .port import Port
 from .station import Station
 from .ticket import Ticket
@@ -31,6 +33,8 @@ from .ticket import Ticket
 TELL_EVERY = 1_000_000_000
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
+#: The robot of a probe.
+NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
 #: The share of a tick that polls may fill when nobody says otherwise.
 BUDGET = 0.9
 
@@ -137,6 +141,23 @@ class Host(Station[Device]):
             word = self.word(member, poll.message, poll.fields)
             self._turns.append(_Turn(member, poll, word, 2 * self.port.wire_ns(word)))
         return member
+
+    def probe(self, protocol: str, **credentials: int) -> Device:
+        """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
+
+        Its polls and signals are none: `ask` is all that it is for. Raises `CallerError` when nothing here speaks the protocol.
+        """
+        number = next(n for n in itertools.count() if f"probe {n}" not in self.members)
+        config = DeviceConfig(
+            name=f"probe {number}", driver="probe", bus=self.name, credentials=credentials, protocol=protocol
+        )
+        if protocol not in self.variants:
+            raise CallerError(
+                f"{self.name}: nothing here speaks {protocol} (the bus has {', '.join(self.variants)})"
+            )
+        made = Device(self, config, NOBODY, self.variants[protocol])
+        Station.add(self, made)
+        return made
 
     def remove(self, name: str) -> None:
         """Take a device off; what was asked of it is forgotten."""
@@ -464,8 +485,6 @@ class Host(Station[Device]):
             return self._speaking.device if self._speaking is not None else None
         for variant in self.variants.values():
             for message in variant.facing("from device"):
-                if message.identifier is None:
-                    continue
                 captures = message.identifier.match(identifier)
                 if not captures:
                     continue

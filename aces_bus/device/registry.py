@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
 
 from ..errors import SpecError, UnknownNameError
 from .device import Device
+from .host import Host
+from .ticket import Job, Steps
 from .twin import Twin
 
 GROUP = "aces_bus.devices"
@@ -24,8 +25,8 @@ class Driver:
     """A driver: the device's class, its twin's, and what tests and tools need to know of both.
 
     `example` is a small robot file (TOML) with devices of this driver in each of their models and dialects; the
-    conformance tests run on it. `scan` finds such devices on a bus: a function of a `Host` that returns `Steps` (see
-    `Job`) ending in a list of `DeviceConfig`; None: they cannot be found. `virtual` False: it runs on real time only, with
+    conformance tests run on it. `scan` finds such devices on a bus: a generator function `scan(host, job)` as in `Job`,
+    that asks through `host.probe(…)` and returns a list of `DeviceConfig`; None: they cannot be found. `virtual` False: it runs on real time only, with
     buses of its own. `settings` describes the keys of `settings` in robot files.
     """
 
@@ -35,7 +36,7 @@ class Driver:
     example: str
     doc: str = ""
     source: str = ""
-    scan: Callable[[Any], Any] | None = None
+    scan: Callable[[Host, Job], Steps] | None = None
     virtual: bool = True
     settings: Mapping[str, str] | None = None
 

@@ -73,7 +73,7 @@ class Kalman:
 
         return Estimation(track.observe, estimate)
 
-    def start_filter(self) -> Callable[[float, int], float]:
+    def start_filter(self, first: float) -> Callable[[float, int], float]:
         """As a filter."""
         track, which = self.track(), self.derivative
 

@@ -15,9 +15,16 @@ def value_at(instants: Sequence[int], values: Sequence[float], instant: int) -> 
     >>> value_at([0, 10, 30], [0.0, 100.0, 900.0], 20)   # t²
     400.0
     """
+    size = len(values)
+    if size == 4:  # cubic: the same, written out, in half the time
+        a, b, c, d = instants
+        a, b, c, d = a - instant, b - instant, c - instant, d - instant
+        p, q, r, s = values
+        p, q, r = (b * p - a * q) / (b - a), (c * q - b * r) / (c - b), (d * r - c * s) / (d - c)
+        p, q = (c * p - a * q) / (c - a), (d * q - b * r) / (d - b)
+        return (d * p - a * q) / (d - a)
     ahead = [one - instant for one in instants]
     column = list(values)
-    size = len(column)
     for step in range(1, size):
         for i in range(size - step):
             left, right = ahead[i], ahead[i + step]

@@ -1,10 +1,12 @@
 """One quantity over time: how it is read, whatever gives its values.
 
-1. `q[t]` is the value `t` seconds from its *origin*. Without an estimator the origin is the newest sample, so that with samples
-   at f hertz `q[-1 / f]` is the one before, as in the paper; with an estimator it is now. `q.at(instant)` takes an instant (ns).
+1. `q[t]` is the value `t` seconds from its *origin*. Without an estimator the origin is the newest sample, so that
+   with samples at f hertz `q[-1 / f]` is the one before, as in the paper; with an estimator it is now.
+   `q.at(instant)` takes an instant (ns).
 2. Unknown is a value: `UNKNOWN` before the first sample, where a sample was unknown, and in `q[0]` when it is stale: an old
    value never passes as a fresh one. `q.last` is the newest sample, however old.
-3. What lies outside the history and has no estimator raises `StateError`; it is never clamped. `q.get(t, default)` does not raise.
+3. What lies outside the history and has no estimator raises `StateError`; it is never clamped. `q.get(t, default)`
+   does not raise.
 4. Arithmetic gives quantities, evaluated when they are read. `rate`, `integral` and `filtered` give the same object when
    asked the same again, so that a control loop may call them each cycle.
 
@@ -46,6 +48,10 @@ class Quantity(ABC):
     name: str
     unit: str | None
     clock: Clock
+    #: How many samples are kept.
+    history: int
+    #: The age after which the value passes no longer as fresh; None: never.
+    stale_after_s: float | None
 
     def __init__(self, name: str, unit: str | None, clock: Clock) -> None:
         self.name, self.unit, self.clock = name, unit, clock
@@ -177,8 +183,8 @@ class Quantity(ABC):
     def rate(self, order: int = 1) -> Rate:
         """The derivative (unit per second), from the polynomial through the `order` + 1 samples up to the asked instant.
 
-        Real time stamps count. Order 1 is the slope of the last two samples, with an error up to half a sampling period times
-        the second derivative; higher orders are exact for polynomials of that order and louder with noise.
+        Real time stamps count. Order 1 is the slope of the last two samples, with an error up to half a sampling
+        period times the second derivative; higher orders are exact for polynomials of that order and louder with noise.
         """
         made: Any = self._made.get(("rate", order))
         if made is not None:
@@ -188,7 +194,8 @@ class Quantity(ABC):
         return self._make(("rate", order), lambda: Rate(self, order))  # type: ignore[no-any-return]
 
     def integral(self, start: float = 0.0, *, max_gap_s: float | None = None) -> Running:
-        """The integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at the first call.
+        """The integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at
+        the first call.
 
         Unknown samples are bridged; known ones further apart than `max_gap_s` (default: what makes the state stale, or any
         distance) are not: that time adds nothing and is counted in `.skipped_s`. `.reset()` begins again.
@@ -204,9 +211,10 @@ class Quantity(ABC):
     def filtered(self, kind: Filter, *, uneven: Uneven = "resample") -> Running:
         """The quantity behind a filter (see `aces_bus.state.filters` and `design`), with a history of its own.
 
-        A filter designed for a rate needs even samples. `uneven` says what becomes of others: "resample" interpolates onto the
-        even grid of the filter's rate, "refuse" makes the output `UNKNOWN` where samples are not even to 10 % of the period and
-        starts the filter anew, "accept" takes each sample as one. Filters without a rate take samples as they come.
+        A filter designed for a rate needs even samples. `uneven` says what becomes of others: "resample"
+        interpolates onto the even grid of the filter's rate, "refuse" makes the output `UNKNOWN` where samples are
+        not even to 10 % of the period and starts the filter anew, "accept" takes each sample as one. Filters without
+        a rate take samples as they come.
         """
         key = ("filtered", kind, uneven)
         made: Any = self._made.get(key)
@@ -219,7 +227,8 @@ class Quantity(ABC):
     def window(self, t0: float | None = None, t1: float = 0.0, *, rate_hz: float | None = None) -> Window:
         """Samples from `t0` to `t1` (seconds from the origin; None: all that are kept) as arrays, NaN where unknown.
 
-        `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that time were dropped.
+        `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that time
+        were dropped.
         """
         from .window import window_of
 
@@ -280,4 +289,4 @@ class Quantity(ABC):
         return f"<{type(self).__name__} {self.name} = {self.last!r}{unit}{aged}>"
 
     # Quantities are things, not their values: two are equal when they are the same. `a[0] == b[0]` compares values.
-    __iter__ = None  # indexing takes seconds, not places
+    __iter__: None = None  # indexing takes seconds, not places

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-_FACTOR = re.compile(r"([^\W\d_]+|[°%ΩµÅ][^\W\d_]*)(?:\^?(-?\d+)|([⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+))?")
+_FACTOR = re.compile(r"([^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]+|[°%][^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]*)(?:\^?(-?\d+)|([⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+))?")
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _RAISE = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -64,8 +64,8 @@ def multiplied(left: str | None, right: str | None, power: int = 1) -> str | Non
 def raised(unit: str | None, power: float) -> str | None:
     """The unit to a power; None where that is not a whole one.
 
-    >>> raised("m/s", 2), raised("m²", 0.5)
-    ('m²/s²', 'm')
+    >>> raised("m/s", 2), raised("m²", 0.5), raised("m", 0.5)
+    ('m²/s²', 'm', None)
     """
     if unit is None:
         return None

@@ -6,15 +6,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from ..protocol.scan.record import Unknown
 from ..protocol.spec.message import Message
 from ._bench import Bench
 from ._play import Heard, as_heard, copied, image_of, play, told_by
 from ._scenes import Scene, Way
+
+T = TypeVar("T")
 
 #: The laws by number.
 NAMES = {
@@ -74,6 +76,13 @@ class Trial:
     def fail(self, number: int, text: str, *, with_scene: bool = True) -> NoReturn:
         """Raise `LawError`."""
         raise LawError(number, self, text, with_scene=with_scene)
+
+    def sample(self, items: Sequence[T]) -> Sequence[T]:
+        """All of them; of a trial that is not thorough, one."""
+        if self.thorough or len(items) < 2:
+            return items
+        at = (len(self.scene) + len(self.cuts)) % len(items)
+        return items[at : at + 1]
 
     # ------------------------------------------------------------------ played
 

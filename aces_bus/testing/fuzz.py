@@ -36,9 +36,11 @@ from .laws import LAWS, Law, wires
 #: Examples of one wire in a row.
 BLOCK = 32
 #: Sizes of scenes, in bytes: mostly short, because what breaks a law is.
-SIZES = (12, 24, 40, 40, 64, 64, 96, 160)
+SIZES = (8, 16, 24, 32, 32, 48, 64, 96)
 #: Bytes of a stream of false headers.
 ADVERSARY = 1200
+#: Cuts of a scene of a thousand bytes.
+LONG_CUTS = 24
 
 
 @dataclass(frozen=True)
@@ -129,8 +131,7 @@ class Fuzzer:
             if known != block or len(scenes) != place:
                 scenes = [self._draw(bench, block, n)[0] for n in range(place)]
             scene = joined_scenes(scenes)
-            cuts = draw_cuts(scene, Dice(f"{self.seed}/{block}/cuts"))
-            return bench, scene, cuts if len(cuts) < 64 else tuple(cuts[:: len(cuts) // 32])
+            return bench, scene, _few(draw_cuts(scene, Dice(f"{self.seed}/{block}/cuts")))
         scene, cuts = self._draw(bench, block, place)
         if self._block[0] != block:
             self._block = (block, [])
@@ -142,9 +143,10 @@ class Fuzzer:
         dice = Dice(f"{self.seed}/{block}/{place}")
         size = dice.choice(SIZES)
         if bench.is_can:
-            scene = draw_frames(bench.wire, bench.direction, dice, size=max(1, size // 16))
+            scene = draw_frames(bench.wire, bench.direction, dice, size=max(1, size // 12))
         elif place == BLOCK - 2 and block % 4 == 0:
             scene = Scene(adversary(bench.wire, bench.direction, dice, size=ADVERSARY))
+            return scene, _few(draw_cuts(scene, dice))
         else:
             scene = draw_stream(bench.wire, bench.direction, dice, size=size)
         return scene, draw_cuts(scene, dice)
@@ -225,6 +227,11 @@ def shrink(law: Law, trial: Trial, said: str, number: int | None = None, calls: 
     )
 
 
+def _few(cuts: tuple[int, ...]) -> tuple[int, ...]:
+    """Not more cuts than a long scene can be played with in reasonable time."""
+    return cuts if len(cuts) <= LONG_CUTS else cuts[:: len(cuts) // LONG_CUTS + 1]
+
+
 def joined_scenes(scenes: Sequence[Scene]) -> Scene:
     """Scenes end to end."""
     idle_at: list[int] = []
@@ -236,7 +243,7 @@ def joined_scenes(scenes: Sequence[Scene]) -> Scene:
         sent_at += [(at + offset, word) for offset, word in scene.sent_at]
         packets += scene.packets
         at += len(scene)
-    is_stream = not scenes or isinstance(scenes[0].words, bytes)
+    is_stream = isinstance(scenes[0].words, bytes)
     words: Any = (
         b"".join(s.words for s in scenes) if is_stream else tuple(word for s in scenes for word in s.words)
     )

@@ -29,34 +29,30 @@ def check_wire(variants: Sequence[Variant], level: Level = "error", where: str =
 
 
 def _collisions(first: Variant, second: Variant, level: Level, where: str) -> Iterator[Finding]:
-    found = 0
+    clashes: list[Conflict] = []
     for one in first.messages.values():
         for other in second.messages.values():
-            if one.framing is None and one.identifier.is_apart(other.identifier):
-                continue
-            clash = conflict(one, other)
-            if clash is None:
-                continue
-            found += 1
-            if found > SHOWN:
-                continue
-            is_open = clash.witness is None
-            yield Finding(
-                "warning" if is_open else level,
-                "collision",
-                other.place,
-                f"{second.label} {other.name} collides with {first.label} {one.name} ({one.place}){where}:"
-                f" {clash.how}; {_advice(first)}",
-                other.name,
-                witness_of(clash),
-                (one.place,),
-            )
-    if found > SHOWN:
+            if one.framing is not None or not one.identifier.is_apart(other.identifier):
+                clash = conflict(one, other)
+                if clash is not None:
+                    clashes.append(clash)
+    clashes.sort(key=lambda clash: clash.witness is None)  # those with a packet to show first
+    shown = SHOWN if first.link == "can" else 1
+    for number, clash in enumerate(clashes[:shown], 1):
+        one, other = clash.one, clash.other
+        if one.protocol is not first.protocol:
+            one, other = other, one
+        more = len(clashes) - shown if number == min(shown, len(clashes)) else 0
+        and_more = f" (and {more} more pair{'s' if more > 1 else ''} of messages)" if more > 0 else ""
         yield Finding(
-            level,
+            "warning" if clash.witness is None else level,
             "collision",
-            second.protocol.place,
-            f"{second.label} and {first.label} collide in {found - SHOWN} more pairs of messages{where}",
+            other.place,
+            f"{second.label} {other.name} collides with {first.label} {one.name} ({one.place}){where}:"
+            f" {clash.how}{and_more}; {_advice(first)}",
+            other.name,
+            witness_of(clash),
+            (one.place,),
         )
 
 

@@ -263,10 +263,13 @@ class _Printer:
     def _fields(self, message: Message, plan: p.MessagePlan, own: str) -> list[dict[str, Any]]:
         found: list[dict[str, Any]] = []
         taken: set[str] = set()
+        if plan.opaque:
+            reason = f"told by its head and constants alone, its payload shown as bytes: {plan.opaque}"
+            self._lose(message.name, "", reason)
         outer = outer_names(message)
         for leaf in leaves(plan):
             if isinstance(leaf.node, p.Opaque):
-                self._lose(message.name, leaf.path, f"shown as bytes in payload: {leaf.node.reason}")
+                self._lose(message.name, leaf.path, "part of payload, which is shown as bytes")
                 continue
             table = self._leaf(leaf, message, plan, f"{own}.{unused(leaf.identifier, taken)}")
             table["is_outer"] = leaf.path in outer or None

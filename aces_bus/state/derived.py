@@ -1,0 +1,208 @@
+"""Quantities computed from others, lazily: `power = torque * omega`.
+
+1. Nothing is stored: a value is computed when it is read, from the inputs' values at that instant, interpolated where they
+   have no sample. `power[0]` takes the newest value of each input.
+2. It is unknown where an input is, and where the function has no finite value (a division by zero, a square root of -1).
+   It is as old as its oldest input, stale as soon as one is.
+3. Its samples, for whoever subscribes (filters, integrals), are at every instant at which an input has one, as soon as all
+   inputs have come that far.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ..device.signal import UNKNOWN
+from ..runtime import Clock, RealClock
+from . import units
+from .errors import StateError
+from .quantity import Listener, Quantity
+
+_INFINITY = math.inf
+
+
+class Derived(Quantity):
+    """A function of other quantities."""
+
+    def __init__(
+        self, name: str, function: Callable[..., Any], inputs: Sequence[Quantity], unit: str | None
+    ) -> None:
+        super().__init__(name, unit, _common_clock(name, inputs))
+        self.function, self.inputs = function, tuple(inputs)
+        self._sources = tuple(dict.fromkeys(inputs))
+        self.history = min(one.history for one in inputs)
+        self.stale_after_s = min(
+            (one.stale_after_s for one in inputs if one.stale_after_s is not None), default=None
+        )
+        self._listeners: list[Listener] = []
+        self._told = -1
+        #: Samples that listeners did not get, as an input's history had gone by then.
+        self.skipped = 0
+
+    def named(self, name: str, unit: str | None = None) -> Derived:
+        """The same under a name, and in a unit of your choice of symbols ("W" for N·m·rad/s)."""
+        return Derived(name, self.function, self.inputs, self.unit if unit is None else unit)
+
+    def _computed(self, values: list[Any]) -> Any:
+        for value in values:
+            if value is UNKNOWN:
+                return UNKNOWN
+        try:
+            result = self.function(*values)
+        except (ArithmeticError, ValueError):
+            return UNKNOWN
+        return result if not isinstance(result, complex) and -_INFINITY < result < _INFINITY else UNKNOWN
+
+    @property
+    def value(self) -> Any:
+        """The function of the inputs' newest values; `UNKNOWN` where one is unknown or stale."""
+        return self._computed([one[0] for one in self.inputs])
+
+    @property
+    def last(self) -> Any:
+        """The same with stale values, too."""
+        return self._computed([one.last for one in self.inputs])
+
+    def at(self, instant: int) -> Any:
+        """The function of the inputs at an instant (ns)."""
+        return self._computed([one.at(instant) for one in self.inputs])
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """Where all inputs have values of their own; None where there is no such time."""
+        start, end = -(1 << 63), 1 << 63
+        for one in self._sources:
+            span = one.span
+            if span is None:
+                return None
+            start, end = max(start, span[0]), min(end, span[1])
+        return (start, end) if start <= end else None
+
+    @property
+    def instant(self) -> int | None:
+        """The oldest of the inputs' newest instants (ns)."""
+        return _oldest([one.instant for one in self._sources])
+
+    @property
+    def origin(self) -> int | None:
+        """What `[0]` stands for when the past is counted from it: the oldest of the inputs' origins."""
+        return _oldest([one.origin for one in self._sources])
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether an input is."""
+        return any(one.is_stale for one in self._sources)
+
+    @property
+    def forgotten(self) -> int | None:
+        """The latest of the inputs' instants before which samples are gone."""
+        return max((one.forgotten for one in self._sources if one.forgotten is not None), default=None)
+
+    def samples_up_to(self, instant: int, most: int) -> list[int]:
+        """Instants of the inputs' samples together, up to the first that is not before `instant`."""
+        found = [one.samples_up_to(instant, most) for one in self._sources]
+        if not all(found):
+            return []
+        last = min(one[-1] for one in found)
+        return sorted({at for one in found for at in one if at <= last})[-most:]
+
+    def samples_between(self, start: int, end: int) -> list[int]:
+        """Instants of all the inputs' samples there, as far as all of them reach."""
+        span = self.span
+        if span is None:
+            return []
+        start, end = max(start, span[0]), min(end, span[1])
+        if len(self._sources) == 1:
+            return self._sources[0].samples_between(start, end)
+        return sorted({at for one in self._sources for at in one.samples_between(start, end)})
+
+    def subscribe(self, listener: Listener) -> None:
+        """Call `listener(value, instant)` with each new sample (rule 3)."""
+        if not self._listeners:
+            newest = self.instant
+            self._told = -(1 << 63) if newest is None else newest
+            for one in self._sources:
+                one.subscribe(self._advanced)
+        self._listeners.append(listener)
+
+    def _advanced(self, _value: Any, _instant: int) -> None:
+        newest = self.instant
+        if newest is None or newest <= self._told:
+            return
+        since, self._told = self._told, newest
+        for instant in sorted({at for one in self._sources for at in one.samples_between(since + 1, newest)}):
+            try:
+                value = self.at(instant)
+            except StateError:
+                self.skipped += 1
+                continue
+            for listener in self._listeners:
+                listener(value, instant)
+
+
+def derived(name: str, function: Callable[..., Any], *inputs: Quantity, unit: str | None = None) -> Derived:
+    """The quantity `function(*inputs)`, in `unit`.
+
+    >>> import math
+    >>> from aces_bus.runtime import VirtualClock
+    >>> from aces_bus.state import State
+    >>> clock = VirtualClock()
+    >>> x, y = State("x", unit="m", clock=clock), State("y", unit="m", clock=clock)
+    >>> heading = derived("heading", math.atan2, y, x, unit="rad")
+    >>> heading[0]
+    UNKNOWN
+    >>> x.push(1.0, 0); y.push(0.0, 0)
+    >>> heading[0]
+    0.0
+    """
+    if not inputs or not all(isinstance(one, Quantity) for one in inputs):
+        raise StateError(f"state {name!r}: give the quantities that it is computed from")
+    return Derived(name, function, inputs, unit)
+
+
+def combined(symbol: str, function: Callable[..., Any], left: Any, right: Any) -> Derived:
+    """What an operator between two quantities, or one and a number, gives; a number is in the quantity's unit."""
+    for one in (left, right):
+        if not isinstance(one, Quantity | numbers.Real):
+            raise StateError(f"{one!r} is neither a state nor a number: states are combined with those")
+    names = [one.name if isinstance(one, Quantity) else f"{one:g}" for one in (left, right)]
+    name = f"({names[0]} {symbol} {names[1]})"
+    if isinstance(left, Quantity) and isinstance(right, Quantity):
+        return Derived(name, function, (left, right), _unit(name, symbol, left.unit, right.unit))
+    if isinstance(left, Quantity):
+        unit = units.raised(left.unit, right) if symbol == "**" else left.unit
+        return Derived(name, lambda value: function(value, right), (left,), unit)
+    unit = units.multiplied("", right.unit, -1) if symbol == "/" else right.unit
+    return Derived(name, lambda value: function(left, value), (right,), unit)
+
+
+def _unit(name: str, symbol: str, left: str | None, right: str | None) -> str | None:
+    if symbol in "+-":
+        if not units.are_same(left, right):
+            raise StateError(
+                f"{name}: {left or 'a plain number'} and {right or 'a plain number'} do not add up"
+            )
+        return right if left is None else left
+    if symbol == "**":
+        return "" if left == right == "" else None
+    return units.multiplied(left, right, -1 if symbol == "/" else 1)
+
+
+def _oldest(instants: list[int | None]) -> int | None:
+    known = [one for one in instants if one is not None]
+    return min(known) if len(known) == len(instants) else None
+
+
+def _common_clock(name: str, inputs: Sequence[Quantity]) -> Clock:
+    first = inputs[0].clock
+    for one in inputs[1:]:
+        both_real = isinstance(one.clock, RealClock) and isinstance(first, RealClock)
+        if one.clock is not first and not both_real:
+            raise StateError(
+                f"{name}: {inputs[0].name!r} and {one.name!r} have different clocks, and their instants cannot be "
+                "compared; give both states the same clock=…"
+            )
+    return first

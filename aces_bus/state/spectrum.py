@@ -1,0 +1,94 @@
+"""Which frequencies a quantity has: the Fourier transform of a stretch of its history.
+
+1. Amplitudes are single-sided and in the quantity's unit: a sine of amplitude A that fits the window has a peak of A.
+2. The transform needs even samples. Those within 1 % of the period are taken as they are; others are interpolated
+   onto an even grid, and the result says so. Unknown samples and a history shorter than the window are errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from .errors import StateError
+from .quantity import Quantity
+
+if TYPE_CHECKING:
+    from numpy import float64
+    from numpy.typing import NDArray
+
+#: Name of a taper → the NumPy function of it.
+TAPERS = {"none": "ones", "hann": "hanning", "hamming": "hamming", "blackman": "blackman"}
+
+#: Spacing off by less than this share of the period counts as even.
+EVEN = 0.01
+FEWEST = 4
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """`amplitudes` (in `unit`) and `phases_rad` (of a cosine, at the first sample) at `frequencies_hz`, of samples
+    at `rate_hz`.
+    """
+
+    frequencies_hz: NDArray[float64]
+    amplitudes: NDArray[float64]
+    phases_rad: NDArray[float64]
+    rate_hz: float
+    is_resampled: bool
+    unit: str | None
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """Frequency (Hz) and amplitude of the highest line, the mean left out."""
+        place = 1 + int(self.amplitudes[1:].argmax())
+        return float(self.frequencies_hz[place]), float(self.amplitudes[place])
+
+
+def spectrum_of(quantity: Quantity, window_s: float, taper: str, rate_hz: float | None) -> Spectrum:
+    """See `Quantity.spectrum`."""
+    import numpy as np
+
+    who = f"state {quantity.name!r}"
+    if taper not in TAPERS:
+        raise StateError(f"{who}: no taper named {taper!r} (there are: {', '.join(TAPERS)})")
+    if not window_s > 0:
+        raise StateError(f"{who}: a window of {window_s!r} s")
+    found = quantity.window(-window_s, 0.0)
+    if len(found.instants) < FEWEST:
+        raise StateError(
+            f"{who}: {len(found.instants)} samples in the last {window_s:g} s, a spectrum needs {FEWEST}"
+        )
+    spacing = np.diff(found.instants)
+    period = float(np.median(spacing))
+    if found.times_s[0] + window_s > 2e-9 * period:
+        raise StateError(
+            f"{who}: a spectrum of {window_s:g} s is asked for, the history reaches back to {found.times_s[0]:.6g} s"
+        )
+    unknown = int(np.isnan(found.values).sum())
+    if unknown:
+        raise StateError(
+            f"{who}: {unknown} of {len(found.values)} samples in the last {window_s:g} s are unknown"
+        )
+    is_even = bool(np.abs(spacing - period).max() <= EVEN * period)
+    values: Any = found.values
+    is_resampled = rate_hz is not None or not is_even
+    if is_resampled:
+        rate = 1e9 / period if rate_hz is None else rate_hz
+        values = quantity.window(float(found.times_s[0]), float(found.times_s[-1]), rate_hz=rate).values
+    else:
+        rate = 1e9 * (len(values) - 1) / float(found.instants[-1] - found.instants[0])
+    size = len(values)
+    if size < FEWEST:
+        raise StateError(f"{who}: {size} points at {rate:g} Hz, a spectrum needs {FEWEST}")
+    weights: Any = getattr(np, TAPERS[taper])(size)
+    lines = np.fft.rfft(values * weights) / weights.sum()
+    lines[1 : (size + 1) // 2] *= 2  # the mean and, of an even number, the last line have no second side
+    return Spectrum(
+        np.fft.rfftfreq(size, 1 / rate).astype(np.float64),
+        np.abs(lines),
+        np.angle(lines),
+        rate,
+        is_resampled,
+        quantity.unit,
+    )

@@ -1,0 +1,503 @@
+"""What every driver and twin must do, as tests: one line gives them all.
+
+    from aces_bus.testing.conformance import driver_tests
+    test_fan = driver_tests("fan")
+
+1. Driver and twin meet on a virtual bus only, as they would on a real one; nothing is looked up inside them.
+2. Each check is one sentence, on each device of the driver's example robot; what a driver is excused from is said with a
+   reason in `excused`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any, Final
+
+from ..assembly.virtual import VirtualRobot
+from ..device import (
+    UNKNOWN,
+    Device,
+    Driver,
+    Host,
+    Job,
+    Robot,
+    Signal,
+    Simulation,
+    Twin,
+    load_driver,
+    parse_robot,
+    simulate,
+)
+from ..device.ticket import Awaited
+from ..errors import AcesError, DeviceError, SpecError
+from ..hardware.faults import NO_FAULTS, Faults
+from ..hardware.serial_wire import Noise
+from ..hardware.wire import Recorder, Wire
+
+#: Seconds of virtual time in which whatever is polled must have been heard.
+SETTLE = 3.0
+
+
+class Stand:
+    """A driver's example robot on virtual wires, ready to be looked at."""
+
+    def __init__(
+        self, driver: Driver, example: str, load: Callable[[str], Driver], excused: Mapping[str, str]
+    ) -> None:
+        self.driver, self.load, self.excused = driver, load, excused
+        robot, problems = parse_robot(example, f"{driver.name}.toml")
+        errors = [str(problem) for problem in problems if not problem.is_warning]
+        if robot is None or errors:
+            raise SpecError("\n".join(errors))
+        self.robot: Robot = robot
+
+    def made(self, *, seed: int = 1, faults: Faults = NO_FAULTS, noise: Noise | None = None) -> VirtualRobot:
+        """The robot, not open yet."""
+        return VirtualRobot(
+            self.robot,
+            rate_hz=self.robot.rate_hz or 50,
+            seed=seed,
+            load=self.load,
+            faults=dict.fromkeys(self.robot.buses, faults),
+            noise={} if noise is None else dict.fromkeys(self.robot.buses, noise),
+        )
+
+    def is_excused(self, check: str, name: str) -> bool:
+        """Whether a signal, action or device is excused from a check: a pattern "check: name" or "name"."""
+        return any(
+            fnmatchcase(name, pattern) or fnmatchcase(f"{check}: {name}", pattern) for pattern in self.excused
+        )
+
+    def mine(self, robot: VirtualRobot) -> list[tuple[Device, Twin]]:
+        """The devices of this driver, with their twins."""
+        return [
+            (device, robot.twins[name])
+            for name, device in robot.devices.items()
+            if device.config.driver == self.driver.name
+        ]
+
+
+def heard(device: Device) -> list[Signal]:
+    """The signals of a device that have been heard at all."""
+    return [one for one in device.signals.values() if one.instant is not None]
+
+
+def enable(robot: VirtualRobot) -> None:
+    """Bring every device to where it follows set-points."""
+    job = robot.rig.each("enable")
+    job.wait(60)
+
+
+def run(started: Any, seconds: float = 120.0) -> None:
+    """Let a ticket or job end. A `DeviceError` is an answer too; a job that never ends is not."""
+    if isinstance(started, Awaited):
+        try:
+            started.wait(seconds)
+        except DeviceError:
+            assert started.is_over, f"{started!r} never ends"
+
+
+# ---------------------------------------------------------------------- the checks
+
+
+def check_declared(stand: Stand) -> None:
+    """The driver says what it is and where its facts come from; its signals and actions have names and docs."""
+    driver = stand.driver
+    assert driver.doc, f"{driver.name} has no doc"
+    assert driver.source, f"{driver.name} has no source"
+    robot = stand.made()
+    for device, _ in stand.mine(robot):
+        for one in device.signals.values():
+            owner, _, name = one.name.partition(".")
+            assert owner and name, f"{one.name} is not OWNER.name"
+            if one.lower is not None and one.upper is not None:
+                assert one.lower < one.upper, f"{one.name} has limits {one.lower}…{one.upper}"
+        for action, doc in device.actions.items():
+            assert callable(getattr(device, action, None)), f"{device.name} has no method {action}"
+            assert doc, f"action {action} has no doc"
+
+
+def check_quiet_before(stand: Stand) -> None:
+    """Nothing moves when a bus is opened: joints stay where they are until somebody enables and sets."""
+    with stand.made() as robot:
+        joints = robot.simulation.world.joints
+        robot.advance(0.01)
+        before = {name: joint.position(robot.clock.now()) for name, joint in joints.items()}
+        robot.advance(1.0)
+        for name, joint in joints.items():
+            moved = joint.position(robot.clock.now()) - before[name]
+            assert abs(moved) < 1e-6, f"{name} moved by {moved} although nobody said so"
+
+
+def check_heard(stand: Stand) -> None:
+    """Every signal that is read is known and finite soon after the bus was opened, and stays fresh."""
+    with stand.made() as robot:
+        robot.advance(SETTLE)
+        for device, _ in stand.mine(robot):
+            for one in device.signals.values():
+                if one.name not in device.readable or stand.is_excused("heard", one.name):
+                    continue
+                assert one.value is not UNKNOWN, f"{one.name} is {one.last!r}, {one.age_ns} ns old"
+                if isinstance(one.value, float):
+                    assert math.isfinite(one.value), one
+        kinds = {event.kind for event in robot.events.last}
+        assert not kinds & {"silent", "no reply", "two answers", "stranger", "malformed", "bug"}, list(
+            robot.events.last
+        )
+
+
+def check_set(stand: Stand) -> None:
+    """Every signal that can be set, is: the twin hears of it, and what is read goes there."""
+    with stand.made() as robot:
+        robot.advance(1.0)
+        enable(robot)
+        robot.advance(4.0)  # hold-offs
+        for device, twin in stand.mine(robot):
+            for one in device.signals.values():
+                if not one.is_writable or stand.is_excused("set", one.name):
+                    continue
+                start = one.value if isinstance(one.value, int | float) and one.value is not UNKNOWN else 0.0
+                goal = _goal(one, float(start))
+                requests = twin.requests
+                one.set(goal)
+                robot.advance(0.5)
+                assert twin.requests > requests, f"{one.name}: nothing reached the twin"
+                if one.name in device.readable:
+                    robot.advance(5.0)
+                    value = one.value
+                    assert value is not UNKNOWN, f"{one.name} is not heard"
+                    assert abs(value - goal) < abs(start - goal) or abs(value - goal) <= 0.02 * max(
+                        1, abs(goal)
+                    ), f"{one.name} was set from {start} to {goal} and is {value}"
+
+
+def _goal(one: Signal, start: float) -> float:
+    """A set-point well inside the limits, not far from where it is."""
+    low = one.lower if one.lower is not None else start - 1.0
+    high = one.upper if one.upper is not None else start + 1.0
+    middle = (max(low, start - 0.5) + min(high, start + 0.5)) / 2
+    return (
+        middle if abs(middle - start) > 0.02 * (high - low) else start + 0.1 * (high - start or low - start)
+    )
+
+
+def check_limits(stand: Stand) -> None:
+    """A set-point beyond a limit is limited, told by name, and never exceeded."""
+    with stand.made() as robot:
+        robot.advance(1.0)
+        enable(robot)
+        robot.advance(4.0)
+        for device, _ in stand.mine(robot):
+            for one in device.signals.values():
+                if not one.is_writable or one.upper is None or stand.is_excused("limits", one.name):
+                    continue
+                before = robot.events.count("limited", device.name)
+                one.set(one.upper + 1.0 + abs(one.upper))
+                assert robot.events.count("limited", device.name) > before, f"{one.name} takes anything"
+                if one.name in device.readable:
+                    robot.advance(2.0)
+                    span = one.upper - (one.lower if one.lower is not None else 0)
+                    assert one.value is UNKNOWN or one.value <= one.upper + 0.02 * abs(span), one
+
+
+def check_silence(stand: Stand) -> None:
+    """A device that says nothing is told by name, its values go stale, the others stay fresh; it comes back."""
+    with stand.made() as robot:
+        robot.advance(SETTLE)
+        for device, twin in stand.mine(robot):
+            if not heard(device):
+                continue
+            twin.fault("silent")
+            robot.advance(SETTLE)
+            if device.polls:
+                assert robot.events.count("silent", device.name) >= 1, (
+                    f"nobody noticed that {device.name} is silent"
+                )
+            for one in heard(device):
+                if one.stale_after_ns is not None and one.stale_after_ns < SETTLE * 1e9:
+                    assert one.value is UNKNOWN, f"{one.name} passes for fresh at {one.age_ns} ns"
+            for other, _ in stand.mine(robot):
+                if other is not device and other.polls:
+                    assert not other.is_silent, f"{other.name} fell silent with {device.name}"
+            twin.fault("silent", on=False)
+            robot.advance(SETTLE)
+            assert not device.is_silent, f"{device.name} answers and counts as silent"
+            fresh = [one for one in heard(device) if one.value is not UNKNOWN]
+            assert fresh, f"nothing of {device.name} is fresh again"
+
+
+#: Fault → what must have been told of it where there are polls; None: it need only be survived.
+MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
+    "late": ("silent", "late reply", "two answers"),
+    "loses": None,
+    "twice": ("two answers",),
+    "short": ("malformed", "silent"),
+    "wrong_check": None,
+    "wrong_number": ("silent", "stranger", "two answers", "malformed"),
+}
+
+
+def check_misbehaviour(stand: Stand) -> None:
+    """Late, doubled, short, lost and wrong answers are told by name and survived; afterwards all is as before."""
+    with stand.made() as robot:
+        robot.advance(SETTLE)
+        for device, twin in stand.mine(robot):
+            if not heard(device):
+                continue
+            for fault, kinds in MISBEHAVIOUR.items():
+                if stand.is_excused("misbehaviour", f"{device.name} {fault}"):
+                    continue
+                before = dict(robot.events.counts)
+                twin.fault(fault, 0.2 if fault == "late" else None)
+                robot.advance(SETTLE)
+                if kinds is not None and device.polls:
+                    told = {
+                        kind
+                        for (kind, who), count in robot.events.counts.items()
+                        if count > before.get((kind, who), 0)
+                    }
+                    assert told & set(kinds), (
+                        f"{device.name} is {fault}, and that is told as {told or 'nothing'}"
+                    )
+                twin.fault(fault, on=False)
+                robot.advance(SETTLE)
+                assert not device.is_silent, f"{device.name} is silent after having been {fault}"
+                assert any(one.value is not UNKNOWN for one in heard(device)), f"{device.name} after {fault}"
+        _no_bug(robot)
+
+
+def check_two_of_one(stand: Stand) -> None:
+    """A second device with the same number is noticed, and survived."""
+    with stand.made() as robot:
+        robot.advance(SETTLE)
+        if not any(device.polls for device, _ in stand.mine(robot)):
+            return
+        double = simulate(robot.robot, robot.ports("double"), seed=2, load=stand.load)
+        for twin in double.twins.values():
+            twin.reply_delay_ns += 200_000
+        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, Wire))
+        before = dict(robot.events.counts)
+        double.open()
+        robot.advance(SETTLE)
+        _closed(double)
+        told = {kind for (kind, who), n in robot.events.counts.items() if n > before.get((kind, who), 0)}
+        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, Wire)) - errors
+        assert told & {"two answers", "malformed", "silent", "late reply"} or errors, (
+            "nobody noticed the second device"
+        )
+        robot.advance(SETTLE)
+        for device, _ in stand.mine(robot):
+            assert not device.is_silent, f"{device.name} is silent after the second one has gone"
+
+
+def _closed(simulation: Simulation) -> None:
+    simulation.close()
+
+
+def check_reboot(stand: Stand) -> None:
+    """A device that was off and on again is heard again, and does not move by itself."""
+    with stand.made() as robot:
+        robot.advance(1.0)
+        enable(robot)
+        robot.advance(SETTLE)
+        for device, twin in stand.mine(robot):
+            twin.power(False)
+            robot.advance(0.5)
+            twin.power(True)
+            robot.advance(SETTLE)
+            if heard(device):
+                assert not device.is_silent, f"{device.name} is silent after its reboot"
+        _no_bug(robot)
+
+
+def check_absent(stand: Stand) -> None:
+    """Devices that are not there cost nothing but their values; when they come they are heard."""
+    with stand.made() as robot:
+        for twin in robot.twins.values():
+            twin.power(False)
+        robot.advance(1.0)
+        for device, _ in stand.mine(robot):
+            assert not heard(device), f"{device.name} was heard without being there"
+        for twin in robot.twins.values():
+            twin.power(True)
+        robot.advance(SETTLE)
+        for device, _ in stand.mine(robot):
+            if device.polls:
+                assert heard(device), f"{device.name} came and was not heard"
+        _no_bug(robot)
+
+
+def check_actions(stand: Stand) -> None:
+    """Every action that needs no argument ends, with success or with a device's error; so does stopping."""
+    with stand.made() as robot:
+        robot.advance(SETTLE)
+        for device, _ in stand.mine(robot):
+            for action in device.actions:
+                method = getattr(device, action)
+                if stand.is_excused("actions", f"{device.name} {action}") or _needs_arguments(method):
+                    continue
+                run(method())
+                robot.advance(0.1)
+            run(device.stop_motion())
+        _no_bug(robot)
+
+
+def check_actions_of_the_absent(stand: Stand) -> None:
+    """An action of a device that is not there fails with a `DeviceError`, and does not hang."""
+    with stand.made() as robot:
+        for twin in robot.twins.values():
+            twin.power(False)
+        robot.advance(0.2)
+        for device, _ in stand.mine(robot):
+            for action in device.actions:
+                method = getattr(device, action)
+                if not _needs_arguments(method):
+                    run(method())
+            run(device.stop_motion())
+        _no_bug(robot)
+
+
+def _needs_arguments(method: Callable[..., Any]) -> bool:
+    return any(
+        one.default is inspect.Parameter.empty
+        and one.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        for one in inspect.signature(method).parameters.values()
+    )
+
+
+def check_noise(stand: Stand) -> None:
+    """On a wire with faults nothing raises, everything is counted, and what gets through is heard."""
+    with stand.made(faults=Faults(seed=3, corrupt=0.05), noise=Noise(seed=3, flip=0.002)) as robot:
+        robot.advance(2 * SETTLE)
+        for device, _ in stand.mine(robot):
+            if device.polls:
+                assert heard(device), f"nothing of {device.name} gets through the noise"
+        for host in robot.rig.hosts.values():
+            counts = host.scanner.counts
+            assert counts.total == counts.decoded + sum(counts.reasons.values())
+        _no_bug(robot)
+
+
+def check_same_again(stand: Stand) -> None:
+    """The same seed gives the same words at the same instants."""
+    assert _trace(stand) == _trace(stand)
+
+
+def _trace(stand: Stand) -> str:
+    """A hash of all that stood on the wires for a second."""
+    robot = stand.made(seed=7)
+    digest = hashlib.sha256()
+
+    def note(word: Any, instant: int) -> None:
+        digest.update(f"{instant} {word!r}\n".encode())
+
+    recorders: list[Recorder] = []
+    for wire in robot.wires.values():
+        if isinstance(wire, Wire):
+            recorders.append(Recorder(wire))
+        else:
+            wire.attach("recorder", note)
+    with robot:
+        robot.advance(0.5)
+        enable(robot)
+        robot.advance(1.0)
+    for recorder in recorders:
+        for instant, frame in recorder.heard:
+            note(frame, instant)
+    return digest.hexdigest()
+
+
+def check_scan(stand: Stand) -> None:
+    """Scanning the bus finds the devices that are there, by their numbers, and nothing else."""
+    scan = stand.driver.scan
+    if scan is None:
+        return
+    robot = stand.made()
+    robot.simulation.open()
+    for name, port in robot.ports("scan").items():
+        expected = [c for c in robot.robot.devices_on(name) if c.driver == stand.driver.name and c.active]
+        if not expected:
+            continue
+        host = Host(port, list(robot.rig.hosts[name].variants.values()))
+        host.open()
+        job = Job(robot.clock, "scan", lambda job, host=host: scan(host, job))  # type: ignore[misc]
+        found = job.wait(600)
+        numbers = sorted(sorted(config.credentials.items()) for config in found)
+        assert numbers == sorted(sorted(config.credentials.items()) for config in expected)
+        host.close()
+    robot.simulation.close()
+
+
+def _no_bug(robot: VirtualRobot) -> None:
+    assert not robot.events.of("bug"), robot.events.of("bug")
+    assert not robot.events.failures
+
+
+CHECKS: Final[Mapping[str, Callable[[Stand], None]]] = {
+    check.__name__.removeprefix("check_"): check
+    for check in (
+        check_declared,
+        check_quiet_before,
+        check_heard,
+        check_set,
+        check_limits,
+        check_silence,
+        check_misbehaviour,
+        check_two_of_one,
+        check_reboot,
+        check_absent,
+        check_actions,
+        check_actions_of_the_absent,
+        check_noise,
+        check_same_again,
+        check_scan,
+    )
+}
+
+
+def run_check(
+    name: str,
+    driver: Driver | str,
+    *,
+    examples: Sequence[str] = (),
+    excused: Mapping[str, str] | None = None,
+    load: Callable[[str], Driver] | None = None,
+) -> None:
+    """One check on a driver's example robots, and on `examples`; raises `AssertionError` with what is wrong."""
+    found = load_driver(driver) if isinstance(driver, str) else driver
+
+    def loading(wanted: str) -> Driver:
+        if wanted == found.name:
+            return found
+        return (load or load_driver)(wanted)
+
+    for example in (found.example, *examples):
+        try:
+            CHECKS[name](Stand(found, example, loading, excused or {}))
+        except AcesError as error:
+            raise AssertionError(f"{found.name}, {name}: {type(error).__name__}: {error}") from error
+
+
+def driver_tests(
+    driver: Driver | str,
+    *,
+    examples: Sequence[str] = (),
+    excused: Mapping[str, str] | None = None,
+    load: Callable[[str], Driver] | None = None,
+) -> Callable[[str], None]:
+    """All checks of a driver, as one parametrised pytest test.
+
+    `driver` is an installed one's name, or a `Driver`. `examples` are more robots (TOML). `excused` maps patterns
+    ("heard: *.temperature", "JMC0 wrong_check") to reasons. `load` gives other drivers of the examples.
+    """
+    import pytest
+
+    @pytest.mark.parametrize("check", list(CHECKS))
+    def test(check: str) -> None:
+        run_check(check, driver, examples=examples, excused=excused, load=load)
+
+    return test
