@@ -1,1 +1,63 @@
-"""x"""
+"""Controllers: algorithms at a rate, from states to set-points. They touch no frame and no byte.
+
+`@controller` makes one of a function, `Equations` of a text near the paper's notation, `StateMachine` of a table; `Player`
+plays trajectories and via paths, `PIDController` regulates, `CartesianPath` moves the tips of a body. `Guard` stands below
+each of them, `Supervisor` around both.
+"""
+
+from __future__ import annotations
+
+from .base import NOTHING, Controller, ControllerLike, StateLike, known_value
+from .cartesian import CartesianPath
+from .equation import Equations
+from .events import ControlEvent, EventLike
+from .function import FunctionController, controller
+from .guard import Bounds, Clipped, Guard, Trip, bounds_of
+from .language import EquationError
+from .machine import MachineError, Phase, Row, StateMachine
+from .motion import Motion, Trajectory, sampled
+from .motion_file import TrajectoryError, read_trajectory
+from .pid import PID, PIDController
+from .player import Player
+from .supervisor import DEFAULT_REACTIONS, IGNORE, Reaction, Supervisor, degrade, stop
+from .via import Limits, ViaPath
+
+__all__ = [
+    "DEFAULT_REACTIONS",
+    "IGNORE",
+    "NOTHING",
+    "PID",
+    "Bounds",
+    "CartesianPath",
+    "Clipped",
+    "ControlEvent",
+    "Controller",
+    "ControllerLike",
+    "EquationError",
+    "Equations",
+    "EventLike",
+    "FunctionController",
+    "Guard",
+    "Limits",
+    "MachineError",
+    "Motion",
+    "PIDController",
+    "Phase",
+    "Player",
+    "Reaction",
+    "Row",
+    "StateLike",
+    "StateMachine",
+    "Supervisor",
+    "Trajectory",
+    "TrajectoryError",
+    "Trip",
+    "ViaPath",
+    "bounds_of",
+    "controller",
+    "degrade",
+    "known_value",
+    "read_trajectory",
+    "sampled",
+    "stop",
+]

@@ -6,8 +6,8 @@
 3. A controller reads states; it never sees a device, a frame or a byte.
 4. `handle(event)` may be called from another thread, at any time: it may set a flag, and must return at once.
 
-A state is whatever has `state[0]` (the newest value) and, where a controller asks for them, `state[-0.5]`, `state.rate()` and
-`state.integral()`: the State floor's, or a test's own.
+A state is whatever has `state[0]` (the newest value) and, where a controller asks for them, `state[-0.5]`, `state.rate()`
+and `state.integral()`: the State floor's, or a test's own.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ class Controller:
     >>> damper.step(0)
     {'LKP': 0.45}
 
-    `states` are the names it reads, `writes` those it gives set-points for, where that is known before it runs.
+    `states` are the names it reads, `writes` those it gives set-points for, where that is known before it runs;
+    `waiting` says what it waits for, "" when it does not.
     """
 
     def __init__(
@@ -114,6 +115,8 @@ class Controller:
         self.bound: Mapping[str, StateLike] = {}
         self.started_ns: int | None = None
         self.listeners = Listeners()
+        self.waiting = ""
+        self._has_given = False
 
     def bind(self, states: Mapping[str, StateLike]) -> None:
         """Take the states it reads; `UnknownNameError` lists those that exist when one is missing."""
@@ -126,9 +129,24 @@ class Controller:
         """Those of its states that have no value yet."""
         return [name for name in self.states if known_value(self.bound.get(name)) is None]
 
+    def excuses(self, error: Exception) -> bool:
+        """Whether what a law raised only says that something is not known: `waiting` then has it.
+
+        A number that is unknown cannot be computed with (TypeError); a history that is still too short is an error of the
+        state, and excused until the first set-points. All else is the law's own fault.
+        """
+        if isinstance(error, TypeError) and "Unknown" in str(error):
+            self.waiting = ", ".join(self.unknown_states()) or "a value is unknown"
+            return True
+        if isinstance(error, AcesError) and not self._has_given:
+            self.waiting = str(error)
+            return True
+        return False
+
     def start(self, now: int) -> None:
         """It will be stepped from `now` (ns) on."""
         self.started_ns = now
+        self.waiting, self._has_given = "", False
 
     def stop(self, now: int) -> None:
         """It will not be stepped any more."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from types import SimpleNamespace
 
-from ..errors import UnknownNameError
+from ..errors import AcesError, UnknownNameError
 from .base import NOTHING, Controller, StateLike
 from .language import Compiled, Program, Scope, as_states, equations
 
@@ -30,7 +30,8 @@ class Equations(Controller):
     {'LKP': 0.75, 'RKP': 0.1}
 
     `parameters` are changed with `set`; `memory` keeps its value from step to step, and begins anew with `start`.
-    `states` declares which there are, so that a misspelt one is found at definition. `EquationError` says line and what there is.
+    `states` declares which there are, so that a misspelt one is found at definition.
+    `EquationError` says line and what there is.
     """
 
     def __init__(
@@ -82,7 +83,8 @@ class Equations(Controller):
         if not self._ready:
             if self._evaluate is None:
                 self.bind({})
-            if self.unknown_states():
+            self.waiting = ", ".join(self.unknown_states())
+            if self.waiting:
                 return NOTHING
             self._ready = True
         assert self._evaluate is not None
@@ -90,5 +92,12 @@ class Equations(Controller):
             self.started_ns = now_ns
         dt = 1.0 / self.rate_hz if self._last is None else (now_ns - self._last) / 1e9
         self._last = now_ns
-        setpoints: Mapping[str, float] = self._evaluate((now_ns - self.started_ns) / 1e9, dt)
+        try:
+            setpoints: Mapping[str, float] = self._evaluate((now_ns - self.started_ns) / 1e9, dt)
+        except (TypeError, AcesError) as error:
+            if not self.excuses(error):
+                raise
+            self._ready = False
+            return NOTHING
+        self._has_given = True
         return setpoints

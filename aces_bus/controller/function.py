@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
-from ..errors import CallerError, UnknownNameError
+from ..errors import AcesError, CallerError, UnknownNameError
 from .base import NOTHING, Controller, StateLike
 
 #: Parameters that are not states.
@@ -94,7 +94,8 @@ class FunctionController(Controller):
     def step(self, now_ns: int) -> Mapping[str, float]:
         """What the function gives; nothing while one of its states is unknown."""
         if not self._ready:
-            if self.states and self.unknown_states():
+            self.waiting = ", ".join(self.unknown_states())
+            if self.waiting:
                 return NOTHING
             self._ready = True
         if self._timed:
@@ -103,7 +104,15 @@ class FunctionController(Controller):
             self._last = now_ns
             for index, name in self._timed:
                 self._arguments[index] = t if name == "t" else dt
-        return self.law(*self._arguments, **self.gains) or NOTHING
+        try:
+            setpoints = self.law(*self._arguments, **self.gains)
+        except (TypeError, AcesError) as error:
+            if not self.excuses(error):
+                raise
+            self._ready = False
+            return NOTHING
+        self._has_given = True
+        return setpoints or NOTHING
 
 
 def controller(

@@ -12,7 +12,8 @@ The notation is the paper's, in ASCII:
     RAP[0] = 0.5*LAP[-0.02]                a value 20 ms ago
     theta["left.AP"][0] = …                a state whose name is no identifier
 
-`d(x)` is the state's `rate()`, `integral(x)` its `integral()`; `t` are seconds since the start, `dt` since the last step.
+`d(x)` is the state's `rate()` now, `d(x)[-0.1]` a while ago, `integral(x)` its `integral()`; `t` are seconds since the
+start, `dt` since the last step.
 An assignment sets: `x[0] = …` gives a set-point when all lines are through, so that `x[0]` on a right side is the value
 measured, in every line.
 """
@@ -43,7 +44,7 @@ def quantize(x: float, step: float, base: float = 0.0) -> float:
     return base + step * round((x - base) / step)
 
 
-FUNCTIONS: dict[str, Callable[..., float]] = {
+FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{
         one: getattr(math, one)
         for one in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "exp")
@@ -95,12 +96,12 @@ class Scope:
 
     owner: str
     states: tuple[str, ...] | None = None
-    parameters: Mapping[str, float] = field(default_factory=lambda: {})
-    memory: Mapping[str, float] = field(default_factory=lambda: {})
-    used: dict[str, str] = field(
-        default_factory=lambda: {}
-    )  # state that is read → its name in the printed code
-    asked: dict[str, set[str]] = field(default_factory=lambda: {})  # state → methods that it must have
+    parameters: Mapping[str, float] = field(default_factory=dict[str, float])
+    memory: Mapping[str, float] = field(default_factory=dict[str, float])
+    #: State that is read → its name in the printed code.
+    used: dict[str, str] = field(default_factory=dict[str, str])
+    #: The same for what a method of a state gives.
+    derived: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
 
     def __post_init__(self) -> None:
         for name in (*self.parameters, *self.memory):
@@ -116,6 +117,11 @@ class Scope:
     def read(self, name: str) -> str:
         """How the printed code calls a state that is read."""
         return self.used.setdefault(name, f"S{len(self.used)}")
+
+    def derive(self, name: str, method: str) -> str:
+        """The same for what a method of the state gives."""
+        self.read(name)
+        return self.derived.setdefault((name, method), f"Q{len(self.derived)}")
 
     def names(self) -> str:
         """What there is, for people."""
@@ -160,7 +166,7 @@ class _Printer:
             case ast.Name(id=name):
                 return self.name(node, name)
             case ast.Subscript(value=value, slice=index):
-                state = self.scope.read(self.state(value))
+                state = self.quantity(value)
                 zero = isinstance(index, ast.Constant) and index.value == 0
                 return f"{state}[{'0' if zero else self.expression(index)}]"
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
@@ -178,8 +184,8 @@ class _Printer:
                 return f"({word.join(self.expression(one) for one in values)})"
             case ast.Compare(left=left, ops=ops, comparators=rest) if all(type(op) in COMPARE for op in ops):
                 text = self.expression(left)
-                for op, one in zip(ops, rest, strict=True):
-                    text += f" {COMPARE[type(op)]} {self.expression(one)}"
+                for sign, one in zip(ops, rest, strict=True):
+                    text += f" {COMPARE[type(sign)]} {self.expression(one)}"
                 return f"({text})"
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 return f"({self.expression(body)} if {self.expression(test)} else {self.expression(orelse)})"
@@ -217,13 +223,19 @@ class _Printer:
             raise self.fail(node, f"no state is called {name!r}")
         return name
 
-    def call(self, node: ast.AST, name: str, arguments: list[ast.expr]) -> str:
+    def quantity(self, node: ast.expr) -> str:
+        """What can be read at a time: a state, d(state) or integral(state)."""
+        match node:
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in OF_A_STATE:
+                if len(arguments) != 1:
+                    raise self.fail(node, f"{name}(state) takes one state")
+                return self.scope.derive(self.state(arguments[0]), OF_A_STATE[name])
+            case _:
+                return self.scope.read(self.state(node))
+
+    def call(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> str:
         if name in OF_A_STATE:
-            if len(arguments) != 1:
-                raise self.fail(node, f"{name}(state) takes one state")
-            state = self.state(arguments[0])
-            self.scope.asked.setdefault(state, set()).add(OF_A_STATE[name])
-            return f"{self.scope.read(state)}.{OF_A_STATE[name]}()"
+            return f"{self.quantity(node)}[0]"
         if name not in FUNCTIONS:
             raise self.fail(node, f"there is no function {name!r}")
         return f"f_{name}({', '.join(self.expression(one) for one in arguments)})"
@@ -330,7 +342,7 @@ class Program:
 
     def __init__(self, scope: Scope, blocks: Mapping[str, Block]) -> None:
         self.scope = scope
-        names = list(scope.used.values())
+        names = [*scope.used.values(), *scope.derived.values()]
         lines = [f"def bind({', '.join([*names, 'm'])}):"]
         for name, block in blocks.items():
             lines.append(f"    def {name}(t, dt):")
@@ -345,10 +357,11 @@ class Program:
 
     def bind(self, states: Mapping[str, Any], memory: object) -> dict[str, Compiled]:
         """The functions; `states` has every used one, `memory` the parameters and memory as attributes."""
-        for name, methods in self.scope.asked.items():
-            for method in methods:
-                if not hasattr(states[name], method):
-                    raise EquationError(f"{self.scope.owner}: the state {name!r} has no {method}()")
+        quantities = [states[name] for name in self.scope.used]
+        for name, method in self.scope.derived:
+            if not hasattr(states[name], method):
+                raise EquationError(f"{self.scope.owner}: the state {name!r} has no {method}()")
+            quantities.append(getattr(states[name], method)())
         # So that a traceback shows the equation.
         linecache.cache[self.file] = (
             len(self.source),
@@ -359,7 +372,7 @@ class Program:
         room: dict[str, Any] = {f"f_{name}": function for name, function in FUNCTIONS.items()}
         room["__builtins__"] = {}
         exec(self._code, room)
-        bound: dict[str, Compiled] = room["bind"](*(states[name] for name in self.scope.used), memory)
+        bound: dict[str, Compiled] = room["bind"](*quantities, memory)
         return bound
 
 

@@ -7,8 +7,9 @@
 3. A transition runs the exit equations of the old phase and the entry equations of the new one; then the step evaluates the
    new phase's equations. Later set-points of a step win.
 
-Guards and equations are the language of `aces_bus.controller.language`, or functions. A row with `on=` is taken by an event of
-that kind (the paper's shortcut), a row with `after_s=` when the phase has lasted that long; with a guard too, both must hold.
+Guards and equations are the language of `aces_bus.controller.language`, or functions. A row with `on=` is taken by an
+event of that kind (the paper's shortcut), a row with `after_s=` when the phase has lasted that long; with a guard too, both
+must hold.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Literal
 
-from ..errors import CallerError, UnknownNameError
+from ..errors import AcesError, CallerError, UnknownNameError
 from .base import NOTHING, Controller, StateLike
 from .diagram import dot, mermaid
 from .events import EventLike
@@ -84,7 +85,7 @@ class _Room:
     entry: Compiled | None = None
     exit: Compiled | None = None
     arrows: tuple[_Arrow, ...] = ()  # those that need no event
-    by_event: dict[str, list[_Arrow]] = field(default_factory=lambda: {})
+    by_event: dict[str, list[_Arrow]] = field(default_factory=dict[str, "list[_Arrow]"])
 
 
 Mode = Literal["ready", "running", "paused", "stopped", "done"]
@@ -153,7 +154,6 @@ class StateMachine(Controller):
         self.mode: Mode = "ready"
         self.transitions = 0
         self.trail: deque[tuple[int, str, str]] = deque(maxlen=64)
-        self.waiting = False
         self._events: deque[str] = deque(maxlen=64)  # filled from any thread
         self._singles = 0
         self._rooms: list[_Room] = []
@@ -270,13 +270,24 @@ class StateMachine(Controller):
             else:
                 return NOTHING
         if not self._ready:
-            self.waiting = bool(self.unknown_states())
+            self.waiting = ", ".join(self.unknown_states())
             if self.waiting:
                 return NOTHING
             self._ready = True
         t = self.seconds(now_ns)
         dt = 1.0 / self.rate_hz if self._last is None else (now_ns - self._last) / 1e9
         self._now = self._last = now_ns
+        try:
+            given = self._cycle(now_ns, t, dt)
+        except (TypeError, AcesError) as error:
+            if not self.excuses(error):
+                raise
+            self._ready = False
+            return NOTHING
+        self._has_given = True
+        return given or NOTHING
+
+    def _cycle(self, now_ns: int, t: float, dt: float) -> Mapping[str, float] | None:
         given: Mapping[str, float] | None = None
         room = self._room
         if room is None:
@@ -291,7 +302,7 @@ class StateMachine(Controller):
         if room.each is not None and self.mode != "done":
             more: Mapping[str, float] | None = room.each(t, dt)
             given = {**given, **more} if given and more else more or given
-        return given or NOTHING
+        return given
 
     def _open(self, room: _Room, lasted: int, t: float, dt: float) -> _Arrow | None:
         while self._events:

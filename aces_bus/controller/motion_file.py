@@ -4,8 +4,8 @@
 2. Line ends are LF or CRLF, blanks may trail, and the last row needs no line end. Nothing is skipped but blank lines.
 3. Numbers are plain decimals; no `nan`, no `inf`, no underscore.
 
-The format is the original framework's `Script` (names first) and `Mini Leg` (none): facts from acesHubo, orocosScripts. It says
-neither rate nor unit: the file's name may (`100hz.txt`), else the caller does.
+The format is the original framework's `Script` (names first) and `Mini Leg` (none): facts from acesHubo,
+orocosScripts. It says neither rate nor unit: the file's name may (`100hz.txt`), else the caller does.
 """
 
 from __future__ import annotations
@@ -63,11 +63,10 @@ def read_trajectory(
     rest of them. With `unit="deg"` the numbers are converted to rad; else they are kept as they stand.
     `rate_hz` None takes the rate from the file's name. `TrajectoryError` says file:line.
     """
-    if hasattr(file, "read"):
-        return _read(
-            file, getattr(file, "name", "trajectory"), rate_hz, columns, unit, interpolation, most_numbers
-        )
-    path = Path(os.fspath(file))
+    if not isinstance(file, (str, os.PathLike)):
+        name = str(getattr(file, "name", "trajectory"))
+        return _read(file, name, rate_hz, columns, unit, interpolation, most_numbers)
+    path = Path(file)
     try:
         with path.open("rb") as stream:
             return _read(stream, str(path), rate_hz, columns, unit, interpolation, most_numbers)

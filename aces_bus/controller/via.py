@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..errors import CallerError
-from .motion import Floats
+from .motion import Floats, smooth_step
 
 Shape = Literal["trapezoidal", "quintic", "through"]
 #: Largest velocity, acceleration and jerk of the quintic from 0 to 1 in unit time.
@@ -124,7 +124,8 @@ class ViaPath:
                 return 1.0 / velocity + velocity / acceleration
             return 2.0 / math.sqrt(acceleration)
         peak_v, peak_a, peak_j = QUINTIC_PEAKS
-        return max(peak_v / velocity, math.sqrt(peak_a / acceleration), (peak_j / jerk) ** (1 / 3))
+        by_jerk: float = (peak_j / jerk) ** (1 / 3)
+        return max(peak_v / velocity, math.sqrt(peak_a / acceleration), by_jerk)
 
     def _check(self, i: int) -> None:
         """Refuse a given time that is too short (rule 2)."""
@@ -141,7 +142,7 @@ class ViaPath:
         """s at the time u (0 … duration) of segment i."""
         if self.shape == "quintic":
             x = u / duration
-            return x * x * x * (10.0 + x * (6.0 * x - 15.0))
+            return smooth_step(x)
         # With a longer time than needed the cruise is slower; the ramps keep their acceleration.
         acceleration = self._straight_limits(i)[1]
         if math.isinf(acceleration):
@@ -154,7 +155,7 @@ class ViaPath:
         if u > duration - ramp:
             left = duration - u
             return 1.0 - 0.5 * acceleration * left * left
-        return speed * (u - 0.5 * ramp)
+        return float(speed * (u - 0.5 * ramp))
 
     # ---- without stopping ------------------------------------------------------------------------------------------
 

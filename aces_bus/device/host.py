@@ -26,7 +26,7 @@ from .device import Device, Poll
 from .events import DeviceEvent, EventLog, Kind
 from .robot import DeviceConfig, Robot
 from .port import Port
-from .station import Station
+from .station import Station, tags_of
 from .ticket import Ticket
 
 #: Events of one kind and device are told this often at most (ns); all are counted.
@@ -69,6 +69,7 @@ class _Turn:
 
     __slots__ = (
         "asked_at",
+        "common",
         "cost_ns",
         "device",
         "due",
@@ -82,6 +83,8 @@ class _Turn:
 
     def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
         self.device, self.poll, self.word = device, poll, word
+        #: It asks everybody: when several devices want it in one tick, it is sent once.
+        self.common = not tags_of(device, device.variant[poll.message])
         self.every_ns = 0 if poll.every_s is None else round(poll.every_s * 1e9)
         self.timeout_ns = round(poll.timeout_s * 1e9)
         self.replies = poll.replies
@@ -107,8 +110,9 @@ class Host(Station[Device]):
         budget: float = BUDGET,
         rules: Mapping[str, Rule] | None = None,
         events: EventLog | None = None,
+        name: str = "",
     ) -> None:
-        super().__init__(port, variants, direction="from device")
+        super().__init__(port, variants, direction="from device", name=name)
         if rate_hz is not None and rate_hz <= 0:
             raise CallerError(f"{port.name}: a rate of {rate_hz} Hz is none")
         self.rate_hz, self.budget = rate_hz, budget
@@ -120,6 +124,8 @@ class Host(Station[Device]):
         self.strangers: Counter[str] = Counter()
         self._told: dict[tuple[str, str], int] = {}
         self._turns: deque[_Turn] = deque()
+        #: Requests to everybody, and when each was last sent.
+        self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
         self._deadline_timer: Timer | None = None
         self._serial_number = 0
@@ -247,7 +253,11 @@ class Host(Station[Device]):
         self.counts.polls += 1
         if self._half:
             self._speak(ticket)
+        elif turn.common and self._asked_all.get(turn.word) == now:
+            self._await(ticket, now)
         else:
+            if turn.common:
+                self._asked_all[turn.word] = now
             self._send(ticket, now)
 
     def _send_set_points(self, now: int) -> int:
@@ -293,7 +303,6 @@ class Host(Station[Device]):
         return ticket
 
     def _send(self, ticket: Ticket, now: int) -> None:
-        ticket.sent_at = now
         ticket.tries += 1
         word = ticket.word
         if not self._is_open or not self.port.send(word):
@@ -302,10 +311,15 @@ class Host(Station[Device]):
         else:
             self.counts.sent += 1
             self.scanner.sent(word)
+        self._await(ticket, now)
+
+    def _await(self, ticket: Ticket, now: int) -> None:
+        """A ticket's word is on its way: wait for the answer until its time is up."""
+        ticket.sent_at = now
         if not ticket.reply:
             ticket.finish()
             return
-        ticket.deadline = now + ticket.timeout_ns + self.port.wire_ns(word)
+        ticket.deadline = now + ticket.timeout_ns + self.port.wire_ns(ticket.word)
         ticket.device.awaiting.append(ticket)
         self._serial_number += 1
         heapq.heappush(self._deadlines, (ticket.deadline, self._serial_number, ticket))

@@ -110,7 +110,9 @@ def connect(
     events = EventLog()
     hosts: dict[str, Host] = {}
     for name, variants in _variants(robot, ports, load).items():
-        hosts[name] = Host(ports[name], variants, rate_hz=rate_hz, budget=budget, rules=rules, events=events)
+        hosts[name] = Host(
+            ports[name], variants, rate_hz=rate_hz, budget=budget, rules=rules, events=events, name=name
+        )
     if not hosts:
         raise CallerError(f"robot {robot.name} has no active device")
     rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)

@@ -51,11 +51,16 @@ class Station(Generic[M]):
     """One side of a bus; see `Host` and `Twins`."""
 
     def __init__(
-        self, port: Port, variants: Sequence[Variant], *, direction: Literal["to device", "from device"]
+        self,
+        port: Port,
+        variants: Sequence[Variant],
+        *,
+        direction: Literal["to device", "from device"],
+        name: str = "",
     ) -> None:
         if not variants:
             raise CallerError(f"{port.name}: a station needs at least one protocol")
-        self.port, self.clock, self.name = port, port.clock, port.name
+        self.port, self.clock, self.name = port, port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
         self.direction = direction
         self.scanner = make_scanner(list(variants), direction=direction, everything=True)

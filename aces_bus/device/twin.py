@@ -41,11 +41,13 @@ class JointModel(Interface):
 
 @dataclass
 class World:
-    """What all twins of a robot share: the clock, the chance, the joints."""
+    """What all twins of a robot share: the clock, the chance, the joints, and whatever else they put there."""
 
     clock: EventClock
     seed: int = 0
     joints: dict[str, JointModel] = field(default_factory=dict[str, JointModel])
+    #: What else twins have in common (a body's pose, a battery), by a name that its maker chooses.
+    shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def random(self, name: str) -> random.Random:
         """A source of chance of its own for each twin: who is there does not change what another draws."""

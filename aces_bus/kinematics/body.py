@@ -95,7 +95,7 @@ class Body:
     array([0.5, 0. , 0. ])
 
     `joints` gives the order of angle vectors (None: as the chains name them); `limits` are (lower, upper) in rad by joint, a
-    joint without an entry has none; `posture` is a pose away from singularities, which the inverse starts from when it is stuck.
+    joint without an entry has none; `posture` is a pose away from singularities, to which the inverse turns when it is stuck.
     """
 
     def __init__(
@@ -109,7 +109,9 @@ class Body:
     ) -> None:
         self.name = name
         self.chains = {chain.tip: chain for chain in chains}
-        used = [s.joint for chain in self.chains.values() for s in chain.steps if isinstance(s, (Turn, Slide))]
+        used = [
+            s.joint for chain in self.chains.values() for s in chain.steps if isinstance(s, (Turn, Slide))
+        ]
         self.joints = tuple(dict.fromkeys(used if joints is None else joints))
         self.index = {joint: i for i, joint in enumerate(self.joints)}
         for joint in (*used, *(limits or {}), *(posture or {})):
@@ -119,9 +121,13 @@ class Body:
         self.upper = np.full(len(self.joints), np.inf)
         for joint, (low, high) in (limits or {}).items():
             if not low < high:
-                raise CallerError(f"{name}: the limits of {joint}, {low} … {high}, leave nothing between them")
+                raise CallerError(
+                    f"{name}: the limits of {joint}, {low} … {high}, leave nothing between them"
+                )
             self.lower[self.index[joint]], self.upper[self.index[joint]] = low, high
-        self.posture = None if posture is None else self.vector({**dict.fromkeys(self.joints, 0.0), **posture})
+        self.posture = (
+            None if posture is None else self.vector({**dict.fromkeys(self.joints, 0.0), **posture})
+        )
         self._walks = {tip: [self._walk(step) for step in chain.steps] for tip, chain in self.chains.items()}
 
     @property

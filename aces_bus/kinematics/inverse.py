@@ -1,6 +1,6 @@
 """Inverse kinematics: damped least squares within joint limits, with a report.
 
-1. The answer never leaves the limits, and never says `converged` unless forward kinematics of it agrees within the tolerances.
+1. The answer never leaves the limits, and never says `converged` unless its forward kinematics agrees within the tolerances.
 2. Deterministic: no random restart. A start that is stuck (straight legs, a wrong bend) is nudged towards the body's
    `posture`, a little more each time.
 3. What is not reached is answered with the nearest pose that was found and the reason; nothing raises but a wrong call.
@@ -93,7 +93,9 @@ class _Task:
             position = None if goal.position is None else np.array(goal.position, dtype=np.float64)
             rotation = None if goal.rotation is None else np.array(goal.rotation, dtype=np.float64)
             if position is not None and (position.shape != (3,) or not np.isfinite(position).all()):
-                raise CallerError(f"the goal of {goal.tip} needs three finite numbers (m), not {goal.position!r}")
+                raise CallerError(
+                    f"the goal of {goal.tip} needs three finite numbers (m), not {goal.position!r}"
+                )
             if rotation is not None and (
                 rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
             ):

@@ -129,7 +129,8 @@ class Filtered(Running):
         self.kind, self.rate_hz, self.uneven = kind, rate, uneven
         self._step: Step | None = None
         self._before: tuple[float, int] = 0.0, _NEVER
-        self._grid_from = self._grid_place = self._grid_next = 0
+        self._grid_from = self._grid_place = 0
+        self._grid_next = _NEVER
         if rate is not None and uneven != "accept":
             period = getattr(source, "period_s", None)
             if uneven == "refuse" and period is not None and abs(period * rate - 1) > EVEN:
@@ -195,6 +196,12 @@ class Filtered(Running):
         """Steps on the even grid that begins with the first sample; between two samples on the line through them."""
         old, before = self._before
         self._before = value, instant
+        at, snap = self._grid_next, self._snap
+        if -snap <= instant - at <= snap:  # samples that come as they should
+            self._grid_place = place = self._grid_place + 1
+            self._grid_next = self._grid_from + round(place * self._period)
+            self._accepted(value, at if at < instant else instant)
+            return
         if before == _NEVER or instant - before > self._max_gap:
             if before != _NEVER:
                 self._step = None
@@ -203,7 +210,6 @@ class Filtered(Running):
             self._grid_on()
             self._accepted(value, instant)
             return
-        snap = self._snap
         slope = (value - old) / (instant - before)
         while (at := self._grid_next) <= instant + snap:
             self._grid_on()

@@ -75,14 +75,18 @@ def spectrum_of(quantity: Quantity, window_s: float, taper: str, rate_hz: float 
     is_resampled = rate_hz is not None or not is_even
     if is_resampled:
         rate = 1e9 / period if rate_hz is None else rate_hz
-        values = quantity.window(float(found.times_s[0]), float(found.times_s[-1]), rate_hz=rate).values
+        origin, span = quantity.origin, quantity.span
+        begin = 0.0 if origin is None or span is None else (span[0] - origin) / 1e9
+        values = quantity.window(max(-window_s, begin), float(found.times_s[-1]), rate_hz=rate).values
     else:
         rate = 1e9 * (len(values) - 1) / float(found.instants[-1] - found.instants[0])
     size = len(values)
     if size < FEWEST:
         raise StateError(f"{who}: {size} points at {rate:g} Hz, a spectrum needs {FEWEST}")
-    weights: Any = getattr(np, TAPERS[taper])(size)
-    lines = np.fft.rfft(values * weights) / weights.sum()
+    weights: Any = getattr(np, TAPERS[taper])(size + 1)[:-1]
+    mean = values.mean()  # taken out before the taper, which would spread it over the first lines
+    lines = np.fft.rfft((values - mean) * weights) / weights.sum()
+    lines[0] = mean
     lines[1 : (size + 1) // 2] *= 2  # the mean and, of an even number, the last line have no second side
     return Spectrum(
         np.fft.rfftfreq(size, 1 / rate).astype(np.float64),

@@ -119,10 +119,10 @@ def reads(message: Message, image: bytes) -> bool:
 
 
 class _Remembering(Reference):
-    """The same rule, with what it has decided about whole packets kept.
+    """The same rule, quicker: what follows from bytes alone is kept, and construct is not asked what it cannot be.
 
-    Where no message hangs on another, what a packet is follows from its bytes alone. On CAN, messages of other
-    identifiers are left out before construct is asked, by the test that construct begins with.
+    Where no message hangs on another, what a packet is follows from its bytes. Elsewhere messages of another identifier,
+    head or constant are left out by the tests that construct itself begins with (`Packet._parse`).
     """
 
     said: dict[Any, Any]
@@ -130,27 +130,54 @@ class _Remembering(Reference):
     def _decode(
         self, image: bytes, channel: Any, time: float | None, framing: Framing | None
     ) -> tuple[str, Message | None, Any]:
-        if any(contextual for _, _, contextual, _ in self.sides):
-            if framing is not None:
+        sides = self.sides
+        self.sides = [
+            (variant, self._possible(variant, messages, image, framing), names, context)
+            for variant, messages, names, context in sides
+        ]
+        try:
+            if any(contextual for _, _, contextual, _ in sides):
                 return super()._decode(image, channel, time, framing)
-            identifier = int.from_bytes(image[:4], "big") & 0x1FFF_FFFF
-            sides = self.sides
-            self.sides = [
-                (v, [m for m in messages if m.identifier.match(identifier) is not None], names, context)
-                for v, messages, names, context in sides
-            ]
-            try:
-                return super()._decode(image, channel, time, framing)
-            finally:
-                self.sides = sides
-        key = (self.raw, image, framing, tuple(side[0] for side in self.sides))
-        answer = self.said.get(key)
-        if answer is None:
-            if len(self.said) > REMEMBERED:
-                self.said.clear()
-            answer = self.said[key] = super()._decode(image, channel, time, framing)
-        found: tuple[str, Message | None, Any] = answer
-        return found
+            key = (self.raw, image, framing, tuple(side[0] for side in sides))
+            answer = self.said.get(key)
+            if answer is None:
+                answer = super()._decode(image, channel, time, framing)
+                self._keep(key, answer)
+            found: tuple[str, Message | None, Any] = answer
+            return found
+        finally:
+            self.sides = sides
+
+    def _possible(
+        self, variant: Variant, messages: list[Message], image: bytes, framing: Framing | None
+    ) -> list[Message]:
+        if framing is not None:
+            data = framing.logical(image)
+            end = len(data) - framing.check_size - len(framing.end)
+            return [m for m in messages if m.framing is framing and _may_be(m, data, end)]
+        identifier = int.from_bytes(image[:4], "big") & 0x1FFF_FFFF
+        known: list[Message] | None = self.said.get((variant, identifier))
+        if known is None:
+            known = [m for m in messages if m.identifier.match(identifier) is not None]
+            self._keep((variant, identifier), known)
+        return known
+
+    def _keep(self, key: Any, answer: Any) -> None:
+        if len(self.said) > REMEMBERED:
+            self.said.clear()
+        self.said[key] = answer
+
+
+def _may_be(message: Message, data: bytes, end: int) -> bool:
+    """Whether heads and constants are those of a message, as far as the packet goes."""
+    for head in message.heads:
+        if head.pattern is not None and head.offset + head.size <= end:
+            if head.pattern.match(head.number(data)) is None:
+                return False
+    return all(
+        data[offset : min(offset + len(wanted), end)] == wanted[: max(0, end - offset)]
+        for offset, wanted in message.constants
+    )
 
 
 @lru_cache(maxsize=256)

@@ -148,8 +148,10 @@ class Coverage:
             value = getattr(record, field, None)
             what = f"{message.name}.{field}" if value is not None else f"{message.name}.{field} (absent)"
             self.reached[protocol, "field", what] += 1
-            if field in named and (text := named[field].get(value)) is not None:
-                self.reached[protocol, "value", f"{message.name}.{field}={text}"] += 1
+            if field in named:
+                for one in value if isinstance(value, (list, tuple)) else (value,):
+                    if (text := named[field].get(one)) is not None:
+                        self.reached[protocol, "value", f"{message.name}.{field}={text}"] += 1
 
     def _refused(self, trial: Trial, number: int, item: Unknown) -> None:
         """Which template a loss belongs to."""

@@ -30,7 +30,7 @@ Fails = Callable[[Scene, Cuts], bool]
 
 @dataclass
 class Calls:
-    """How many trials may still be made, and how many were."""
+    """How many trials may still be made, and how many were; long scenes count as several."""
 
     most: int
     made: int = 0
@@ -72,7 +72,7 @@ class _Best:
         weight = _weight(scene, cuts)
         if not (weight < self.weight or (equal and weight == self.weight)) or not self.calls.are_left:
             return False
-        self.calls.made += 1
+        self.calls.made += 1 + len(scene) // 200
         if not self._fails(scene, cuts):
             return False
         self.scene, self.cuts, self.weight = scene, cuts, weight

@@ -58,16 +58,22 @@ def shown(scene: Scene) -> str:
 class Trial:
     """A scene, cut at `cuts`, before a bench.
 
-    `thorough` has laws look at everything, also where that costs more than all the rest: columns, every packet of a
-    scene. A fuzzer does that now and then, and always for what has failed.
+    `thorough` has laws look at every packet of a scene, `columns` has them read it as columns, too: both cost more than
+    all the rest. A fuzzer does that now and then, and always for what has failed.
     """
 
     def __init__(
-        self, bench: Bench, scene: Scene, cuts: Iterable[int] = (), *, thorough: bool = True
+        self,
+        bench: Bench,
+        scene: Scene,
+        cuts: Iterable[int] = (),
+        *,
+        thorough: bool = True,
+        columns: bool = True,
     ) -> None:
         self.bench, self.scene = bench, scene
         self.cuts = tuple(sorted(cuts))
-        self.thorough = thorough
+        self.thorough, self.columns = thorough, columns
 
     @property
     def direction(self) -> Way:

@@ -145,4 +145,4 @@ def test_a_database_is_listed_with_what_cannot_be_used(aces: Aces, tmp_path: Pat
     result = aces("protocols", str(path))
     assert result.status == 0
     assert "Speed" in result.out
-    assert f"{path}:4: cannot be read at 'FOO_' (FOO_ 1;)" in result.err.splitlines()
+    assert f"{path}:4:1: cannot be read at 'FOO_' (FOO_ 1;)" in result.err.splitlines()

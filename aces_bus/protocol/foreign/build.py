@@ -16,6 +16,7 @@ raises; names that a value table has twice are told apart by their number; signa
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from sys import float_info
 from typing import Any
@@ -173,7 +174,7 @@ class _Builder:
             try:
                 return BitLayout(message.length, *fields, trailing=trailing)
             except AcesError as error:
-                text = _without_place(error).partition("; if that")[0]
+                text = re.sub(r" \([^()]*:\d+\)", "", _without_place(error).partition("; if that")[0])
                 text = f"message {clean(message.name)}: {text}: all are decoded, and what is sent must agree"
                 self._note(self.lines(message, None), text)
         return BitLayout(message.length, *fields, overlapping=overlapping, trailing=trailing)

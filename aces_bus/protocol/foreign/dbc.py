@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...errors import CallerError
 from ..spec.protocol import Protocol
@@ -185,6 +185,14 @@ def _load_dbc(path: str, text: str) -> tuple[Any, list[Problem], int, _Declared]
     return database, problems, count, _Declared(kept)
 
 
+class _Complaint(NamedTuple):
+    """Why a text cannot be parsed, and where in it."""
+
+    reason: str
+    line: int
+    column: int
+
+
 def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
     """The statements that cantools can parse, and why not the others."""
     from cantools.database.can.formats.dbc.dbc_loader import DbcParser
@@ -193,12 +201,12 @@ def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], li
     kept: list[Statement] = []
     problems: list[Problem] = []
 
-    def complaint(text: str) -> str:
+    def complaint(text: str) -> _Complaint | None:
         try:
             parser.parse(text)
         except Exception as error:  # as above
-            return _reason(error)
-        return ""
+            return _Complaint(_reason(error), getattr(error, "line", 1), getattr(error, "column", 0))
+        return None
 
     pending = statements[::-1]
     until = time.monotonic() + MOST_PARSING
@@ -211,8 +219,8 @@ def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], li
         one = pending.pop()
         if not one.word and not one.text.strip():
             continue
-        reason = "" if one.word == "NS_" else complaint(one.whole)
-        if not reason:
+        found = None if one.word == "NS_" else complaint(one.whole)
+        if found is None:
             kept.append(one)
             continue
         if one.word == "BO_" and one.inner and not complaint(one.text):
@@ -221,7 +229,7 @@ def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], li
         else:
             first, *behind = resplit(one)
             inside = f", and with it its {len(one.inner)} signals" if one.inner else ""
-            problems.append(first.problem(reason + inside))
+            problems.append(first.problem(found.reason + inside, (found.line, found.column)))
         if behind:
             while pending and pending[-1].word == "SG_":
                 behind.append(pending.pop())
@@ -230,7 +238,7 @@ def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], li
 
 
 def _parsed_signals(
-    message: Statement, complaint: Callable[[str], str], problems: list[Problem]
+    message: Statement, complaint: Callable[[str], _Complaint | None], problems: list[Problem]
 ) -> list[Statement]:
     """Leaves a message the signals that can be parsed; gives what was found inside those that cannot: a string that was
     not closed has taken in what stands behind."""
@@ -239,12 +247,13 @@ def _parsed_signals(
     behind: list[Statement] = []
     while waiting:
         signal = waiting.pop()
-        reason = complaint(message.text + signal.text)
-        if not reason:
+        found = complaint(message.text + signal.text)
+        if found is None:
             message.inner.append(signal)
             continue
         first, *rest = resplit(signal)
-        problems.append(first.problem(reason))
+        line = found.line - message.text.count("\n")
+        problems.append(first.problem(found.reason, (line, found.column)))
         own = next((n for n, one in enumerate(rest) if one.word not in ("SG_", "?", "")), len(rest))
         if own < len(rest):
             # Another message begins inside: what follows is that one's.

@@ -14,21 +14,23 @@ EXCERPT = 80
 class Problem:
     """Something that was left out, or (`is_note`) taken over differently: another name, shared bits.
 
-    `line` counts from 1; 0 where no line can be named.
+    `line` counts from 1; 0 where no line can be named. `column` counts from 1 within it; 0 where only the line is known.
     """
 
     line: int
     reason: str
     excerpt: str = ""
     is_note: bool = False
+    column: int = 0
 
     def __str__(self) -> str:
         where = f"line {self.line}: " if self.line else ""
         return f"{where}{self._said}"
 
     def of(self, path: str) -> str:
-        """As compilers say it: `file:line: …`."""
-        return f"{path}:{self.line}: {self._said}" if self.line else f"{path}: {self._said}"
+        """As compilers say it: `file:line:column: …`."""
+        place = ":".join(str(number) for number in (self.line, self.column) if number)
+        return f"{path}:{place}: {self._said}" if self.line else f"{path}: {self._said}"
 
     @property
     def _said(self) -> str:

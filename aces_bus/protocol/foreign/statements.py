@@ -55,8 +55,15 @@ class Statement:
     def whole(self) -> str:
         return self.text + "".join(one.whole for one in self.inner)
 
-    def problem(self, reason: str) -> Problem:
-        return Problem(self.line, reason, excerpt(self.text))
+    def problem(self, reason: str, fault: tuple[int, int] | None = None) -> Problem:
+        """What is wrong with it; `fault` is the line (from 1) and the column of its text where."""
+        lines = self.text.split("\n")
+        line, column = fault if fault is not None else (1, 0)
+        if not (
+            1 <= line <= len(lines) and 1 <= column <= len(lines[line - 1]) + 1 and lines[line - 1].strip()
+        ):
+            line, column = 1, len(lines[0]) - len(lines[0].lstrip()) + 1
+        return Problem(self.line + line - 1, reason, excerpt(self.text), column=column)
 
 
 def split(text: str) -> list[Statement]:

@@ -29,7 +29,8 @@ WALK_HZ = 50.0
 #: A knee that is bent, and elbows: away from what is singular.
 POSTURE = {
     **{f"{side}{joint}": angle for side in "LR" for joint, angle in (("HP", 0.5), ("KP", 1.0), ("AP", 0.5))},
-    **{"LEP": 0.8, "REP": 0.8},
+    "LEP": 0.8,
+    "REP": 0.8,
 }
 #: Left and right exchanged; these joints then turn the other way (rule 3).
 MIRROR = {f"L{joint}": f"R{joint}" for joint in ("HY", "HR", "HP", "KP", "AP", "AR", "SP", "SR", "SY", "EP")}
@@ -97,4 +98,4 @@ def read_walk(
 
 def mirrored(trajectory: Trajectory) -> Trajectory:
     """The same motion with left and right exchanged."""
-    return trajectory.mirrored(MIRROR, [one for one in MIRROR_FLIPPED])
+    return trajectory.mirrored(MIRROR, MIRROR_FLIPPED)

@@ -268,7 +268,7 @@ def _print_json(results: Sequence[Checked]) -> None:
     print(json.dumps(found, ensure_ascii=False, indent=2))
 
 
-_STYLES = {"error": "lost", "warning": "name", "note": "place"}
+_STYLES = {"error": "malformed", "warning": "flags", "note": "place"}
 
 
 def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> None:

@@ -1,0 +1,406 @@
+"""The guard below a controller: limits of position, rate and acceleration, and the dead-man.
+
+1. What leaves a guard is finite and within the limits of position, always; within the rate too, from one call to the next;
+   and within the acceleration, unless that would lead past a limit of position.
+2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and told once a while.
+3. When no set-points come for `dead_man_s`, or somebody says `trip`, the declared action follows: "hold" (come to a stand
+   within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
+   and acts). The dead-man's hold ends with the next set-points; every other trip is latched until `release`.
+4. Nothing here waits or raises for a value.
+
+Theory. With velocities in units of a·dt, stopping from w takes whole steps: the largest w that still stops within the
+distance m (in units of a·dt²) is m/(n+1) + n/2 with n the largest whole number of n(n+1)/2 ≤ m. That bounds the velocity
+towards a limit of position. Where the set-points themselves are too fast, the same bound on the distance to them, beside their own
+velocity, catches up without overshoot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+
+from ..device.robot import Robot
+from ..errors import CallerError
+from .base import NOTHING, StateLike, known_value
+from .events import ControlEvent, Listeners
+
+Action = Literal["hold", "zero duty", "disable"]
+ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
+#: A state that is clipped for long is told about so often.
+TOLD_EVERY_NS = 1_000_000_000
+_INFINITY = math.inf
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a state's set-points may be: unit, unit/s, unit/s². Infinity says "not limited"."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    rate: float = math.inf
+    acceleration: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (self.lower <= self.upper and self.rate > 0 and self.acceleration > 0):
+            raise CallerError(
+                f"{self}: lower must not be above upper, and rate and acceleration must be above 0"
+            )
+
+
+class Clipped(msgspec.Struct):
+    """How many set-points of a state were changed, by reason; `not_finite` were not taken at all."""
+
+    position: int = 0
+    rate: int = 0
+    acceleration: int = 0
+    not_finite: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.position + self.rate + self.acceleration + self.not_finite
+
+
+class Trip(msgspec.Struct, frozen=True):
+    """Motion was stopped: when (ns), how, why, and whether it takes `release` to go on."""
+
+    instant: int
+    action: Action
+    reason: str
+    latched: bool = True
+
+
+def _reach(distance: float, quantum: float) -> float:
+    """The largest step towards something `distance` away that can still stop there; `quantum` is a·dt²."""
+    if distance <= 0.0:
+        return 0.0
+    m = distance / quantum
+    n = int(0.5 * (math.sqrt(1.0 + 8.0 * m) - 1.0)) if m < 1e12 else 0
+    return distance if n == 0 and m < 1e12 else (m / (n + 1) + 0.5 * n) * quantum if n else _INFINITY
+
+
+class _Line:
+    """One state's guard: the last set-point that left, its step, and the last that was asked for."""
+
+    __slots__ = (
+        "acceleration",
+        "asked",
+        "clipped",
+        "given",
+        "lower",
+        "name",
+        "rate",
+        "step",
+        "told_ns",
+        "upper",
+        "utmost",
+    )
+
+    def __init__(self, name: str, bounds: Bounds) -> None:
+        self.name = name
+        self.lower, self.upper = bounds.lower, bounds.upper
+        self.rate, self.acceleration = bounds.rate, bounds.acceleration
+        self.utmost = bounds.rate * (1 + 1e-9)  # a hair more is rounding
+        self.given: float | None = None
+        self.asked = 0.0
+        self.step = 0.0  # of the last cycle, per second
+        self.clipped = Clipped()
+        self.told_ns = -TOLD_EVERY_NS
+
+    def pass_on(self, wanted: float, dt: float) -> float:
+        """The set-point that leaves, `dt` seconds after the last."""
+        goal = self.lower if wanted < self.lower else self.upper if wanted > self.upper else wanted
+        before = self.given
+        if before is None:
+            if goal != wanted:
+                self.clipped.position += 1
+            self.given = self.asked = goal
+            return goal
+        clipped = self.clipped
+        if goal != wanted:
+            clipped.position += 1
+        speed = (goal - before) / dt
+        acceleration, rate = self.acceleration, self.utmost
+        if -rate <= speed <= rate:
+            change = speed - self.step
+            # The least feasible case, and nearly every one: as asked, and far enough from the limits to stop.
+            if acceleration == _INFINITY:
+                self.step, self.given, self.asked = speed, goal, goal
+                return goal
+            # Here, too: rounding of the differences.
+            most = acceleration * dt * (1 + 1e-9) + 1e-9 * abs(speed)
+            if -most <= change <= most:
+                room = self.upper - before if speed > 0 else before - self.lower
+                size = abs(speed)
+                if size * (size / (2 * acceleration) + dt) <= room or size * dt <= _reach(
+                    room, acceleration * dt * dt
+                ) * (1 + 1e-9):
+                    self.step, self.given, self.asked = speed, goal, goal
+                    return goal
+        return self._limited(goal, before, speed, dt)
+
+    def _limited(self, goal: float, before: float, speed: float, dt: float) -> float:
+        acceleration, rate = self.acceleration, self.rate
+        own = (goal - self.asked) / dt  # the set-points' own velocity
+        self.asked = goal
+        new = speed
+        if not -self.utmost <= new <= self.utmost:
+            self.clipped.rate += 1
+            new = rate if new > 0 else -rate
+        if acceleration < _INFINITY:
+            quantum = acceleration * dt * dt
+            behind = goal - before - own * dt
+            catch_up = math.copysign(_reach(abs(behind), quantum) / dt, behind) + own
+            if abs(catch_up) < abs(new) or catch_up * new < 0:
+                new = max(-rate, min(rate, catch_up))
+            most = acceleration * dt
+            low, high = self.step - most, self.step + most
+            bounded = low if new < low else high if new > high else new
+            if bounded != new:
+                self.clipped.acceleration += 1
+                new = bounded
+            # Whatever the rest says, it must be able to stop before the limits of position.
+            up = _reach(self.upper - before, quantum) / dt if self.upper < _INFINITY else _INFINITY
+            down = _reach(before - self.lower, quantum) / dt if self.lower > -_INFINITY else _INFINITY
+            new = up if new > up else -down if new < -down else new
+            new = rate if new > rate else -rate if new < -rate else new
+        given = before + new * dt
+        given = self.lower if given < self.lower else self.upper if given > self.upper else given
+        self.step, self.given = (given - before) / dt, given
+        return given
+
+    def stand(self, dt: float) -> float | None:
+        """One more step towards standing still."""
+        before = self.given
+        if before is None:
+            return None
+        most = self.acceleration * dt
+        speed = self.step
+        speed = 0.0 if abs(speed) <= most else speed - math.copysign(most, speed)
+        given = before + speed * dt
+        given = self.lower if given < self.lower else self.upper if given > self.upper else given
+        self.step, self.given = (given - before) / dt, given
+        self.asked = given
+        return given
+
+
+class Guard:
+    """Limits and dead-man for the set-points of one controller, stepped at its rate.
+
+    >>> guard = Guard({"LKP": Bounds(-1.0, 1.0, rate=2.0)}, period_s=0.1, dead_man_s=0.5)
+    >>> guard.apply(0, {"LKP": 0.0}), guard.apply(100_000_000, {"LKP": 5.0})
+    ({'LKP': 0.0}, {'LKP': 0.2})
+    >>> guard.clipped("LKP").rate
+    1
+    >>> guard.tick(700_000_000), guard.tripped.reason
+    ({'LKP': 0.2}, 'no set-points for 600 ms')
+
+    `apply(now, setpoints)` when there are some, `tick(now)` when there are none; both give what may go down. `states` of
+    the same names, where bound, say where the first set-point starts from; without them the first is believed.
+    States without bounds are refused and counted (`refused`), unless `unlisted="pass"`; finite they must be in any case.
+    `dead_man_s` None: no dead-man.
+    """
+
+    def __init__(
+        self,
+        bounds: Mapping[str, Bounds],
+        *,
+        period_s: float,
+        dead_man_s: float | None = 0.1,
+        action: Action = "hold",
+        unlisted: Literal["refuse", "pass"] = "refuse",
+        name: str = "guard",
+    ) -> None:
+        if not (math.isfinite(period_s) and period_s > 0):
+            raise CallerError(f"{name}: period_s = {period_s!r} is not a period")
+        if dead_man_s is not None and not dead_man_s > period_s:
+            raise CallerError(
+                f"{name}: dead_man_s = {dead_man_s!r} must be more than the period, {period_s} s"
+            )
+        if action not in ACTIONS:
+            raise CallerError(f"{name}: the action is one of {', '.join(ACTIONS)}, not {action!r}")
+        self.name, self.period_s = name, period_s
+        self.action: Action = action
+        self.unlisted = unlisted
+        self.tripped: Trip | None = None
+        self.trips = self.swallowed = self.unanchored = 0
+        self.refused: dict[str, int] = {}
+        self.listeners = Listeners()
+        self._dead_man = None if dead_man_s is None else round(dead_man_s * 1e9)
+        self._lines = {one: _Line(one, limit) for one, limit in bounds.items()}
+        self._states: Mapping[str, StateLike] = {}
+        self._last: int | None = None  # ns of the last call that gave set-points
+        self._heard: int | None = None  # ns of the last set-points that came
+        self._pending: deque[tuple[str, Action | None]] = deque(maxlen=64)
+
+    def bind(self, states: Mapping[str, StateLike]) -> None:
+        """Take the states whose present values the first set-points start from."""
+        self._states = states
+
+    def clipped(self, state: str) -> Clipped:
+        """What was changed of a state's set-points."""
+        return self._lines[state].clipped if state in self._lines else Clipped()
+
+    @property
+    def clips(self) -> dict[str, Clipped]:
+        """The same for all states of which something was changed."""
+        return {one: line.clipped for one, line in self._lines.items() if line.clipped.total}
+
+    def forget(self) -> None:
+        """Begin anew: the next set-points start from the present values. A trip stays."""
+        for line in self._lines.values():
+            line.given, line.step = None, 0.0
+        self._last = self._heard = None
+
+    def trip(self, reason: str, action: Action | None = None) -> None:
+        """Stop motion at the next `apply` or `tick`; may be called from any thread."""
+        self._pending.append((reason, action))
+
+    def release(self) -> None:
+        """Let set-points through again. After a hold they go on from there; else from the present values."""
+        held = self.tripped is not None and self.tripped.action == "hold"
+        self.tripped = None
+        self._pending.clear()
+        self._heard = None
+        if not held:
+            self.forget()
+
+    # ---- every cycle ------------------------------------------------------------------------------------------------
+
+    def apply(self, now: int, setpoints: Mapping[str, float]) -> Mapping[str, float]:
+        """What may go down of these set-points, at the instant `now` (ns)."""
+        if not setpoints:
+            return self.tick(now)
+        if self._pending:
+            self._obey(now)
+        if self.tripped is not None:
+            if self.tripped.latched:
+                self.swallowed += len(setpoints)
+                return self._stand(now) if self.tripped.action == "hold" else NOTHING
+            reason, self.tripped = self.tripped.reason, None
+            self.listeners.tell(ControlEvent("late", now, self.name, f"set-points again after: {reason}"))
+        dt = self._elapsed(now)
+        self._heard = self._last = now
+        lines = self._lines
+        out: dict[str, float] = {}
+        for name, wanted in setpoints.items():
+            line = lines.get(name)
+            if line is None:
+                line = self._unknown_line(name)
+                if line is None:
+                    continue
+            try:
+                difference = wanted - wanted
+            except TypeError:
+                difference = 1.0
+            if difference != 0.0:
+                line.clipped.not_finite += 1
+                self._tell(line, now, "not finite")
+                continue
+            if line.given is None:
+                self._anchor(line)
+            before = line.clipped.total
+            out[name] = given = line.pass_on(wanted, dt)
+            if given != wanted and line.clipped.total != before:
+                self._tell(line, now, "clipped")
+        return out
+
+    def tick(self, now: int) -> Mapping[str, float]:
+        """A cycle without set-points: whether the dead-man acts, and what goes down if it holds."""
+        if self._pending:
+            self._obey(now)
+        if self.tripped is None:
+            heard, limit = self._heard, self._dead_man
+            if heard is None or limit is None or now - heard <= limit:
+                return NOTHING
+            reason = f"no set-points for {(now - heard) / 1e6:.0f} ms"
+            self._stop(Trip(now, self.action, reason, self.action != "hold"))
+        assert self.tripped is not None
+        return self._stand(now) if self.tripped.action == "hold" else NOTHING
+
+    def _elapsed(self, now: int) -> float:
+        """Seconds since the last set-points left; after a pause no more than two periods, so that it earns no jump."""
+        if self._last is None:
+            return self.period_s
+        return max(min((now - self._last) / 1e9, 2 * self.period_s), 1e-3 * self.period_s)
+
+    def _stand(self, now: int) -> Mapping[str, float]:
+        dt = self._elapsed(now)
+        self._last = now
+        out: dict[str, float] = {}
+        for name, line in self._lines.items():
+            given = line.stand(dt)
+            if given is not None:
+                out[name] = given
+        return out
+
+    def _anchor(self, line: _Line) -> None:
+        """The first set-point of a state starts from where it is."""
+        present = known_value(self._states.get(line.name))
+        if present is None:
+            self.unanchored += 1
+        else:
+            line.given = line.asked = min(max(present, line.lower), line.upper)
+
+    def _unknown_line(self, name: str) -> _Line | None:
+        if self.unlisted == "pass":
+            return self._lines.setdefault(name, _Line(name, Bounds()))
+        if name in self.refused or len(self.refused) < 1_000:  # a controller may make names up for ever
+            self.refused[name] = self.refused.get(name, 0) + 1
+        return None
+
+    def _obey(self, now: int) -> None:
+        reason, action = self._pending.popleft()
+        wanted: Action = action or self.action
+        for more, other in self._pending:  # the strictest of what came together
+            if ACTIONS.index(other or self.action) > ACTIONS.index(wanted):
+                reason, wanted = more, other or self.action
+        self._pending.clear()
+        if self.tripped is None or ACTIONS.index(wanted) > ACTIONS.index(self.tripped.action):
+            self._stop(Trip(now, wanted, reason))
+        elif not self.tripped.latched:  # the dead-man held already; now somebody else wants it, too
+            self.tripped = Trip(now, self.tripped.action, reason)
+
+    def _stop(self, trip: Trip) -> None:
+        self.tripped = trip
+        self.trips += 1
+        self.listeners.tell(ControlEvent("trip", trip.instant, self.name, f"{trip.action}: {trip.reason}"))
+
+    def _tell(self, line: _Line, now: int, kind: str) -> None:
+        if now - line.told_ns >= TOLD_EVERY_NS:
+            line.told_ns = now
+            c = line.clipped
+            counts = f"position {c.position}, rate {c.rate}, acceleration {c.acceleration}, not finite {c.not_finite}"
+            self.listeners.tell(ControlEvent(kind, now, self.name, f"{line.name} ({counts})"))
+
+
+def bounds_of(robot: Robot, *, nominal: bool = True) -> dict[str, Bounds]:
+    """Bounds of a robot's active joints, as far as its file states them: its nominal speeds, or its largest ones.
+
+    Set-points are positions, speeds, currents (A) or duties, as each joint's `command` says.
+    """
+    out: dict[str, Bounds] = {}
+    for joint in robot.joints.values():
+        if not joint.active:
+            continue
+        speeds = (joint.nominal_speed, joint.max_speed)
+        changes = (joint.nominal_acceleration, joint.max_acceleration)
+        speed, change = (
+            next((one for one in (pair if nominal else pair[::-1]) if one is not None), math.inf)
+            for pair in (speeds, changes)
+        )
+        if joint.command == "position":
+            lower = -math.inf if joint.lower is None else joint.lower
+            upper = math.inf if joint.upper is None else joint.upper
+            out[joint.name] = Bounds(lower, upper, speed, change)
+        elif joint.command == "speed":
+            out[joint.name] = Bounds(-speed, speed, change)
+        else:
+            most = (joint.max_current if joint.command == "current" else joint.max_duty) or math.inf
+            out[joint.name] = Bounds(-most, most)
+    return out

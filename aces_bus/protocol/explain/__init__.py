@@ -1,0 +1,21 @@
+"""Why bytes are decoded as they are: the scanner's decisions, template by template, word by word (the paper's Fig. 5).
+
+>>> from aces_bus.protocol.explain import Tracer
+>>> from aces_protocols.robotis.spec import robotis
+>>> tracer = Tracer([robotis.variant()], direction="to device")
+>>> (attempt,) = tracer.explain_stream(bytes.fromhex("FF FF 01 02 01 FB"))
+>>> attempt.verdict, [step.what for step in attempt.steps]
+('Ping', ['sync', 'sync', 'id', 'length', 'instruction', 'check'])
+>>> sorted(death.template for death in attempt.steps[3].died)
+['Read', 'RegWrite', 'SyncWrite', 'Write']
+"""
+
+from __future__ import annotations
+
+from .attempt import Attempt as Attempt
+from .attempt import Death as Death
+from .attempt import Reading as Reading
+from .attempt import Row as Row
+from .attempt import Step as Step
+from .attempt import text_of as text_of
+from .tracer import Tracer as Tracer

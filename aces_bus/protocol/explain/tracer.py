@@ -1,0 +1,443 @@
+"""The reference, watched: each of its decisions as an `Attempt`.
+
+1. What is decided is the reference's own doing: this class only keeps what it decided on, and asks each template
+   afterwards, word by word. So the records explained are those of every scanner (law 2).
+2. Attempts are explained when they are looked at; deciding costs what the reference costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from ..codegen import plan as p
+from ..scan.context import Context
+from ..scan.reference import Found, Reference
+from ..spec.framing import Framing, Judgement, Verdict
+from ..spec.message import Direction, Message
+from ..spec.packet import can_image
+from ..spec.protocol import Variant
+from .attempt import Attempt, Death, Reading, Row, Step
+from .template import Template, captured, stepped
+
+#: Words of one attempt that are explained; of longer packets the first ones and the last.
+WORDS = 160
+
+
+@dataclass(frozen=True)
+class _Decided:
+    """What the reference decided at one place: how much it knew, and what it was asked before."""
+
+    start: int
+    known: int
+    is_silent: bool
+    found: Found
+    request: tuple[str, Mapping[str, Any]] | None
+
+
+class Tracer(Reference):
+    """A `Reference` that can explain itself; its records are in physical units."""
+
+    def __init__(
+        self, variants: Sequence[Variant], *, direction: Direction | Literal["both"] | None = None
+    ) -> None:
+        super().__init__(variants, direction=direction)
+        self._decided: list[_Decided] = []
+        self._request: tuple[str, Mapping[str, Any]] | None = None
+        is_alone = len({variant.name for variant in variants}) == 1
+        self.templates: list[Template] = []
+        self._extras: dict[Framing, dict[int, bytes]] = {}
+        for variant, messages, _, _ in self.sides:
+            for message in messages:
+                name = message.name if is_alone else f"{variant.name}.{message.name}"
+                self.templates.append(Template(message, name))
+                if message.framing is not None and message.extras is not None:
+                    self._extras.setdefault(message.framing, {}).update(message.extras)
+
+    @property
+    def interesting(self) -> frozenset[str]:
+        """Messages that later ones may hang on, or that hang on earlier ones."""
+        found: set[str] = set()
+        for _, _, contextual, context in self.sides:
+            found |= set(contextual) | set(context.requests) | set(context.answers)
+        return frozenset(found)
+
+    # ------------------------------------------------------------------ watching
+
+    def _accepted(
+        self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
+    ) -> tuple[str, Message, Any]:
+        if request is not None:
+            names = [r.message.name for r in (*message.reply_to, *message.after) if r.accepts(request)]
+            fitting = [n for n in names if set(request) <= set(message.protocol[n].fields) | set(request)]
+            self._request = (fitting[0] if fitting else "?", dict(request))
+        return super()._accepted(context, message, image, channel, time, request)
+
+    def _until(self, data: bytes, start: int, found: list[Found], *, silent: bool) -> int:
+        while start < len(data):
+            self._request = None
+            item = self._at(data, start, silent=silent)
+            if item is None:
+                break
+            self._decided.append(_Decided(start, len(data), silent, item, self._request))
+            found.append(item)
+            start += item.size
+        return start
+
+    # ------------------------------------------------------------------ streams
+
+    def explain_stream(
+        self,
+        data: bytes,
+        *,
+        idle_at: Sequence[int] = (),
+        sent_at: Sequence[tuple[int, bytes]] = (),
+        base: int = 0,
+        wanted: range | None = None,
+    ) -> list[Attempt]:
+        """The attempts at a stream, `stream`'s decisions; `base` is the offset of its first byte.
+
+        `wanted` are the offsets that matter: attempts that touch none of them are left out. Bytes that are skipped one
+        after the other for the same reason are one attempt.
+        """
+        self._decided = []
+        found = self.stream(data, idle_at=idle_at, sent_at=sent_at)
+        decided = self._decided[: len(found)]
+        if decided and decided[-1].found != found[-1]:  # what was incomplete is pending now
+            decided[-1] = replace(decided[-1], found=found[-1])
+        attempts: list[Attempt] = []
+        last: tuple[str, bool] | None = None
+        for one in decided:
+            if wanted is not None and not _touches(one, base, wanted):
+                continue
+            kind = (one.found.reason, one.found.message is None and one.found.reason == "skipped")
+            if kind[1] and last == kind and attempts:
+                before = attempts[-1]
+                if before.start + before.run == base + one.start:
+                    attempts[-1] = replace(
+                        before,
+                        run=before.run + 1,
+                        resumes=base + one.start + 1,
+                        raw=before.raw + data[one.start : one.start + 1],
+                    )
+                    continue
+            attempts.append(self._explain(data, one, base))
+            last = kind
+        return attempts
+
+    def _explain(self, data: bytes, one: _Decided, base: int) -> Attempt:
+        end = one.known
+        found = one.found
+        steps: list[Step] = []
+        alive = list(self.templates)
+        dead: dict[str, int] = {}
+        sizes: dict[Framing, int] = {}
+        size: int | None = found.size if found.message is not None else None
+        traces: list[tuple[int, bytes, list[Death], list[Template]]] = []
+        at = one.start
+        left_out = 0
+        while alive and at < end:
+            at += 1
+            prefix = data[one.start : at]
+            is_last = at == end or (size is not None and len(prefix) == size)
+            died: list[Death] = []
+            verdicts: dict[Framing, Judgement] = {}
+            for template in list(alive):
+                framing = template.framing
+                assert framing is not None
+                if framing not in verdicts:
+                    verdicts[framing] = framing.judge(
+                        prefix, 0, silent=at == end and one.is_silent, extras=self._extras.get(framing)
+                    )
+                    known = _size_of(framing, prefix)
+                    if known is not None:
+                        sizes[framing] = known
+                judged = verdicts[framing]
+                why = template.death(prefix, judged, sizes.get(framing))
+                if why is None and judged.verdict is Verdict.WHOLE and template.message.name != found.message:
+                    request = one.request[1] if one.request is not None else None
+                    why = template.last_word(prefix, request)
+                    if why is None and found.message is not None:
+                        why = ("order", f"{found.message} is tried first")
+                if why is not None:
+                    died.append(Death(template.name, *why))
+                    dead[template.name] = len(traces)
+                    alive.remove(template)
+            traces.append((at - one.start - 1, prefix, died, list(alive)))
+            if is_last or any(v.verdict is Verdict.WHOLE for v in verdicts.values()):
+                break
+            if len(traces) == WORDS and alive and size is not None and size > WORDS + 1:
+                left_out = size - WORDS - 1
+                at = one.start + size - 1
+        lead = self._lead(found, traces)
+        for offset, prefix, died, living in traces:
+            known = sizes.get(lead.framing) if lead.framing is not None else None
+            read = _readings(lead, living, prefix)
+            what = lead.label(offset, size if size is not None else known)
+            steps.append(
+                Step(
+                    str(base + one.start + offset),
+                    f"{prefix[-1]:02X}",
+                    what,
+                    tuple(died),
+                    read,
+                    tuple(t.name for t in living),
+                )
+            )
+        steps = _completed(steps, found, lead)
+        rows = self._rows([t[0] for t in traces], dead, sizes, size, found, lead)
+        return Attempt(
+            base + one.start,
+            tuple(t.name for t in self.templates),
+            tuple(steps),
+            rows,
+            replace(found, offset=base + found.offset),
+            base + one.start + found.size,
+            one.request,
+            left_out=left_out,
+            raw=data[one.start : one.start + found.size],
+        )
+
+    def _lead(
+        self, found: Found, traces: Sequence[tuple[int, bytes, list[Death], list[Template]]]
+    ) -> Template:
+        """The template whose words are named: the one that was accepted, else one that lived longest."""
+        for template in self.templates:
+            if found.message is not None and template.message.name == found.message:
+                if found.protocol in (None, template.message.protocol.name):
+                    return template
+        by_name = {template.name: template for template in self.templates}
+        for _, _, died, living in reversed(traces):
+            if living:
+                return living[0]
+            if died:
+                return by_name[died[0].template]
+        return self.templates[0]
+
+    def _rows(
+        self,
+        offsets: Sequence[int],
+        dead: Mapping[str, int],
+        sizes: Mapping[Framing, int],
+        size: int | None,
+        found: Found,
+        lead: Template,
+    ) -> tuple[Row, ...]:
+        rows: list[Row] = []
+        for template in self.templates:
+            dies_at = dead.get(template.name)
+            upto = len(offsets) if dies_at is None else dies_at + 1
+            known = sizes.get(template.framing) if template.framing is not None else None
+            cells = tuple(
+                template.cell(at, size if template is lead and size else known) for at in offsets[:upto]
+            )
+            rows.append(Row(template.name, cells, dies_at, template is lead and found.message is not None))
+        return tuple(rows)
+
+    # ------------------------------------------------------------------ frames
+
+    def explain_frame(self, frame: Any, number: int = 0) -> Attempt:
+        """What a frame is, and why; frames must come in their order, since replies hang on requests."""
+        self._request = None
+        (found,) = self.frames([frame])
+        found = replace(found, offset=number)
+        data = bytes(frame.data)
+        image = can_image(
+            frame.arbitration_id,
+            data,
+            extended=frame.is_extended_id,
+            remote=frame.is_remote_frame,
+            fd=frame.is_fd,
+        )
+        if frame.is_error_frame:
+            return Attempt(number, (), (), (), found, number + 1, is_can=True, frame=frame, raw=data)
+        alive = list(self.templates)
+        dead: dict[str, int] = {}
+        deaths: list[list[Death]] = []
+        living: list[list[Template]] = []
+        words = _words(frame, data)
+        for index in range(len(words)):
+            died: list[Death] = []
+            for template in list(alive):
+                why = _frame_death(template, frame, data, words[index])
+                is_over = index == len(words) - 1 and why is None
+                if is_over and template.message.name != found.message:
+                    request = self._request[1] if self._request is not None else None
+                    why = template.last_word(image, request)
+                    if why is None:
+                        why = _unchosen(template, found, self._request)
+                if why is not None:
+                    died.append(Death(template.name, *why))
+                    dead[template.name] = index
+                    alive.remove(template)
+            deaths.append(died)
+            living.append(list(alive))
+        lead = self._lead(found, [(0, b"", d, a) for d, a in zip(deaths, living, strict=True)])
+        steps: list[Step] = []
+        for index, (place, word, offset) in enumerate(words):
+            read: tuple[Reading, ...] = ()
+            what = {"id": "identifier", "kind": "kind of frame", "length": "length"}.get(place, "")
+            if place == "id" and lead.message.identifier.match(frame.arbitration_id) is not None:
+                read = _captures(lead, living[index], frame)
+            elif offset is not None:
+                what = lead.label(offset, len(data))
+                if lead in living[index] or lead.name in {d.template for d in deaths[index]}:
+                    read = _readings(lead, living[index], data[: offset + 1])
+            steps.append(
+                Step(place, word, what, tuple(deaths[index]), read, tuple(t.name for t in living[index]))
+            )
+        steps = _completed(steps, found, lead)
+        rows = tuple(
+            Row(
+                template.name,
+                tuple(
+                    _frame_cell(template, word) for word in words[: dead.get(template.name, len(words)) + 1]
+                ),
+                dead.get(template.name),
+                template is lead and found.message is not None,
+            )
+            for template in self.templates
+        )
+        return Attempt(
+            number,
+            tuple(t.name for t in self.templates),
+            tuple(steps),
+            rows,
+            found,
+            number + 1,
+            self._request,
+            is_can=True,
+            frame=frame,
+            raw=data,
+        )
+
+    def explain_frames(self, frames: Iterable[Any]) -> list[Attempt]:
+        """The attempts at some frames."""
+        return [self.explain_frame(frame, number) for number, frame in enumerate(frames)]
+
+
+def _touches(one: _Decided, base: int, wanted: range) -> bool:
+    start = base + one.start
+    return start < wanted.stop and wanted.start < start + one.found.size
+
+
+def _size_of(framing: Framing, prefix: bytes) -> int | None:
+    """The packet's size on the wire, as soon as its head says it."""
+    if framing.fixed_size is not None:
+        return framing.fixed_size
+    if framing.affine is not None:
+        head = framing.affine.length
+        if len(prefix) >= head.offset + head.size:
+            return framing.affine.factor * head.number(prefix) + framing.affine.constant
+    return None
+
+
+def _readings(lead: Template, living: Sequence[Template], prefix: bytes) -> tuple[Reading, ...]:
+    found = lead.readings(prefix)
+    name = "" if len(living) <= 1 else lead.name
+    return tuple(Reading(name, field, value, unit) for field, value, unit in found)
+
+
+def _completed(steps: list[Step], found: Found, lead: Template) -> list[Step]:
+    """Fields that have no place of their own (texts, lists, stuffed bytes) are read when the packet is whole."""
+    if found.fields is None or not steps:
+        return steps
+    shown = {reading.name.partition(".")[0] for step in steps for reading in step.read}
+    rest = [
+        Reading("", name, value)
+        for name, value in found.fields.items()
+        if name.partition(".")[0] not in shown and not name.startswith("_")
+    ]
+    return [*steps[:-1], replace(steps[-1], read=(*steps[-1].read, *rest))]
+
+
+# ---------------------------------------------------------------------- the words of a frame
+
+_Word = tuple[str, str, int | None]
+
+
+def _words(frame: Any, data: bytes) -> list[_Word]:
+    digits = 8 if frame.is_extended_id else 3
+    kinds = [
+        k for k, given in (("29 bits", frame.is_extended_id), ("remote", frame.is_remote_frame)) if given
+    ]
+    kinds += ["CAN FD"] if frame.is_fd else []
+    words: list[_Word] = [("id", f"{frame.arbitration_id:0{digits}X}", None)]
+    words += [("kind", ", ".join(kinds), None)] if kinds else []
+    words.append(("length", str(len(data)), None))
+    return words + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
+
+
+def _frame_death(template: Template, frame: Any, data: bytes, word: _Word) -> tuple[str, str] | None:
+    message = template.message
+    place, _, offset = word
+    if place == "id":
+        if message.identifier.match(frame.arbitration_id) is None:
+            return "identifier", message.identifier.describe(8 if message.extended else 3)
+        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
+        if not any(flags) and (message.extended, message.remote, message.fd) != flags:
+            return "kind of frame", _kind(message)
+        return None
+    if place == "kind":
+        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
+        return (
+            ("kind of frame", _kind(message))
+            if (message.extended, message.remote, message.fd) != flags
+            else None
+        )
+    if place == "length":
+        if message.lengths is not None and len(data) not in message.lengths:
+            return "length", message.describe_lengths
+        return None
+    assert offset is not None
+    return template.death(data[: offset + 1], None, None)
+
+
+def _kind(message: Message) -> str:
+    kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
+    return ", ".join(kind for kind, given in kinds if given) or "a plain data frame"
+
+
+def _unchosen(
+    template: Template, found: Found, request: tuple[str, Mapping[str, Any]] | None
+) -> tuple[str, str] | None:
+    """Why a template whose bytes fit is not what the frame is."""
+    asks = [*template.message.reply_to, *template.message.after]
+    if found.message is not None:
+        if request is not None and asks:
+            return "request", f"what was asked last, {request[0]}, gives {found.message}"
+        return "order", f"{found.message} is tried first"
+    if found.reason.startswith("unknown: needs"):
+        return (
+            "request",
+            f"no {'|'.join(dict.fromkeys(r.message.name for r in asks))} was seen that it answers",
+        )
+    return None
+
+
+def _captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Reading, ...]:
+    read: list[Reading] = []
+    raws = lead.message.identifier.match(frame.arbitration_id) or {}
+    name = "" if len(living) <= 1 else lead.name
+    for field in lead.plan.fields:
+        node = field.node
+        if isinstance(node, p.FromIdentifier) and node.number is None and field.name in raws:
+            read.append(Reading(name, field.name, stepped(node, raws[field.name]), node.unit))
+    return tuple(read)
+
+
+def _frame_cell(template: Template, word: _Word) -> str:
+    place, _, offset = word
+    message = template.message
+    if place == "id":
+        return message.identifier.describe(8 if message.extended else 3)
+    if place == "kind":
+        return _kind(message)
+    if place == "length":
+        return message.describe_lengths.removesuffix(" bytes")
+    assert offset is not None
+    return template.cell(offset, None)
+
+
+__all__ = ["WORDS", "Tracer", "captured"]

@@ -1,0 +1,231 @@
+"""What Hubo's sensor boards have in common: two numbers each, two dialects, null, set-up and offsets.
+
+1. Commands go to the board's number, requests and data carry the sensor id: both are credentials.
+2. D12 asks each sensor for each kind of its data; D08 asks all of them with one frame, which the host sends once a tick.
+3. Nothing is nulled or set up by itself: a null takes whatever load there is for zero.
+
+An axis of the robot's file: value = sign × (matrix · digits), or sign × what the board has scaled itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar
+
+from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
+from aces_bus.device.robot import DeviceConfig
+from aces_bus.errors import CallerError, DeviceError, NoReplyError
+
+#: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).
+HAND_TAIL = bytes.fromhex("0038721200")
+HANDS = (0x35, 0x36)
+#: How often a null is sent in D08 (acesHubo: "several times"), and how far apart (ns).
+NULLS, APART = 3, 10_000_000
+#: What attitude is made of; a tilt sensor has the first two.
+MOTION = (("roll", "rad"), ("pitch", "rad"), ("roll_rate", "rad/s"), ("pitch_rate", "rad/s"))
+
+
+class SensorBoard(Device):
+    """A board of sensors. Settings: `period_ms`, `name_info_tail` (hexadecimal, D08)."""
+
+    protocol = "hubo"
+    actions: ClassVar = {
+        "null": "take the present readings for zero (unload the sensor before)",
+        "init": "set the board up anew",
+        "set_period": "set the board's period: a number of ms, by default the robot file's",
+        "offsets": "ask for the D/A and A/D offsets (D08)",
+    }
+
+    #: Where the meaning of its signals comes from.
+    facts: ClassVar[str]
+    #: Faults that have been told and are not over.
+    alarms: set[str]
+    #: What makes signals of all digits of a message together, by its name.
+    made_of: dict[str, Callable[[Sequence[int], int], None]]
+
+    @property
+    def is_old(self) -> bool:
+        """Whether it speaks D08, in either reading."""
+        return self.variant.dialect != "D12"
+
+    def motion_of_old(self, sensor: Sensor | None) -> None:
+        """The acceleration and rotation that D08 sends in digits; a matrix makes rad and rad/s of them."""
+        names = ("acceleration.0", "acceleration.1", "gyro.0", "gyro.1")
+        short = ("acc1", "acc2", "gyro1", "gyro2")
+        turned = sensor is None or sensor.matrix is None
+        self.axes(
+            sensor, "ImuD08", [(s, n, "", 1.0) for s, n in zip(short, names, strict=True)], turned=turned
+        )
+        if sensor is not None and sensor.matrix is not None:
+            self.made_of["ImuD08"] = self.products(sensor, MOTION[: len(sensor.matrix)])
+
+    def ask_for(self, *polls: Poll) -> None:
+        """Poll for these, and let values be stale after five polls."""
+        self.polls = polls
+        self.alarms, self.made_of = set(), {}
+        every = max((p.every_s for p in polls if p.every_s), default=None)
+        period = every or (1 / self.host.rate_hz if self.host.rate_hz else 0.0)
+        #: How old a value may be (s).
+        self.fresh_s = max(0.1, 5 * period)
+
+    def sensor_of(self, *kinds: str) -> Sensor | None:
+        """The board's sensor of this kind, if the robot's file has one."""
+        return next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
+
+    def axes(
+        self, sensor: Sensor | None, message: str, named: Sequence[tuple[str, str, str, float]], *, turned: bool = True
+    ) -> None:
+        """A signal for each (name, field, unit, factor to SI) of a message, `turned` by the sensor's signs."""
+        signs: Sequence[int] = (1,) * len(named)
+        if turned and sensor is not None and sensor.signs is not None:
+            signs = sensor.signs
+        if len(signs) < len(named):
+            raise CallerError(f"{self.name}: {len(named)} axes need as many signs, not {list(signs)}")
+        for (name, path, unit, factor), sign in zip(named, signs, strict=False):
+            self.add_signal(
+                name,
+                unit=unit,
+                of=f"{message}.{path}",
+                to_si=_times(sign * factor),
+                owner=sensor.name if sensor is not None else None,
+                stale_s=self.fresh_s,
+                source=self.facts,
+            )
+
+    def products(
+        self, sensor: Sensor, named: Sequence[tuple[str, str]]
+    ) -> Callable[[Sequence[int], int], None]:
+        """A signal for each (name, unit), made of all digits by the sensor's matrix; the function that updates them."""
+        matrix = sensor.matrix or ()
+        if len(matrix) != len(named):
+            raise CallerError(f"{self.name}: {sensor.name} needs a matrix of {len(named)} rows")
+        signs = sensor.signs or (1,) * len(named)
+        rows: list[tuple[tuple[float, ...], Signal]] = []
+        for (name, unit), row, sign in zip(named, matrix, signs, strict=False):
+            made = self.add_signal(name, unit=unit, owner=sensor.name, stale_s=self.fresh_s, source=self.facts)
+            self.readable.add(made.name)
+            rows.append((tuple(sign * factor for factor in row), made))
+
+        def update(digits: Sequence[int], instant: int) -> None:
+            for row, made in rows:
+                made.update(sum(f * d for f, d in zip(row, digits, strict=False)), instant)
+
+        return update
+
+    def alarm(self, what: str, is_on: bool) -> None:
+        """Tell a fault when it begins and when it is over."""
+        if is_on and what not in self.alarms:
+            self.alarms.add(what)
+            self.tell_event("alarm", what)
+        elif not is_on and what in self.alarms:
+            self.alarms.discard(what)
+            self.tell_event("alarm over", what)
+
+    # ------------------------------------------------------------------ actions
+
+    def null(self) -> Job:
+        """Take the present readings for zero."""
+        return self.nulled(("NullSensor", {"what": "force_torque"}))
+
+    def nulled(self, *words: tuple[str, dict[str, Any]]) -> Job:
+        """Send null commands: in D08 three times each, as its programs do, in D12 once."""
+
+        def steps(job: Job) -> Steps:
+            for turn in range(NULLS if self.is_old else 1):
+                if turn:
+                    yield APART
+                for message, fields in words:
+                    yield self.tell(message, **fields)
+
+        return self.job("null", steps)
+
+    @property
+    def period_ms(self) -> int:
+        """The board's period as the robot's file has it: its `period_ms`, or the robot's rate."""
+        rate = self.host.rate_hz or self.robot.rate_hz or 200
+        return max(1, min(255, round(self.config.settings.get("period_ms", 1000 / rate))))
+
+    def set_period(self, period_ms: int | None = None) -> Job:
+        """Set the board's period (ms). In D12 the answer says what the board took; in D08 nothing is answered."""
+        period = self.period_ms if period_ms is None else period_ms
+
+        def steps(job: Job) -> Steps:
+            if self.is_old:
+                return (yield self.tell("SetPeriod", period=period))
+            return (yield self.ask("GetBoardInfo", reply="SensorBoardInfo", period=period))
+
+        return self.job("set_period", steps)
+
+    def init(self) -> Job:
+        """Set the board up anew: 0xFA in D12, NameInfo in D08."""
+
+        def steps(job: Job) -> Steps:
+            if not self.is_old:
+                return (yield self.tell("InitSensor"))
+            tail = self.config.settings.get("name_info_tail")
+            if tail is None and self.credentials["board"] not in HANDS:
+                raise DeviceError(
+                    f"{self.name}: nothing is known of the NameInfo of this board; give its settings name_info_tail"
+                )
+            raw = HAND_TAIL if tail is None else bytes.fromhex(tail)
+            return (yield self.ask("NameInfoSensor", reply="NameInfoReply", period=self.period_ms, tail=raw))
+
+        return self.job("init", steps)
+
+    def offsets(self) -> Job:
+        """Ask for the offsets of the converters (D08): the job's result is {"da": record, "ad": record}."""
+
+        def steps(job: Job) -> Steps:
+            if not self.is_old:
+                raise DeviceError(f"{self.name}: only boards of D08 tell their offsets")
+            da = yield self.ask("DaOffsetQuery", reply="DaOffset")
+            ad = yield self.ask("AdOffsetQuery", reply="AdOffset")
+            return {"da": da, "ad": ad}
+
+        return self.job("offsets", steps)
+
+
+def _times(factor: float) -> Callable[[Any], Any]:
+    return lambda value: value * factor
+
+
+# ---------------------------------------------------------------------- finding
+
+
+def found_by(
+    host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.01
+) -> Iterator[Any]:
+    """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
+
+    D12 asks for board information (which repeats the usual period of 5 ms to the board), D08 for the D/A offsets, which
+    changes nothing. What kind a board number is, the protocol's table knows.
+    """
+    variant = host.variants["hubo"]
+    old = variant.dialect != "D12"
+    table = variant.protocol.configurations[variant.protocol.configuration or ""]["channels"]
+    boards = [board for board, kind in table.items() if kind in kinds]
+    found: list[DeviceConfig] = []
+    for number, board in enumerate(boards):
+        probe = host.probe("hubo", board=board, sensor=board - 0x2F)
+        try:
+            if old:
+                yield probe.ask("DaOffsetQuery", reply="DaOffset", timeout_s=timeout_s, retries=1)
+            else:
+                yield probe.ask(
+                    "GetBoardInfo", reply="SensorBoardInfo", timeout_s=timeout_s, retries=1, period=5
+                )
+        except NoReplyError:
+            continue
+        finally:
+            host.remove(probe.name)
+            job.progress = (number + 1) / len(boards)
+        found.append(
+            DeviceConfig(
+                name=f"{'IMU' if driver == 'hubo_imu' else 'FT'}_{board:02X}",
+                driver=driver,
+                bus=host.name,
+                credentials={"board": board, "sensor": board - 0x2F},
+                kind=table[board],
+            )
+        )
+    return found

@@ -1,0 +1,236 @@
+"""A simulated joint: a geared DC motor with friction, heat and stops, driven by a digital controller of 1 kHz.
+
+1. Exact between two steps: the duty is constant for a millisecond, and the first-order motor is solved for it, not stepped.
+2. Lazy: nothing happens until somebody asks; then all whole milliseconds since are caught up. Who asks, and how often,
+   changes nothing. A joint at rest costs one comparison.
+3. SI, on the joint's side of the gear: rad, rad/s, A, °C; the duty is −1…1.
+
+Motor: J v' = n kt i − b v − friction; i = (V u − n kt v) / R; the winding's inductance is left out (its time constant is far
+below a millisecond). So v' = (v∞ − v) / τ with v∞ = speed · u ∓ friction: what `Motor` holds. Velocity that would change
+its sign within a step stops there; whether it starts again is decided in the next one. Heat: one body, i²R against a
+surrounding of 25 °C.
+
+Gains are given as stiffness (duty per rad) and damping (duty per rad/s); `servo_gains` makes them from a bandwidth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+#: The step of the controller (ns, s).
+STEP_NS = 1_000_000
+STEP = 1e-3
+#: What surrounds the motors (°C).
+AMBIENT = 25.0
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor with its gear, on the joint's side.
+
+    `speed`: without load at full duty (rad/s); `time_constant`: of that speed (s); `stall_current`: at full duty, blocked (A);
+    `friction`: the share of the full duty that Coulomb friction takes; `heating`: °C/s for each A²; `cooling`: s.
+    """
+
+    speed: float = 6.0
+    time_constant: float = 0.035
+    stall_current: float = 8.0
+    friction: float = 0.02
+    heating: float = 0.05
+    cooling: float = 300.0
+
+    @classmethod
+    def of_ratio(cls, ratio: float, *, speed: float = 1600.0, stall_current: float = 8.0) -> Motor:
+        """The same motor behind another gear: `ratio` motor turns a turn of the joint, `speed` the motor's own (rad/s)."""
+        return cls(speed=speed / max(1.0, ratio), stall_current=stall_current)
+
+
+def servo_gains(motor: Motor, bandwidth: float = 80.0) -> tuple[float, float]:
+    """Stiffness (1/rad) and damping (s/rad) of a critically damped position loop with this bandwidth (rad/s)."""
+    tau, speed = motor.time_constant, motor.speed
+    return bandwidth**2 * tau / speed, max(0.0, 2 * bandwidth * tau - 1) / speed
+
+
+class MotorJoint:
+    """One joint and its motor. `lower` and `upper` are its mechanical stops (rad).
+
+    What drives it is set by `free`, `drive`, `push` and `follow`; `sync` catches up. `jammed` blocks it where it is.
+    """
+
+    __slots__ = (
+        "_decay",
+        "_friction",
+        "_reach",
+        "at",
+        "current_wanted",
+        "damping",
+        "duty",
+        "goal",
+        "jammed",
+        "lower",
+        "mode",
+        "motor",
+        "moved_at",
+        "q",
+        "saturated_since",
+        "stiffness",
+        "temperature",
+        "upper",
+        "v",
+    )
+
+    def __init__(
+        self,
+        motor: Motor,
+        now: int,
+        *,
+        position: float = 0.0,
+        lower: float = -math.inf,
+        upper: float = math.inf,
+    ) -> None:
+        self.motor = motor
+        self.lower, self.upper = lower, upper
+        self.q, self.v, self.duty = position, 0.0, 0.0
+        self.mode = "free"
+        self.goal = position
+        self.current_wanted = 0.0
+        self.stiffness, self.damping = servo_gains(motor)
+        self.jammed = False
+        self.temperature = AMBIENT
+        #: The last whole millisecond that has been caught up (ns).
+        self.at = now - now % STEP_NS
+        #: When it last moved; since when the duty has been at its limit, −1 when it is not.
+        self.moved_at = self.at
+        self.saturated_since = -1
+        self._decay = math.exp(-STEP / motor.time_constant)
+        self._reach = motor.time_constant * (1 - self._decay)
+        self._friction = motor.friction * motor.speed
+
+    # ------------------------------------------------------------------ what drives it
+
+    def free(self, now: int) -> None:
+        """No duty: it runs out and stays."""
+        self.sync(now)
+        self.mode, self.duty = "free", 0.0
+
+    def drive(self, now: int, duty: float) -> None:
+        """Open-loop PWM, −1…1."""
+        self.sync(now)
+        self.mode, self.duty = "duty", max(-1.0, min(1.0, duty))
+
+    def push(self, now: int, current: float) -> None:
+        """A motor current (A)."""
+        self.sync(now)
+        self.mode, self.current_wanted = "current", current
+
+    def follow(self, now: int, goal: float) -> None:
+        """The position controller, to `goal` (rad)."""
+        self.sync(now)
+        self.mode, self.goal = "position", goal
+
+    def place(self, now: int, position: float) -> None:
+        """Put it somewhere, at rest: what a kinematic movement of 1 kHz does."""
+        self.sync(now)
+        if not self.jammed:
+            new = min(max(position, self.lower), self.upper)
+            if new != self.q:
+                self.moved_at = self.at
+            self.q = new
+        self.v = 0.0
+
+    # ------------------------------------------------------------------ what is known of it
+
+    def position(self, now: int) -> float:
+        """Where it is (rad)."""
+        self.sync(now)
+        return self.q
+
+    @property
+    def current(self) -> float:
+        """The winding's current (A), signed."""
+        motor = self.motor
+        return motor.stall_current * (self.duty - self.v / motor.speed)
+
+    def sync(self, now: int) -> None:
+        """Catch up to `now` (ns)."""
+        steps = (now - self.at) // STEP_NS
+        if steps <= 0:
+            return
+        mode = self.mode
+        if self.v == 0.0 and (
+            mode == "free"
+            or (
+                mode == "position"
+                and not self.jammed
+                and abs(self.stiffness * (self.goal - self.q)) <= self.motor.friction
+            )
+        ):
+            self.duty = 0.0 if mode == "free" else self.stiffness * (self.goal - self.q)
+            self.saturated_since = -1
+        else:
+            self._run(steps)
+        self.at += steps * STEP_NS
+        self._heat(steps * STEP)
+
+    def _run(self, steps: int) -> None:
+        """So many milliseconds."""
+        q, v = self.q, self.v
+        decay, reach, friction, speed = self._decay, self._reach, self._friction, self.motor.speed
+        stiffness, damping, goal = self.stiffness, self.damping, self.goal
+        lower, upper = self.lower, self.upper
+        mode, jammed = self.mode, self.jammed
+        stall = self.motor.stall_current
+        duty = self.duty
+        at, moved_at, saturated = self.at, self.moved_at, self.saturated_since
+        for _ in range(steps):
+            at += STEP_NS
+            if mode == "position":
+                duty = stiffness * (goal - q) - damping * v
+            elif mode == "current":
+                duty = self.current_wanted / stall + v / speed
+            if duty >= 1.0:
+                duty = 1.0
+                saturated = saturated if saturated >= 0 else at
+            elif duty <= -1.0:
+                duty = -1.0
+                saturated = saturated if saturated >= 0 else at
+            else:
+                saturated = -1
+            if jammed:
+                v = 0.0
+                continue
+            end = speed * duty
+            if v > 0.0 or (v == 0.0 and end > friction):
+                end -= friction
+            elif v < 0.0 or end < -friction:
+                end += friction
+            else:
+                if mode != "current" or end == 0.0:
+                    break  # at rest, and nothing will change that
+                continue
+            gone = v - end
+            w = end + gone * decay
+            if v * w < 0.0:
+                w = 0.0
+            q += end * STEP + gone * reach
+            v = w
+            moved_at = at
+            if q >= upper:
+                q = upper
+                v = 0.0 if v > 0.0 else v
+            elif q <= lower:
+                q = lower
+                v = 0.0 if v < 0.0 else v
+        if q == self.q:
+            moved_at = self.moved_at
+        self.q, self.v, self.duty = q, v, duty
+        self.moved_at, self.saturated_since = moved_at, saturated
+
+    def _heat(self, duration: float) -> None:
+        motor = self.motor
+        current = self.current
+        if current == 0.0 and self.temperature == AMBIENT:
+            return
+        end = AMBIENT + motor.heating * motor.cooling * current * current
+        self.temperature = end + (self.temperature - end) * math.exp(-duration / motor.cooling)

@@ -1,0 +1,236 @@
+"""The host's side of a bus: polling, coalescing, budgets, requests and replies, and what goes wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from aces_bus.assembly import VirtualRobot
+from aces_bus.device import UNKNOWN, Host, Outgoing, Want, one_each
+from aces_bus.errors import CallerError, FieldError, NoReplyError, UnknownNameError
+from aces_bus.frame import Frame
+from aces_bus.hardware import Recorder
+from tests.device.fan import RPM, ROBOT, SERIAL_ROBOT, drivers, robot_of
+
+
+def made(text: str = ROBOT, **options: Any) -> VirtualRobot:
+    robot = robot_of(text)
+    return VirtualRobot(robot, **{"rate_hz": robot.rate_hz, **options}, load=drivers)
+
+
+def host_of(robot: VirtualRobot) -> Host:
+    return robot.rig.hosts["line"]
+
+
+@pytest.mark.parametrize("text", [ROBOT, SERIAL_ROBOT], ids=["can", "serial"])
+def test_what_is_polled_is_known_and_fresh(text: str) -> None:
+    """A signal is unknown before anything was heard, then has the twin's value in SI."""
+    with made(text) as robot:
+        assert robot["A.left"].value is UNKNOWN
+        assert robot["A.temperature"].age_ns is None
+        robot.advance(0.05)
+        assert robot["A.temperature"].value == pytest.approx(313.15)
+        assert 0 <= robot["A.temperature"].age_ns <= 10_000_000
+
+
+def test_set_points_of_a_board_are_one_frame() -> None:
+    """Two set-points of one board go out in one frame a tick, in the sheet's unit; none before both are given."""
+    with made() as robot:
+        recorder = Recorder(robot.wires["line"])  # type: ignore[arg-type]
+        robot.advance(0.005)
+        robot["A.left"].set(100 * RPM)
+        robot.advance(0.05)
+        assert not [f for f in recorder.frames() if f.arbitration_id == 0x111]
+        robot["A.right"].set(200 * RPM)
+        robot.advance(0.03)
+        frames = [frame for frame in recorder.frames() if frame.arbitration_id == 0x111]
+        assert [frame.data.hex() for frame in frames] == ["6400c800"] * 3
+
+
+def test_rules_are_replaceable() -> None:
+    """A user's own rule is given all that is wanted and says what goes out: here one frame a set-point, or a constant."""
+
+    def stop(wants: Any) -> Any:
+        assert all(isinstance(want, Want) for want in wants)
+        yield Outgoing(wants[0].device, "Set", {"left": 0, "right": 0})
+
+    for rule, count in ((one_each, 2), (stop, 1)):
+        with made(rules={"Set": rule}) as robot:
+            recorder = Recorder(robot.wires["line"])  # type: ignore[arg-type]
+            robot["A.left"].set(10.0)
+            robot["A.right"].set(10.0)
+            robot.advance(0.009)
+            assert sum(frame.arbitration_id == 0x111 for frame in recorder.frames()) == count
+
+
+def test_the_budget_carries_polls_over_in_turn() -> None:
+    """What does not fit into a tick is first in the next: everybody is asked equally often."""
+    with made(budget=0.025) as robot:  # 0.25 ms of 10 ms: one request with its answer, not two
+        robot.advance(1.0)
+        counts = host_of(robot).counts
+        assert counts.polls_carried > 50
+        asked = [twin.requests for twin in robot.twins.values()]
+        assert max(asked) - min(asked) <= 1
+        assert counts.polls - sum(asked) in (0, 1)  # the last may be on its way
+
+
+def test_a_host_without_a_rate_sends_at_once() -> None:
+    """Without a rate nothing is polled by itself; set-points and polls go out when they are given."""
+    with made(rate_hz=None) as robot:
+        robot.advance(0.1)
+        assert robot["A.left"].value is UNKNOWN
+        host_of(robot).poll()
+        robot.advance(0.002)
+        assert robot["A.left"].value == 0
+        robot["A.left"].set(1.0)
+        robot["A.right"].set(1.0)
+        robot.advance(0.002)
+        assert robot.twins["A"].left == 10
+
+
+def test_a_request_has_its_answer() -> None:
+    """`ask` gives a ticket whose result is the record that answered, with its latency."""
+    with made() as robot:
+        ticket = robot.devices["B"].ask("Ask", reply="State")
+        record = ticket.wait()
+        assert (record.node, record.temperature, ticket.tries) == (2, 40, 1)
+        assert 0 < ticket.latency_ns < 2_000_000
+
+
+def test_a_lost_answer_is_asked_for_again() -> None:
+    """A request is repeated as often as said; then it fails, naming device, message and what to look at."""
+    with made(rate_hz=None) as robot:
+        robot.twins["A"].fault("loses", 2)
+        ticket = robot.devices["A"].ask("Ask", reply="State", retries=1)
+        assert ticket.wait().node == 1
+        assert ticket.tries == 2
+        robot.twins["A"].power(False)
+        with pytest.raises(
+            NoReplyError, match=r"line A: no answer to Ask within 10 ms \(3 tries\); is it powered"
+        ):
+            robot.devices["A"].ask("Ask", reply="State", timeout_s=0.01).wait()
+        assert robot.events.count("no reply", "A") == 1
+
+
+@pytest.mark.parametrize("text", [ROBOT, SERIAL_ROBOT], ids=["can", "serial"])
+def test_silence_is_told_once_and_goes_stale(text: str) -> None:
+    """A silent device is told once, its values are stale with their age, and the others do not suffer."""
+    with made(text) as robot:
+        robot.advance(0.5)
+        robot.twins["A"].fault("silent")
+        robot.advance(1.0)
+        assert robot.events.count("silent", "A") == 1
+        assert robot["A.left"].value is UNKNOWN
+        reading = robot["A.left"].read()
+        assert (reading.value, reading.is_stale) == (0, True)
+        assert 0.9e9 < reading.age_ns < 1.1e9
+        assert robot["B.left"].value == 0
+        robot.twins["A"].fault("silent", on=False)
+        robot.advance(0.1)
+        assert robot.events.count("answers", "A") == 1
+        assert robot["A.left"].value == 0
+
+
+def test_one_speaks_at_a_time_on_a_half_duplex_line() -> None:
+    """On a half-duplex line nothing collides, although both devices are asked in each tick."""
+    with made(SERIAL_ROBOT) as robot:
+        robot["A.left"].set(1.0)
+        robot["A.right"].set(1.0)
+        robot.advance(1.0)
+        wire: Any = robot.wires["line"]
+        assert wire.garbled == 0
+        assert robot.twins["A"].requests > 150
+        assert robot.twins["B"].requests > 90
+
+
+def test_strangers_and_foreign_words_are_named() -> None:
+    """A device that is not in the robot, and a frame of the wrong length, are told with what they were."""
+    with made() as robot:
+        other = robot.wires["line"].attach("other")
+        robot.advance(0.053)  # between two ticks: equal identifiers at once would be bit errors
+        other.send(Frame(0x125, bytes(5)))
+        other.send(Frame(0x121, bytes(7)))
+        other.send(Frame(0x7FF, b"\x01"))
+        robot.advance(0.005)
+        (stranger,) = robot.events.of("stranger")
+        assert "State of node 0x05" in stranger.detail
+        (malformed,) = robot.events.of("malformed")
+        assert malformed.device == "A"
+        assert "0x121 00 00 00 00 00 00 00: length 7, State has 5 bytes" in malformed.detail
+        assert host_of(robot).unknown["unknown"] == 1
+        robot.advance(0.05)
+        assert robot["A.left"].value == 0
+
+
+def test_an_impossible_set_point_stops_nothing() -> None:
+    """A value that its field cannot hold is told; other devices' set-points go out."""
+    with made() as robot:
+        robot.devices["A"].want("Set", "left", 1 << 20)
+        robot.devices["A"].want("Set", "right", 1)
+        robot["B.left"].set(1.0)
+        robot["B.right"].set(1.0)
+        robot.advance(0.02)
+        assert robot.events.count("limited", "A") >= 1
+        assert robot.twins["B"].left == 10
+
+
+def test_hold_and_drop() -> None:
+    """Held set-points wait and then go out; dropped ones are forgotten."""
+    with made() as robot:
+        robot.advance(0.005)
+        device = robot.devices["A"]
+        device.hold("Set", 0.1)
+        robot["A.left"].set(1.0)
+        robot["A.right"].set(1.0)
+        robot.advance(0.05)
+        assert robot.twins["A"].left == 0
+        robot.advance(0.1)
+        assert robot.twins["A"].left == 10
+        requests = robot.twins["A"].requests
+        device.drop("Set")
+        robot.advance(0.1)
+        assert robot.twins["A"].requests - requests in (9, 10, 11)  # polls only
+
+
+def test_wrong_calls_say_what_would_be_right() -> None:
+    """Unknown names list those that exist, read-only signals refuse, probes speak what the bus has."""
+    with made() as robot:
+        with pytest.raises(UnknownNameError, match=r"A\.left"):
+            robot["A.lift"]
+        with pytest.raises(UnknownNameError, match="State"):
+            robot.devices["A"].ask("Stat")
+        with pytest.raises(FieldError, match="left"):
+            robot.devices["A"].ask("Set", left=-1, right=0)
+        with pytest.raises(CallerError, match="read-only"):
+            robot["A.temperature"].set(1)
+        with pytest.raises(CallerError, match="speaks hubo"):
+            host_of(robot).probe("hubo", board=1)
+        with pytest.raises(CallerError, match="no port for bus line"):
+            from aces_bus.device import connect
+
+            connect(robot_of(ROBOT), {}, load=drivers)
+
+
+def test_a_probe_asks_and_leaves() -> None:
+    """A probe asks by number without there being a device; it leaves no trace."""
+    with made(rate_hz=None) as robot:
+        host = host_of(robot)
+        probe = host.probe("fan", node=1)
+        del robot.rig.hosts["line"].members["A"]
+        assert probe.ask("Ask", reply="State").wait().temperature == 40
+        host.remove(probe.name)
+        assert list(host.devices) == ["B"]
+
+
+def test_stopping_tells_every_device() -> None:
+    """`stop_motion` ends streams and tells each device to stop."""
+    with made() as robot:
+        for name in ("A", "B"):
+            robot[f"{name}.left"].set(5.0)
+            robot[f"{name}.right"].set(5.0)
+        robot.advance(0.1)
+        assert robot.twins["A"].left > 0
+        robot.rig.stop_motion().wait()
+        robot.advance(0.1)
+        assert [robot.twins[name].left for name in "AB"] == [0, 0]

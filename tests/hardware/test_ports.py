@@ -1,0 +1,79 @@
+"""Ports: wires and gates look the same to the device floor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from aces_bus.device import UNKNOWN, connect, simulate
+from aces_bus.errors import CallerError
+from aces_bus.frame import Frame
+from aces_bus.hardware import CanGate, DatagramGate, DatagramWire, Wire, port_of
+from aces_bus.runtime import Loop, VirtualClock
+from tests.device.fan import ROBOT, drivers, robot_of
+
+
+def test_a_robot_on_real_gates() -> None:
+    """Host and twins, each at a gate of its own, speak over python-can's bus in real time."""
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-ports", "bitrate": 500_000}
+    with Loop() as loop:
+        twins = simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers)
+        rig = connect(robot, {"line": port_of(CanGate(options), loop)}, rate_hz=100, load=drivers)
+        with twins, rig:
+            assert loop.wait(lambda: rig["B.temperature"].value is not UNKNOWN, 5_000_000_000)
+            rig["A.left"].set(100.0)
+            rig["A.right"].set(100.0)
+            assert loop.wait(
+                lambda: rig["A.left"].value is not UNKNOWN and rig["A.left"].value > 99, 5_000_000_000
+            )
+        assert not loop.failures
+
+
+def test_datagrams_reach_all_others() -> None:
+    """A datagram wire delivers whole, late, and counts what it loses."""
+    clock = VirtualClock()
+    wire = DatagramWire(clock, delay_ns=1_000, drop=0.5, seed=1)
+    heard: list[tuple[bytes, int]] = []
+    port = port_of(wire)
+    port.open(lambda word, now: heard.append((word, now)))
+    other = port_of(wire)
+    other.open(lambda word, now: heard.append((b"own", now)))
+    for number in range(100):
+        assert other.send(bytes([number]))
+    clock.advance(10_000)
+    assert len(heard) == 100 - wire.lost
+    assert 0 < wire.lost < 100
+    assert {now for _, now in heard} == {1_000}
+
+
+def test_datagrams_answer_whoever_spoke() -> None:
+    """A datagram port without a peer answers the last sender, and says so while there is none."""
+    with Loop() as loop:
+        server = DatagramGate(("127.0.0.1", 0))
+        answering = port_of(server, loop)
+        answering.open(lambda word, now: answering.send(word[::-1]))
+        assert not answering.send(b"to nobody")
+        heard: list[bytes] = []
+        asking = port_of(DatagramGate(peer=server.address), loop)
+        asking.open(lambda word, now: heard.append(word))
+        asking.send(b"abc")
+        assert loop.wait(lambda: bool(heard), 5_000_000_000)
+        assert heard == [b"cba"]
+        asking.close()
+        answering.close()
+
+
+def test_what_a_word_costs() -> None:
+    """A frame costs its stuffed bits and the intermission, at the wire's rate."""
+    port: Any = port_of(Wire(VirtualClock(), bitrate=1_000_000))
+    assert 111_000 <= port.wire_ns(Frame(0x555, bytes.fromhex("5555555555555555"))) <= 130_000
+
+
+def test_what_is_no_bus_is_refused() -> None:
+    """A gate needs a loop; anything else is no bus."""
+    with pytest.raises(CallerError, match="needs a Loop"):
+        port_of(CanGate({"interface": "aces", "channel": "x"}))
+    with pytest.raises(CallerError, match="neither a wire nor a gate"):
+        port_of("can0")

@@ -1,0 +1,158 @@
+"""An explanation as a picture: words across, templates down, green where they agree, red where one dies.
+
+1. At most `TEMPLATES` rows and `COLUMNS` words an attempt; the templates that lived longest are shown, the others counted.
+2. A cell says what the template expects there; the brackets above say what was read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from aces_bus.protocol.draw.canvas import (
+    BAD,
+    BAD_INK,
+    FAINT,
+    GOOD,
+    GOOD_INK,
+    INK,
+    LINE,
+    OPEN,
+    PAPER,
+    Canvas,
+    fitted,
+    width_of,
+)
+from aces_bus.protocol.explain import Attempt, Row, Step
+from aces_bus.protocol.lint.examples import plain, show
+
+TEMPLATES = 12
+COLUMNS = 20
+HIGH = 22.0
+NAME = 170.0
+SMALL = 10.0
+
+
+def svg_of(attempts: Sequence[Attempt], title: str) -> str:
+    """The picture of some attempts, below each other."""
+    canvas = Canvas()
+    canvas.text(0, 14, title, is_bold=True, size=15)
+    top = 34.0
+    for attempt in attempts:
+        top = _attempt(canvas, attempt, top) + 26
+    return canvas.svg(title)
+
+
+def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
+    canvas.text(0, top + 12, attempt.label, is_bold=True)
+    verdict, colour = _verdict(attempt)
+    top += 20
+    if attempt.run > 1 or not attempt.steps:
+        canvas.text(0, top + 12, f"{attempt.raw[:24].hex(' ').upper()}  {verdict}", colour)
+        return top + 18
+    steps = attempt.steps[:COLUMNS]
+    widths = [_width(index, step, attempt.rows) for index, step in enumerate(steps)]
+    lefts = [NAME + sum(widths[:index]) for index in range(len(widths))]
+    top = _read(canvas, steps, lefts, widths, top)
+    for step, left, width in zip(steps, lefts, widths, strict=True):
+        canvas.text(left + width / 2, top + 9, step.place, FAINT, size=SMALL, anchor="middle")
+        canvas.box(left, top + 13, width, HIGH, PAPER, line=INK, weight=1.4)
+        canvas.text(left + width / 2, top + 28, step.word, INK, anchor="middle", is_bold=True)
+    canvas.text(0, top + 28, "words", FAINT)
+    top += 13 + HIGH + 6
+    rows = _chosen(attempt.rows)
+    for row in rows:
+        _row(canvas, row, lefts, widths, top, len(attempt.steps))
+        top += HIGH + 3
+    others = len(attempt.rows) - len(rows)
+    if others:
+        canvas.text(0, top + 13, f"and {others} more, which died sooner or as soon", FAINT, size=SMALL)
+        top += 18
+    left_out = len(attempt.steps) - len(steps) + attempt.left_out
+    if left_out:
+        canvas.text(NAME, top + 13, f"{left_out} more words are not drawn", FAINT, size=SMALL)
+        top += 18
+    canvas.text(0, top + 15, "→ " + verdict, colour, is_bold=True)
+    return top + 18
+
+
+def _width(index: int, step: Step, rows: Sequence[Row]) -> float:
+    texts = [step.word, *(row.cells[index] for row in _chosen(rows) if index < len(row.cells))]
+    return min(130.0, max(38.0, max(width_of(text, SMALL) for text in texts) + 10))
+
+
+def _read(
+    canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], widths: Sequence[float], top: float
+) -> float:
+    """What was read, each over the word that completes it; on as many lines as keep them apart."""
+    ends: list[float] = []
+    marks: list[tuple[int, float, str]] = []
+    for index, step in enumerate(steps):
+        for one in step.read:
+            unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
+            text = f"{one.name} = {show(plain(one.value))}{unit}"
+            if len(text) > 48:
+                text = text[:47] + "…"
+            x = lefts[index] + 4
+            line = next((number for number, end in enumerate(ends) if end < x), len(ends))
+            if line == len(ends):
+                ends.append(0.0)
+            ends[line] = x + width_of(text, SMALL) + 10
+            marks.append((line, lefts[index] + widths[index] / 2, text))
+            canvas.text(x, top + 10 + 14 * line, text, GOOD_INK, size=SMALL)
+    height = 14.0 * len(ends)
+    for line, x, _ in marks:
+        canvas.line(x, top + 13 + 14 * line, x, top + height + 2, LINE, weight=0.5)
+    return top + height + (4 if ends else 0)
+
+
+def _row(
+    canvas: Canvas, row: Row, lefts: Sequence[float], widths: Sequence[float], top: float, count: int
+) -> None:
+    colour = GOOD_INK if row.is_chosen else INK if row.dies_at is None else FAINT
+    name = fitted(row.template, NAME - 12)
+    canvas.text(0, top + 15, name, colour, is_bold=row.is_chosen, tip=row.template)
+    for index, (left, width) in enumerate(zip(lefts, widths, strict=True)):
+        if row.dies_at is not None and index > row.dies_at:
+            break
+        is_end = row.dies_at == index
+        canvas.box(left, top, width, HIGH, BAD if is_end else GOOD, line=PAPER)
+        text = row.cells[index] if index < len(row.cells) else ""
+        shown = fitted(f"✗ {text}".rstrip() if is_end else text, width - 4, SMALL)
+        ink = BAD_INK if is_end else GOOD_INK
+        canvas.text(left + width / 2, top + 15, shown, ink, size=SMALL, anchor="middle", tip=text)
+    if row.dies_at is None and count > len(lefts):
+        end = lefts[-1] + widths[-1]
+        canvas.box(end + 2, top, 16, HIGH, OPEN, line=PAPER)
+        canvas.text(end + 10, top + 15, "…", FAINT, anchor="middle")
+
+
+def _chosen(rows: Sequence[Row]) -> list[Row]:
+    """The templates that are drawn: the accepted one, then those that lived longest; one of those that died alike."""
+    ordered = sorted(
+        enumerate(rows),
+        key=lambda item: (
+            not item[1].is_chosen,
+            item[1].dies_at is not None,
+            -(item[1].dies_at or 0),
+            item[0],
+        ),
+    )
+    return [row for _, row in ordered[:TEMPLATES]]
+
+
+def _verdict(attempt: Attempt) -> tuple[str, str]:
+    found = attempt.found
+    if found.message is not None:
+        fields = found.fields or {}
+        inside = ", ".join(f"{k}={show(plain(v))}" for k, v in fields.items() if not k.startswith("_"))
+        text = f"{found.message}({inside})"
+        return text if len(text) <= 120 else text[:119] + "…", GOOD_INK
+    more = (
+        ""
+        if attempt.is_can or found.reason == "pending"
+        else f"; the search goes on at offset {attempt.resumes}"
+    )
+    return found.reason + more, BAD_INK
+
+
+__all__ = ["svg_of"]

@@ -1,0 +1,163 @@
+"""An explanation as lines for a terminal: a line a word, below it who died and why, in front what was read.
+
+1. Nothing is cut off; what has no room goes on in the next line, indented.
+2. Many deaths for one reason are one line; few are named each.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from aces_bus.protocol.explain import Attempt, Death, Reading, Step
+from aces_bus.protocol.lint.examples import plain, show
+
+from ..output.text import Paint
+
+#: So many deaths of a word are told one by one.
+NAMED = 3
+#: The lines of templates never get narrower than this.
+NARROW = 24
+
+
+def lines_of(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
+    """One attempt."""
+    found = attempt.found
+    head = paint("source", attempt.label)
+    if not attempt.is_can and attempt.run == 1 and len(attempt.raw) > 1:
+        head += paint("raw", f"  {_hex(attempt.raw)}")
+    lines = [head]
+    if attempt.run > 1 and found.message is None:
+        lines += _wrapped(f"{_hex(attempt.raw)}: no packet begins here", "  ", width)
+        lines.append(
+            f"  {paint(_style(found.reason), found.reason)}; the search goes on at offset {attempt.resumes}"
+        )
+        return lines
+    place = max((len(step.place) for step in attempt.steps), default=0)
+    word = max((len(step.word) for step in attempt.steps), default=0)
+    what = min(18, max((len(step.what) for step in attempt.steps), default=0))
+    for number, step in enumerate(attempt.steps):
+        if attempt.left_out and number == len(attempt.steps) - 1:
+            lines.append(f"  {'…':>{place}}  {attempt.left_out} more words")
+        lines += _step(step, (place, word, what), len(attempt.templates), width, paint, number == 0)
+    lines.append("  " + _verdict(attempt, paint))
+    return lines
+
+
+def _step(
+    step: Step, sizes: tuple[int, int, int], every: int, width: int | None, paint: Paint, is_first: bool
+) -> list[str]:
+    place, word, what = sizes
+    front = f"  {step.place:>{place}}  "
+    plain_front = f"{front}{step.word:<{word}}  "
+    is_narrow = width is not None and width - len(plain_front) - what < NARROW
+    label = step.what if is_narrow else f"{step.what:<{what}}"
+    text = paint("name", front) + paint("message", f"{step.word:<{word}}") + "  " + label
+    read = ", ".join(_reading(one) for one in step.read)
+    notes: list[tuple[str, str]] = [("from device", read)] if read else []
+    notes += [("skipped", f"✗ {one}") for one in _deaths(step.died)]
+    if step.died and step.alive:
+        notes.append(("value", _alive(step.alive)))
+    elif is_first and step.alive:
+        notes.append(("value", f"○ {len(step.alive)} of {every} templates are possible"))
+    indent = " " * (4 if is_narrow else len(plain_front) + what + 2)
+    lines: list[str] = []
+    for style, note in notes:
+        lines += [indent + paint(style, part.strip()) for part in _wrapped(note, indent, width)]
+    if lines and not is_narrow:  # the first note stands beside its word
+        return [f"{text}  {lines[0][len(indent) :]}", *lines[1:]]
+    return [text.rstrip(), *lines]
+
+
+def _reading(one: Reading) -> str:
+    unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
+    owner = f"{one.template}." if one.template else ""
+    return f"{owner}{one.name} = {show(plain(one.value))}{unit}"
+
+
+def _alive(names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return f"○ {names[0]} is left"
+    if len(names) <= 6:
+        return f"○ possible: {', '.join(names)}"
+    return f"○ {len(names)} are possible: {', '.join(names[:5])}, …"
+
+
+def _deaths(died: Sequence[Death]) -> Iterable[str]:
+    if not died:
+        return
+    if len(died) <= NAMED:
+        by_detail: dict[tuple[str, str], list[str]] = {}
+        for one in died:
+            by_detail.setdefault((one.why, one.detail), []).append(one.template)
+        for (why, detail), names in by_detail.items():
+            yield f"{', '.join(names)}: {why} {detail}".rstrip()
+        return
+    by_why: dict[str, list[Death]] = {}
+    for one in died:
+        by_why.setdefault(one.why, []).append(one)
+    for why, deaths in by_why.items():
+        details = list(dict.fromkeys(one.detail for one in deaths))
+        names = [one.template for one in deaths]
+        listed = ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:4])} and {len(names) - 4} more"
+        if len(details) == 1:
+            yield f"{listed}: {why} {details[0]}".rstrip()
+        else:
+            yield f"{listed}: {why} {_wanted(details)}"
+
+
+def _wanted(details: Sequence[str]) -> str:
+    """What was wanted each time; what came stands once behind them."""
+    parts = [detail.rpartition(", not ") for detail in details]
+    came = {part[2] for part in parts if part[1]}
+    is_same = len(came) == 1 and all(part[1] for part in parts)
+    wanted = list(dict.fromkeys(part[0] for part in parts)) if is_same else list(details)
+    shown = " or ".join(wanted[:4]) + (" or …" if len(wanted) > 4 else "")
+    return f"{shown}, not {came.pop()}" if is_same else shown
+
+
+def _verdict(attempt: Attempt, paint: Paint) -> str:
+    found = attempt.found
+    if found.message is not None:
+        fields: Any = found.fields or {}
+        inside = ", ".join(f"{k}={show(plain(v))}" for k, v in fields.items() if not k.startswith("_"))
+        name = found.message if found.protocol is None else f"{found.protocol}.{found.message}"
+        text = f"→ {paint('message', name)}({inside})"
+        if attempt.request is not None:
+            asked, values = attempt.request
+            shown = ", ".join(f"{k}={show(plain(v))}" for k, v in values.items() if not k.startswith("_"))
+            text += f"\n  answers {asked}({shown})"
+        return text if attempt.is_can else f"{text}\n  the search goes on at offset {attempt.resumes}"
+    text = f"→ {paint(_style(found.reason), found.reason)}"
+    if attempt.is_can:
+        return text
+    if found.reason == "pending":
+        return f"{text}: the bytes end before the packet does"
+    return f"{text}; the search goes on at offset {attempt.resumes}"
+
+
+def _style(reason: str) -> str:
+    kind = reason.partition(":")[0]
+    return kind if kind in ("unknown", "malformed", "skipped", "pending") else "errors"
+
+
+def _hex(data: bytes) -> str:
+    shown = data[:24].hex(" ").upper()
+    return shown + (f" … ({len(data)} bytes)" if len(data) > 24 else "")
+
+
+def _wrapped(text: str, indent: str, width: int | None, hang: str = "") -> list[str]:
+    if width is None or len(indent) + len(text) <= width:
+        return [indent + text]
+    return textwrap.wrap(
+        text,
+        max(width, NARROW),
+        initial_indent=indent,
+        subsequent_indent=indent + hang,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+__all__ = ["lines_of"]
