@@ -38,7 +38,8 @@ FLOORS: dict[str, set[str]] = {
     "hardware": {"runtime", "capture"},  # replays captures; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},
-    "controller": {"runtime", "device", "state", "capture"},  # touches no frame and no byte
+    "kinematics": set(),  # bodies as chains; numbers only
+    "controller": {"runtime", "device", "state", "capture", "kinematics"},  # touches no frame and no byte
     "assembly": {"runtime", "protocol", "hardware", "device"},  # floors put together
     "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
 }

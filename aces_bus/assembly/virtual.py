@@ -69,7 +69,7 @@ class VirtualRobot:
     ) -> None:
         self.robot = robot
         self.clock = clock if clock is not None else VirtualClock()
-        self.wires: dict[str, AnyWire] = {
+        self.wires: dict[str, Any] = {
             name: wire_of(
                 robot.buses[name],
                 protocol,

@@ -31,7 +31,7 @@ class Port(Protocol):
         """Whether all share one wire and nobody may speak before the one asked has answered."""
         ...
 
-    def open(self, received: Callable[[Any, int], None]) -> None:
+    def open(self, received: Callable[[Any, int], Any]) -> None:
         """Begin to hear: `received(word, instant)`."""
         ...
 

@@ -22,7 +22,7 @@ from .serial import Heard, SerialGate
 from .serial_wire import BITS, SerialWire
 from .wire import Wire, WireEvent
 
-Handler = Callable[[Any, int], None]
+Handler = Callable[[Any, int], Any]
 
 
 class CanPort:
@@ -218,7 +218,7 @@ class DatagramPort:
             self._network.stop()
 
 
-def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> CanPort | SerialPort | DatagramPort:
+def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
     """The port of a wire or gate of any kind; options are those of the port. Raises `CallerError` for anything else."""
     if isinstance(bus, (Wire, CanGate)):
         return CanPort(bus, loop, **options)

@@ -95,7 +95,7 @@ class Body:
     array([0.5, 0. , 0. ])
 
     `joints` gives the order of angle vectors (None: as the chains name them); `limits` are (lower, upper) in rad by joint, a
-    joint without an entry has none; `posture` is a pose away from singularities, to which the inverse turns when it is stuck.
+    joint without an entry has none; `posture` is a pose away from singularities; the inverse turns to it when it is stuck.
     """
 
     def __init__(

@@ -4,5 +4,17 @@ from __future__ import annotations
 
 from .clock import Clock, RealClock, Timer, VirtualClock
 from .loop import EventClock, Loop
+from .tasks import Task, Tasks, ThreadTasks, VirtualTasks
 
-__all__ = ["Clock", "EventClock", "Loop", "RealClock", "Timer", "VirtualClock"]
+__all__ = [
+    "Clock",
+    "EventClock",
+    "Loop",
+    "RealClock",
+    "Task",
+    "Tasks",
+    "ThreadTasks",
+    "Timer",
+    "VirtualClock",
+    "VirtualTasks",
+]

@@ -27,8 +27,8 @@ from .filters import RateLimit as RateLimit
 from .filters import Sos as Sos
 from .kalman import Kalman as Kalman
 from .quantity import Quantity as Quantity
+from .source import Counts as Counts
+from .source import Source as Source
 from .spectrum import Spectrum as Spectrum
-from .state import Counts as Counts
-from .state import Source as Source
 from .state import State as State
 from .window import Window as Window

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ..device.signal import UNKNOWN
 from . import units
+from .declaration import checked_seconds
 from .errors import StateError
 from .quantity import Quantity
 from .state import State
@@ -70,7 +71,9 @@ class Integral(Running):
 
     def __init__(self, source: Quantity, start: float = 0.0, *, max_gap_s: float | None = None) -> None:
         super().__init__(source, f"integral({source.name})", units.multiplied(source.unit, "s"))
-        gap = self._seconds("max_gap_s", source.stale_after_s if max_gap_s is None else max_gap_s)
+        gap = checked_seconds(
+            self.name, "max_gap_s", source.stale_after_s if max_gap_s is None else max_gap_s
+        )
         self._max_gap = math.inf if gap is None else gap * 1e9
         self._skipped = 0
         self._area = self._start = start

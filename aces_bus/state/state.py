@@ -19,67 +19,22 @@ import math
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from typing import Any, Literal, Protocol
-
-import msgspec
+from typing import Any
 
 from ..device.signal import UNKNOWN
 from ..runtime import Clock, RealClock
+from .declaration import Interpolation, checked_history, checked_order, checked_seconds
 from .errors import StateError
 from .estimators import Estimate, Estimator, Observe, started
 from .polynomial import value_at
 from .quantity import EDGE_NS, Listener, Quantity
+from .source import Counts, Source
 
+#: See the theory above.
 SPARE = 64
-#: Samples kept when nobody says otherwise: five seconds at 200 Hz.
-HISTORY = 1_000
-#: 16 bytes a sample, twice: 512 MiB.
-MOST_HISTORY = 1 << 24
-#: Beyond this order a polynomial through even samples swings wildly between them.
-MOST_ORDER = 9
-
-Interpolation = Literal["hold", "linear", "cubic"] | int
-_ORDERS = {"hold": 0, "linear": 1, "cubic": 3}
 _NEVER = -(1 << 63)
 _INFINITY = math.inf
 _NAN = math.nan
-
-
-class Source(Protocol):
-    """What feeds a state: a device's `Signal`, or whatever looks like one."""
-
-    name: str
-    unit: str
-    clock: Clock
-    stale_after_ns: int | None
-    listeners: list[Listener]
-    last: Any
-    instant: int | None
-
-    @property
-    def is_writable(self) -> bool:
-        """Whether it takes set-points."""
-        ...
-
-    def set(self, value: Any) -> None:
-        """Take a set-point."""
-        ...
-
-
-class Counts(msgspec.Struct):
-    """What became of samples: kept + repeated + late is all that was pushed; `unknown` are among those kept or repeated.
-
-    The others are a running quantity's: samples that a filter refused as uneven, restarts after gaps, and times that a
-    filter of the user's own raised.
-    """
-
-    kept: int = 0
-    repeated: int = 0
-    late: int = 0
-    unknown: int = 0
-    uneven: int = 0
-    restarts: int = 0
-    failed: int = 0
 
 
 class State(Quantity):
@@ -131,11 +86,11 @@ class State(Quantity):
             raise StateError(
                 f"state {name!r} is writable: say setter=…, or sampled=False where nobody measures it"
             )
-        self.period_s = self._seconds("period_s", period_s)
-        self.stale_after_s = self._seconds("stale_after_s", stale_after_s)
+        self.period_s = checked_seconds(name, "period_s", period_s)
+        self.stale_after_s = checked_seconds(name, "stale_after_s", stale_after_s)
         self._stale_after = None if stale_after_s is None else round(stale_after_s * 1e9)
-        self.history = self._samples(history, history_s)
-        self.order = self._order_of(interpolation)
+        self.history = checked_history(name, history, history_s, period_s)
+        self.order = checked_order(name, interpolation, is_real=type is float)
         self._cast = None if type is float else type
         self._now = self.clock.now
 
@@ -343,10 +298,10 @@ class State(Quantity):
             elif instants[at] == instant:
                 value = self._values[at]
             elif at == start:
-                if instants[at] - instant <= EDGE_NS:
-                    value = self._values[at]
-                elif self._estimate is not None:
+                if self._estimate is not None:
                     value = self._beyond(instant)
+                elif instants[at] - instant <= EDGE_NS:
+                    value = self._values[at]
                 else:
                     raise self._no_value(instant)
             elif self.order == 1:
@@ -509,33 +464,3 @@ class State(Quantity):
         count = self._count
         end = count % self._size + self._size
         return end - min(max(count - self._begin, 0), self.history), end, count
-
-    # ---- what a declaration says ----------------------------------------------------------------------------------
-
-    def _seconds(self, what: str, seconds: float | None) -> float | None:
-        if seconds is not None and not 0 < seconds < _INFINITY:
-            raise StateError(f"state {self.name!r}: {what} = {seconds!r} is not a duration in seconds")
-        return seconds
-
-    def _samples(self, history: int | None, history_s: float | None) -> int:
-        if history is not None and history_s is not None:
-            raise StateError(f"state {self.name!r}: give history (samples) or history_s (seconds), not both")
-        if history_s is not None:
-            if self.period_s is None:
-                raise StateError(f"state {self.name!r}: history_s needs period_s; or give history in samples")
-            history = math.ceil((self._seconds("history_s", history_s) or 0.0) / self.period_s) + 1
-        history = HISTORY if history is None else history
-        if not 1 <= history <= MOST_HISTORY:
-            raise StateError(f"state {self.name!r}: a history of {history} samples (1 … {MOST_HISTORY})")
-        return history
-
-    def _order_of(self, interpolation: Interpolation | None) -> int:
-        if interpolation is None:
-            return 1 if self.type is float else 0
-        order = _ORDERS.get(interpolation) if isinstance(interpolation, str) else interpolation
-        if order is None or isinstance(order, bool) or not 0 <= order <= MOST_ORDER:
-            raise StateError(
-                f"state {self.name!r}: interpolation {interpolation!r}; there are 'hold', 'linear', 'cubic' "
-                f"and orders 0 … {MOST_ORDER}"
-            )
-        return order

@@ -25,6 +25,10 @@ from ._scenes import Scene, rechecked
 from ._values import Packet
 
 Cuts = tuple[int, ...]
+#: From how many words on a scene may fail only because it is long: then one that is cut may fail, too, and be short.
+LONG = 256
+#: Fewer words are not taken out of the middle of such a scene.
+COARSE = 32
 Fails = Callable[[Scene, Cuts], bool]
 
 
@@ -72,7 +76,7 @@ class _Best:
         weight = _weight(scene, cuts)
         if not (weight < self.weight or (equal and weight == self.weight)) or not self.calls.are_left:
             return False
-        self.calls.made += 1 + len(scene) // 200
+        self.calls.made += 1 + len(scene) // 256
         if not self._fails(scene, cuts):
             return False
         self.scene, self.cuts, self.weight = scene, cuts, weight
@@ -145,18 +149,26 @@ def without(scene: Scene, cuts: Cuts, start: int, stop: int) -> tuple[Scene, Cut
 
 
 def _delete(best: _Best) -> None:
-    """Delta debugging: ever smaller runs of words are left out."""
+    """Delta debugging: ever smaller runs of words are left out; of what stays long, large ones and its end only."""
     size = max(1, len(best.scene) // 2)
     while best.calls.are_left:
         start = max(0, len(best.scene) - size)
         while best.calls.are_left:
-            best.offer(*without(best.scene, best.cuts, start, min(len(best.scene), start + size)))
+            scene, cuts = without(best.scene, best.cuts, start, min(len(best.scene), start + size))
+            if not best.offer(scene, cuts) and not cuts and len(best.scene) > LONG:
+                best.offer(scene, (len(scene) // 2,))
             if start <= 0:
                 break
             start = max(0, min(start, len(best.scene)) - size)
         if size == 1:
             return
         size //= 2
+        if size < COARSE and len(best.scene) > LONG:
+            break
+    while size and best.calls.are_left:
+        scene, cuts = without(best.scene, best.cuts, max(0, len(best.scene) - size), len(best.scene))
+        if not best.offer(scene, cuts):
+            size //= 2
 
 
 # ---------------------------------------------------------------------- bytes
@@ -164,6 +176,7 @@ def _delete(best: _Best) -> None:
 
 def _of_bytes(bench: Bench, best: _Best) -> None:
     _delete(best)
+    _zeroed(best)
     _repacked(bench, best)
     _events_repacked(bench, best)
     for at in range(len(best.scene) - 1, -1, -1):
@@ -172,6 +185,18 @@ def _of_bytes(bench: Bench, best: _Best) -> None:
                 words = best.scene.words
                 if best.offer(replace(best.scene, words=words[:at] + bytes([value]) + words[at + 1 :])):
                     break
+
+
+def _zeroed(best: _Best) -> None:
+    """Runs of zeros, ever shorter ones: what must be long may still say little."""
+    size = len(best.scene) // 2
+    while size > 1 and best.calls.are_left:
+        for start in range(0, len(best.scene), size):
+            words = best.scene.words
+            if any(words[start : start + size]):
+                zeros = bytes(len(words[start : start + size]))
+                best.offer(replace(best.scene, words=words[:start] + zeros + words[start + size :]))
+        size //= 2
 
 
 def _repacked(bench: Bench, best: _Best) -> None:

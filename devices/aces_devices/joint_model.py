@@ -168,10 +168,10 @@ class MotorJoint:
         ):
             self.duty = 0.0 if mode == "free" else self.stiffness * (self.goal - self.q)
             self.saturated_since = -1
+            self._rest(steps * STEP)
         else:
             self._run(steps)
         self.at += steps * STEP_NS
-        self._heat(steps * STEP)
 
     def _run(self, steps: int) -> None:
         """So many milliseconds."""
@@ -180,10 +180,12 @@ class MotorJoint:
         stiffness, damping, goal = self.stiffness, self.damping, self.goal
         lower, upper = self.lower, self.upper
         mode, jammed = self.mode, self.jammed
-        stall = self.motor.stall_current
+        motor = self.motor
+        stall, cooling, temperature = motor.stall_current, motor.cooling, self.temperature
+        heating = motor.heating * stall * stall
         duty = self.duty
         at, moved_at, saturated = self.at, self.moved_at, self.saturated_since
-        for _ in range(steps):
+        for number in range(steps):
             at += STEP_NS
             if mode == "position":
                 duty = stiffness * (goal - q) - damping * v
@@ -197,6 +199,8 @@ class MotorJoint:
                 saturated = saturated if saturated >= 0 else at
             else:
                 saturated = -1
+            share = duty - v / speed
+            temperature += (heating * share * share - (temperature - AMBIENT) / cooling) * STEP
             if jammed:
                 v = 0.0
                 continue
@@ -206,30 +210,33 @@ class MotorJoint:
             elif v < 0.0 or end < -friction:
                 end += friction
             else:
-                if mode != "current" or end == 0.0:
-                    break  # at rest, and nothing will change that
-                continue
+                # At rest, and nothing will change that before somebody says so.
+                self.q, self.v, self.duty, self.temperature = q, v, duty, temperature
+                self.moved_at, self.saturated_since = moved_at, saturated
+                self._rest((steps - number - 1) * STEP)
+                return
             gone = v - end
             w = end + gone * decay
             if v * w < 0.0:
                 w = 0.0
+            old = q
             q += end * STEP + gone * reach
             v = w
-            moved_at = at
             if q >= upper:
                 q = upper
                 v = 0.0 if v > 0.0 else v
             elif q <= lower:
                 q = lower
                 v = 0.0 if v < 0.0 else v
-        if q == self.q:
-            moved_at = self.moved_at
-        self.q, self.v, self.duty = q, v, duty
+            if q != old:
+                moved_at = at
+        self.q, self.v, self.duty, self.temperature = q, v, duty, temperature
         self.moved_at, self.saturated_since = moved_at, saturated
 
-    def _heat(self, duration: float) -> None:
+    def _rest(self, duration: float) -> None:
+        """Nothing moves; what flows heats."""
         motor = self.motor
-        current = self.current
+        current = motor.stall_current * self.duty
         if current == 0.0 and self.temperature == AMBIENT:
             return
         end = AMBIENT + motor.heating * motor.cooling * current * current

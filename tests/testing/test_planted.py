@@ -92,7 +92,7 @@ def forget() -> None:
 
 
 def a_length_is_one_too_long(patch: Patch) -> None:
-    printed(patch, stream, "print_stream", "j = i + size\n", "j = i + size + (size == 8)\n")
+    printed(patch, stream, "print_stream", "j = i + ", "j = 1 + i + ")
 
 
 def a_sum_begins_one_byte_late(patch: Patch) -> None:
@@ -178,6 +178,7 @@ FAULTS = (
     Fault(a_byte_is_lost_between_chunks, robotis, 10, (3,)),
     Fault(a_byte_is_lost_between_chunks, minihubo_adc, 10, (3,)),
     Fault(a_false_header_costs_two_bytes, robotis, 10, (2, 4)),
+    Fault(a_stride_takes_bad_checks, robotis, 800, (2, 5)),
     Fault(a_split_field_loses_its_sign, a_bus, 1, (2,)),
     Fault(columns_read_the_other_byte_order, minihubo_adc, 10, (2,)),
     Fault(columns_read_the_other_byte_order, hubo, 1, (2,)),

@@ -148,13 +148,18 @@ KCD = """<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Docume
 <Signal name="gear" offset="16" length="3"><LabelSet><Label name="reverse" value="7"/></LabelSet></Signal>
 </Message></Bus></NetworkDefinition>
 """
-SYM = """FormatVersion=6.0
+SYM = """FormatVersion=6.0 // Do not edit this line!
 Title="car"
+
+{SIGNALS}
+Sig=speed unsigned 16 /u:km/h /f:0.01
+
 {SENDRECEIVE}
+
 [Speed]
 ID=064h
 Len=4
-Var=speed unsigned 0,16 /u:km/h /f:0.01
+Sig=speed 0
 """
 
 

@@ -55,6 +55,8 @@ class Row:
     #: The number of the word that kills it; None: none does.
     dies_at: int | None
     is_chosen: bool = False
+    #: The class of the reason for which it dies.
+    why: str = ""
 
 
 @dataclass(frozen=True)

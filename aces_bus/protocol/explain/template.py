@@ -24,7 +24,6 @@ from ..spec.message import Message
 from ..spec.packet import ContentError, LengthError, NotThisError, WrongCheckError
 from ..spec.pattern import describe_values
 
-
 #: The value of a constant behind its name.
 _VALUE = re.compile(r" 0x[0-9a-f]{2}$")
 

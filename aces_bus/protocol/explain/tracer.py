@@ -131,7 +131,7 @@ class Tracer(Reference):
         found = one.found
         steps: list[Step] = []
         alive = list(self.templates)
-        dead: dict[str, int] = {}
+        dead: dict[str, tuple[int, str]] = {}
         sizes: dict[Framing, int] = {}
         size: int | None = found.size if found.message is not None else None
         traces: list[tuple[int, bytes, list[Death], list[Template]]] = []
@@ -162,7 +162,7 @@ class Tracer(Reference):
                         why = ("order", f"{found.message} is tried first")
                 if why is not None:
                     died.append(Death(template.name, *why))
-                    dead[template.name] = len(traces)
+                    dead[template.name] = len(traces), why[0]
                     alive.remove(template)
             traces.append((at - one.start - 1, prefix, died, list(alive)))
             if is_last or any(v.verdict is Verdict.WHOLE for v in verdicts.values()):
@@ -218,7 +218,7 @@ class Tracer(Reference):
     def _rows(
         self,
         offsets: Sequence[int],
-        dead: Mapping[str, int],
+        dead: Mapping[str, tuple[int, str]],
         sizes: Mapping[Framing, int],
         size: int | None,
         found: Found,
@@ -226,13 +226,15 @@ class Tracer(Reference):
     ) -> tuple[Row, ...]:
         rows: list[Row] = []
         for template in self.templates:
-            dies_at = dead.get(template.name)
+            dies_at, why = dead.get(template.name, (None, ""))
             upto = len(offsets) if dies_at is None else dies_at + 1
             known = sizes.get(template.framing) if template.framing is not None else None
             cells = tuple(
                 template.cell(at, size if template is lead and size else known) for at in offsets[:upto]
             )
-            rows.append(Row(template.name, cells, dies_at, template is lead and found.message is not None))
+            rows.append(
+                Row(template.name, cells, dies_at, template is lead and found.message is not None, why)
+            )
         return tuple(rows)
 
     # ------------------------------------------------------------------ frames
@@ -253,7 +255,7 @@ class Tracer(Reference):
         if frame.is_error_frame:
             return Attempt(number, (), (), (), found, number + 1, is_can=True, frame=frame, raw=data)
         alive = list(self.templates)
-        dead: dict[str, int] = {}
+        dead: dict[str, tuple[int, str]] = {}
         deaths: list[list[Death]] = []
         living: list[list[Template]] = []
         words = _words(frame, data)
@@ -269,7 +271,7 @@ class Tracer(Reference):
                         why = _unchosen(template, found, self._request)
                 if why is not None:
                     died.append(Death(template.name, *why))
-                    dead[template.name] = index
+                    dead[template.name] = index, why[0]
                     alive.remove(template)
             deaths.append(died)
             living.append(list(alive))
@@ -288,22 +290,19 @@ class Tracer(Reference):
                 Step(place, word, what, tuple(deaths[index]), read, tuple(t.name for t in living[index]))
             )
         steps = _completed(steps, found, lead)
-        rows = tuple(
-            Row(
-                template.name,
-                tuple(
-                    _frame_cell(template, word) for word in words[: dead.get(template.name, len(words)) + 1]
-                ),
-                dead.get(template.name),
-                template is lead and found.message is not None,
+        rows: list[Row] = []
+        for template in self.templates:
+            dies_at, cause = dead.get(template.name, (None, ""))
+            cells = tuple(
+                _frame_cell(template, word) for word in words[: None if dies_at is None else dies_at + 1]
             )
-            for template in self.templates
-        )
+            is_chosen = template is lead and found.message is not None
+            rows.append(Row(template.name, cells, dies_at, is_chosen, cause))
         return Attempt(
             number,
             tuple(t.name for t in self.templates),
             tuple(steps),
-            rows,
+            tuple(rows),
             found,
             number + 1,
             self._request,

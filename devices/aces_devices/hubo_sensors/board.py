@@ -172,12 +172,22 @@ class SensorBoard(Device):
 
         return self.job("init", steps)
 
+    def refused(self, name: str, why: str) -> Job:
+        """A job that fails at once."""
+
+        def steps(job: Job) -> Steps:
+            raise DeviceError(f"{self.name}: {why}")
+            yield
+
+        return self.job(name, steps)
+
     def offsets(self) -> Job:
         """Ask for the offsets of the converters (D08): the job's result is {"da": record, "ad": record}."""
 
+        if not self.is_old:
+            return self.refused("offsets", "only boards of D08 tell their offsets")
+
         def steps(job: Job) -> Steps:
-            if not self.is_old:
-                raise DeviceError(f"{self.name}: only boards of D08 tell their offsets")
             da = yield self.ask("DaOffsetQuery", reply="DaOffset")
             ad = yield self.ask("AdOffsetQuery", reply="AdOffset")
             return {"da": da, "ad": ad}

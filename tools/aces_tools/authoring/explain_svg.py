@@ -15,7 +15,6 @@ from aces_bus.protocol.draw.canvas import (
     GOOD,
     GOOD_INK,
     INK,
-    LINE,
     OPEN,
     PAPER,
     Canvas,
@@ -27,6 +26,8 @@ from aces_bus.protocol.lint.examples import plain, show
 
 TEMPLATES = 12
 COLUMNS = 20
+#: Of those that the first word rules out, so many are enough.
+FIRST = 4
 HIGH = 22.0
 NAME = 170.0
 SMALL = 10.0
@@ -76,7 +77,7 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
 
 
 def _width(index: int, step: Step, rows: Sequence[Row]) -> float:
-    texts = [step.word, *(row.cells[index] for row in _chosen(rows) if index < len(row.cells))]
+    texts = [step.word, *(_text(row, index) for row in _chosen(rows) if index < len(row.cells))]
     return min(130.0, max(38.0, max(width_of(text, SMALL) for text in texts) + 10))
 
 
@@ -85,7 +86,7 @@ def _read(
 ) -> float:
     """What was read, each over the word that completes it; on as many lines as keep them apart."""
     ends: list[float] = []
-    marks: list[tuple[int, float, str]] = []
+    marks: list[tuple[int, float]] = []
     for index, step in enumerate(steps):
         for one in step.read:
             unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
@@ -97,11 +98,11 @@ def _read(
             if line == len(ends):
                 ends.append(0.0)
             ends[line] = x + width_of(text, SMALL) + 10
-            marks.append((line, lefts[index] + widths[index] / 2, text))
+            marks.append((line, lefts[index] + 1))
             canvas.text(x, top + 10 + 14 * line, text, GOOD_INK, size=SMALL)
     height = 14.0 * len(ends)
-    for line, x, _ in marks:
-        canvas.line(x, top + 13 + 14 * line, x, top + height + 2, LINE, weight=0.5)
+    for line, x in marks:
+        canvas.line(x, top + 2 + 14 * line, x, top + height + 3, GOOD_INK, weight=0.7)
     return top + height + (4 if ends else 0)
 
 
@@ -116,8 +117,8 @@ def _row(
             break
         is_end = row.dies_at == index
         canvas.box(left, top, width, HIGH, BAD if is_end else GOOD, line=PAPER)
-        text = row.cells[index] if index < len(row.cells) else ""
-        shown = fitted(f"✗ {text}".rstrip() if is_end else text, width - 4, SMALL)
+        text = _text(row, index)
+        shown = fitted(text, width - 4, SMALL)
         ink = BAD_INK if is_end else GOOD_INK
         canvas.text(left + width / 2, top + 15, shown, ink, size=SMALL, anchor="middle", tip=text)
     if row.dies_at is None and count > len(lefts):
@@ -126,8 +127,20 @@ def _row(
         canvas.text(end + 10, top + 15, "…", FAINT, anchor="middle")
 
 
+def _text(row: Row, index: int) -> str:
+    """What a template expects of a word; of the one that kills it, what for."""
+    text = row.cells[index] if index < len(row.cells) else ""
+    if row.dies_at != index:
+        return text
+    return f"✗ {row.why if row.why in _BESIDE else text or row.why}"
+
+
+#: Reasons that are not in the word itself.
+_BESIDE = ("request", "order", "content", "template")
+
+
 def _chosen(rows: Sequence[Row]) -> list[Row]:
-    """The templates that are drawn: the accepted one, then those that lived longest; one of those that died alike."""
+    """The templates that are drawn: the accepted one, then those that lived longest."""
     ordered = sorted(
         enumerate(rows),
         key=lambda item: (
@@ -137,7 +150,11 @@ def _chosen(rows: Sequence[Row]) -> list[Row]:
             item[0],
         ),
     )
-    return [row for _, row in ordered[:TEMPLATES]]
+    chosen: list[Row] = []
+    for _, row in ordered:
+        if row.dies_at != 0 or sum(one.dies_at == 0 for one in chosen) < FIRST:
+            chosen.append(row)
+    return chosen[:TEMPLATES]
 
 
 def _verdict(attempt: Attempt) -> tuple[str, str]:

@@ -92,7 +92,7 @@ def _deaths(died: Sequence[Death]) -> Iterable[str]:
         for one in died:
             by_detail.setdefault((one.why, one.detail), []).append(one.template)
         for (why, detail), names in by_detail.items():
-            yield f"{', '.join(names)}: {why} {detail}".rstrip()
+            yield f"{', '.join(names)}: {_because(why, detail)}"
         return
     by_why: dict[str, list[Death]] = {}
     for one in died:
@@ -102,9 +102,14 @@ def _deaths(died: Sequence[Death]) -> Iterable[str]:
         names = [one.template for one in deaths]
         listed = ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:4])} and {len(names) - 4} more"
         if len(details) == 1:
-            yield f"{listed}: {why} {details[0]}".rstrip()
+            yield f"{listed}: {_because(why, details[0])}"
         else:
-            yield f"{listed}: {why} {_wanted(details)}"
+            yield f"{listed}: {_because(why, _wanted(details))}"
+
+
+def _because(why: str, detail: str) -> str:
+    """A reason as a phrase; some classes say it all in their details."""
+    return detail if why in ("request", "order") else f"{why} {detail}".rstrip()
 
 
 def _wanted(details: Sequence[str]) -> str:
@@ -113,7 +118,7 @@ def _wanted(details: Sequence[str]) -> str:
     came = {part[2] for part in parts if part[1]}
     is_same = len(came) == 1 and all(part[1] for part in parts)
     wanted = list(dict.fromkeys(part[0] for part in parts)) if is_same else list(details)
-    shown = " or ".join(wanted[:4]) + (" or …" if len(wanted) > 4 else "")
+    shown = ", ".join(wanted[:4]) + (", …" if len(wanted) > 4 else "")
     return f"{shown}, not {came.pop()}" if is_same else shown
 
 

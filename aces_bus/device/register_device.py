@@ -1,0 +1,441 @@
+"""A device that is a table of registers: reading and writing them by name, through the protocol's `RegisterMap`.
+
+1. An answer is read as what was asked: registers come from the request that has the line, never from an answer's size
+   alone. An answer of another size is a late one, and gives no value.
+2. What survives power-off is written only when the caller says `confirm=True`; what only can be read, never.
+3. Set-points of all devices go out together: one packet a register (`together_rule`), cut where a receiver's buffer ends.
+
+What was written is remembered. When a later reading differs, the device has lost it: it has rebooted (`changed`).
+
+A driver names its `registers`, the message that answers (`reply`) and that message's field with the bytes (`payload`):
+
+    class Servo(RegisterDevice):
+        protocol, registers, reply, payload = "robotis", control_table, "Status", "parameters"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from struct import Struct
+from typing import Any, ClassVar
+
+import construct as c
+
+from ..errors import CallerError, DeviceError, UnknownNameError
+from ..protocol import RegisterMap
+from .coalesce import Outgoing, Want
+from .device import Device, Poll
+from .signal import Signal
+from .ticket import Job, Steps, Ticket
+
+#: How often a set-point that did not arrive is sent again.
+AGAIN = 3
+
+
+class Codec:
+    """One register's bytes as a raw number, and that number as its value."""
+
+    __slots__ = ("_values", "address", "name", "pack", "register", "size", "unpack_from")
+
+    def __init__(self, registers: RegisterMap, name: str) -> None:
+        self.register = register = registers[name]
+        self.name, self.address, self.size = name, register.address, register.size
+        inner = register.field
+        while isinstance(inner, c.Subconstruct):
+            inner = inner.subcon
+        if not isinstance(inner, c.FormatField):
+            raise CallerError(f"register {name} is not a plain number: {type(inner).__name__}")
+        plain = Struct(inner.fmtstr)
+        self.pack: Callable[[int], bytes] = plain.pack
+        self.unpack_from: Callable[[bytes, int], tuple[int]] = plain.unpack_from
+        self._values: dict[int, Any] = {}
+
+    def value(self, raw: int) -> Any:
+        """The value of a raw number, in the sheet's unit."""
+        found = self._values.get(raw)
+        if found is None:
+            if len(self._values) > 4096:
+                self._values.clear()
+            found = self._values[raw] = self.register.decode(self.pack(raw))
+        return found
+
+    def raw(self, value: Any, *, is_raw: bool = False) -> int:
+        """The raw number of a value; raises `FieldError` when it does not fit."""
+        (number,) = self.unpack_from(self.register.encode(value, raw=is_raw), 0)
+        return number
+
+
+class Span:
+    """Registers that stand side by side: what one request reads."""
+
+    __slots__ = ("codecs", "count", "start")
+
+    def __init__(self, start: int, count: int, codecs: Iterable[Codec]) -> None:
+        self.start, self.count = start, count
+        #: Each register and where it stands in the answer.
+        self.codecs = tuple(
+            (codec.address - start, codec)
+            for codec in codecs
+            if codec.address >= start and codec.address + codec.size <= start + count
+        )
+
+
+#: What a register's raw number becomes, and the signal it becomes it for.
+_Watch = tuple[Callable[[int], Any], Signal]
+
+
+class RegisterDevice(Device):
+    """One register-mapped node; see the module's text.
+
+    `eeprom` are the addresses that survive power-off. `remembers` are registers that change only when they are written,
+    or by a reboot. `streamed` are those whose set-points go out in each tick; others when set. A packet to many has at
+    most `together_bytes` bytes, `together_overhead` of them around the devices' own. `acknowledges` and `answers`: whether
+    the device answers writes and reads.
+    """
+
+    registers: ClassVar[RegisterMap]
+    reply: ClassVar[str]
+    payload: ClassVar[str]
+    eeprom: ClassVar[range] = range(0)
+    remembers: ClassVar[Collection[str]] = ()
+    streamed: ClassVar[Collection[str]] = ()
+    together_bytes: ClassVar[int] = 255
+    together_overhead: ClassVar[int] = 0
+    timeout_s: float = 0.02
+    retries: int = 2
+    acknowledges: bool = True
+    answers: bool = True
+    #: By register map: its registers' codecs, made once for all devices.
+    _all_codecs: ClassVar[dict[int, tuple[RegisterMap, dict[str, Codec]]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        registers = getattr(cls, "registers", None)
+        if registers is not None and registers.sync_message is not None:
+            cls.rules = {**cls.rules, registers.sync_message: together_rule}
+
+    def __init__(self, *args: Any) -> None:
+        found = self._all_codecs.get(id(self.registers))
+        if found is None or found[0] is not self.registers:
+            made = {name: Codec(self.registers, name) for name in self.registers}
+            found = self._all_codecs[id(self.registers)] = (self.registers, made)
+        self.codecs: Mapping[str, Codec] = found[1]
+        #: The last raw number heard of each register, and when.
+        self.known: dict[str, tuple[int, int]] = {}
+        self._watches: dict[str, list[_Watch]] = {}
+        self._spans: dict[Any, Span] = {}
+        self._goals: dict[str, int] = {}
+        self._fresh: dict[str, None] = {}
+        #: What was written and read back; what was sent and not read back yet, with how often.
+        self._kept: dict[str, int] = {}
+        self._sent: dict[str, tuple[int, int]] = {}
+        super().__init__(*args)
+
+    # ------------------------------------------------------------------ declaring
+
+    def codec(self, name: str) -> Codec:
+        """A register's codec; raises `UnknownNameError`."""
+        found = self.codecs.get(name)
+        if found is None:
+            raise UnknownNameError(f"register of {self.name}", name, self.codecs)
+        return found
+
+    def poll(self, first: str, last: str | None = None, **options: Any) -> Poll:
+        """A poll that reads the registers from `first` to `last`; options are those of `Poll`."""
+        span, fields = self._span(first, last or first)
+        message = self._read_message
+        self._spans[self.host.word(self, message, fields)] = span
+        return Poll(message, self.reply, fields, **{"timeout_s": self.timeout_s, **options})
+
+    def register_signal(
+        self,
+        name: str,
+        of: str,
+        *,
+        scale: float = 1,
+        to_si: Callable[[int], Any] | None = None,
+        set: str | None = None,
+        to_raw: Callable[[Any], int] | None = None,
+        setter: Callable[[Any], None] | None = None,
+        **options: Any,
+    ) -> Signal:
+        """A signal that is read from the register `of` and set through the register `set`.
+
+        `to_si` takes the raw number (by default its value × `scale`), `to_raw` gives it. Set-points of all devices go out in
+        one packet. Other options are those of `add_signal`. Raises `UnknownNameError` for an unknown register.
+        """
+        codec = self.codec(of)
+        if set is not None:
+            target = self.codec(set)
+            convert = to_raw or (
+                lambda value: target.raw(value / scale if isinstance(value, (int, float)) else value)
+            )
+
+            def give(value: Any) -> None:
+                self.want(self._sync_message, target.name, convert(value))
+
+            setter = give
+        signal = self.add_signal(name, setter=setter, **options)
+        if to_si is None:
+            value_of = codec.value
+            to_si = value_of if scale == 1 else lambda raw: value_of(raw) * scale
+        self._watches.setdefault(of, []).append((to_si, signal))
+        return signal
+
+    # ------------------------------------------------------------------ by name
+
+    def read(self, first: str, last: str | None = None, *, raw: bool = False) -> Job:
+        """Ask for a register, or for all from `first` to `last` in one request.
+
+        The result is the value in the sheet's unit (`raw`: the number), or a dict of them by name. Raises
+        `UnknownNameError` and `CallerError`; fails with `NoReplyError`, or `DeviceError` when the device refuses.
+        """
+        span, fields = self._span(first, last or first)
+        self._must_answer(f"reading {first}")
+
+        def steps(job: Job) -> Steps:
+            record = yield self._ask(self._read_message, span, **fields)
+            self._raise_refusal(record, f"reading {first}")
+            data = getattr(record, self.payload)
+            found: dict[str, Any] = {}
+            for at, codec in span.codecs:
+                (number,) = codec.unpack_from(data, at)
+                found[codec.name] = number if raw else codec.value(number)
+            return found if last is not None else found[first]
+
+        return self.job(f"read {first}", steps)
+
+    def read_all(self, *, raw: bool = False) -> Job:
+        """The whole table, in one request: name → value."""
+        ordered = sorted(self.codecs.values(), key=lambda codec: codec.address)
+        return self.read(ordered[0].name, ordered[-1].name, raw=raw)
+
+    def write(self, name: str, value: Any, *, confirm: bool = False, raw: bool = False) -> Job:
+        """Write a register, and see that it arrived: by the device's acknowledgement, or else by reading it back.
+
+        `value` is in the sheet's unit (`raw`: the number as it is, unchecked). `confirm=True` is needed for what survives
+        power-off. Raises `UnknownNameError`, `FieldError`, `CallerError`; fails with `NoReplyError` or `DeviceError`.
+        """
+        codec = self.codec(name)
+        number = codec.raw(value, is_raw=raw)
+        self.check_write(name, confirm)
+
+        def steps(job: Job) -> Steps:
+            fields = {"start": codec.address, "data": codec.pack(number)}
+            doing = f"writing {name} = {value!r}"
+            if self.acknowledges:
+                record = yield self._ask(self._write_message, None, **fields)
+                self._raise_refusal(record, doing)
+            else:
+                yield self.tell(self._write_message, **fields)
+                if self.answers:
+                    found = yield self.read(name, raw=True)
+                    if found != number:
+                        raise DeviceError(
+                            f"{self.name}: {doing}: it has {codec.value(found)!r} all the same; is it locked?"
+                        )
+            self.written(name, number)
+
+        return self.job(f"write {name}", steps)
+
+    def check_write(self, name: str, confirm: bool = False) -> None:
+        """Raise `CallerError` when a register may not be written now."""
+        register = self.codec(name).register
+        if register.access == "read":
+            raise CallerError(f"{self.name}: register {name} can only be read")
+        if register.address in self.eeprom and not confirm:
+            raise CallerError(
+                f"{self.name}: register {name} keeps its value without power, and wears out; say confirm=True to write it"
+            )
+
+    def written(self, name: str, number: int) -> None:
+        """A register has been written, and the device said so."""
+        self.known[name] = (number, self.clock.now())
+        self._sent.pop(name, None)
+        if name in self._goals:
+            self._goals[name] = number
+        if name in self.remembers:
+            self._kept[name] = number
+        for to_si, signal in self._watches.get(name, ()):
+            signal.update(to_si(number), self.clock.now())
+
+    def cached(self, name: str, *, raw: bool = False) -> Any:
+        """The last value heard of a register, however old; None when it never was."""
+        codec = self.codec(name)
+        found = self.known.get(name)
+        return None if found is None else found[0] if raw else codec.value(found[0])
+
+    def refusal(self, record: Any) -> str:
+        """Why an answer is a refusal; empty when it is none. For drivers to override."""
+        return ""
+
+    def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
+        """Registers are not what was written: name → raw number written and found. They were lost by a reboot."""
+        text = ", ".join(f"{name} is {found}, was set to {was}" for name, (was, found) in which.items())
+        self.rebooted(text)
+
+    # ------------------------------------------------------------------ up
+
+    def receive(self, record: Any, instant: int) -> None:
+        """A record of this device: the registers that were asked for become signals."""
+        if type(record).__name__ != self.reply:
+            super().receive(record, instant)
+            return
+        ticket = self.awaiting[0] if self.awaiting else None
+        if ticket is not None:
+            span = self._spans.get(ticket.word)
+            data = getattr(record, self.payload)
+            if len(data) != (0 if span is None else span.count):
+                if data or not self.refusal(record):
+                    self.last_heard = instant
+                    self.tell_event("late reply", f"{len(data)} bytes, which nothing asks for now")
+                    return
+            elif span is not None:
+                self._take(span, data, instant)
+        super().receive(record, instant)
+
+    def _take(self, span: Span, data: bytes, instant: int) -> None:
+        known, watches, kept = self.known, self._watches, self._kept
+        lost: dict[str, tuple[int, int]] | None = None
+        for at, codec in span.codecs:
+            (number,) = codec.unpack_from(data, at)
+            name = codec.name
+            known[name] = (number, instant)
+            if self._sent and name in self._sent:
+                self._arrived(name, number)
+            elif name in kept and kept[name] != number:
+                lost = lost or {}
+                lost[name] = (kept[name], number)
+            for to_si, signal in watches.get(name, ()):
+                signal.update(to_si(number), instant)
+        if lost:
+            for name in lost:
+                self._kept.pop(name, None)
+            self.changed(lost)
+
+    def _arrived(self, name: str, number: int) -> None:
+        """What was sent to many, unacknowledged, has been read back."""
+        wanted, tries = self._sent.pop(name)
+        if number == wanted:
+            if name in self.remembers:
+                self._kept[name] = number
+        elif tries < AGAIN:
+            self._sent[name] = (wanted, tries + 1)
+            self._goals[name] = wanted
+            self._fresh[name] = None
+            self.host.wake()
+        else:
+            self.tell_event("limited", f"{name} was set to {wanted} and stays {number}")
+
+    def forget(self) -> None:
+        """Nothing that was known is true any more, save what survives power-off."""
+        super().forget()
+        eeprom = self.eeprom
+        self.known = {k: v for k, v in self.known.items() if self.codecs[k].address in eeprom}
+        for kept in (self._goals, self._fresh, self._kept, self._sent):
+            kept.clear()
+
+    # ------------------------------------------------------------------ down
+
+    def want(self, message: str, path: str, value: Any) -> None:
+        """Have a register (`path`) written with the next tick, as a raw number; other messages as `Device.want`."""
+        if message != self._sync_message:
+            super().want(message, path, value)
+            return
+        self._goals[path] = value
+        self._fresh[path] = None
+        if path not in self.streamed:
+            self._sent[path] = (value, 0)
+        if path in self._kept:
+            del self._kept[path]
+        self.host.wake()
+
+    def drop(self, message: str) -> None:
+        """Forget set-points: of a message, or of a register by its name."""
+        if message == self._sync_message:
+            self._goals.clear()
+            self._fresh.clear()
+        elif self._goals.pop(message, None) is None:
+            super().drop(message)
+
+    def wants(self, now: int) -> list[Want]:
+        """What is to be sent in this tick."""
+        out = super().wants(now) if self._given else []
+        goals = self._goals
+        if not goals:
+            return out
+        message = self._sync_message
+        if self._held and self._held.get(message, 0) > now:
+            return out
+        fresh, streamed = self._fresh, self.streamed
+        for name, value in goals.items():
+            if name in fresh or name in streamed:
+                out.append(Want(self, message, name, value))
+        fresh.clear()
+        return out
+
+    # ------------------------------------------------------------------ inside
+
+    def _ask(self, message: str, span: Span | None, **fields: Any) -> Ticket:
+        """A request; what it is answered with is remembered by its word."""
+        if span is not None:
+            self._spans[self.host.word(self, message, fields)] = span
+        return self.ask(message, reply=self.reply, timeout_s=self.timeout_s, retries=self.retries, **fields)
+
+    def _span(self, first: str, last: str) -> tuple[Span, dict[str, int]]:
+        one, other = self.codec(first), self.codec(last)
+        count = other.address + other.size - one.address
+        if count <= 0:
+            raise CallerError(f"{self.name}: register {last} stands before {first}")
+        return Span(one.address, count, self.codecs.values()), {"start": one.address, "count": count}
+
+    def _must_answer(self, doing: str) -> None:
+        if not self.answers:
+            raise CallerError(f"{self.name}: {doing}: this device is set to answer no reads")
+
+    def _raise_refusal(self, record: Any, doing: str) -> None:
+        why = self.refusal(record)
+        if why:
+            raise DeviceError(f"{self.name}: {doing}: refused: {why}")
+
+    def renumbered(self) -> None:
+        """Its credentials are others now: words that were made with the old ones are not its own."""
+        self._spans.clear()
+
+    @property
+    def _read_message(self) -> str:
+        assert self.registers.read_message is not None
+        return self.registers.read_message
+
+    @property
+    def _write_message(self) -> str:
+        assert self.registers.write_message is not None
+        return self.registers.write_message
+
+    @property
+    def _sync_message(self) -> str:
+        return self.registers.sync_message or ""
+
+
+def together_rule(wants: Sequence[Want]) -> Iterable[Outgoing]:
+    """One packet a register for all devices that want it, cut where the smallest receive buffer is full."""
+    by_register: dict[str, list[Want]] = {}
+    for want in wants:
+        by_register.setdefault(want.path, []).append(want)
+    for name, mine in by_register.items():
+        first: RegisterDevice = mine[0].device
+        codec = first.codec(name)
+        most = min(want.device.together_bytes for want in mine) - first.together_overhead
+        each = max(1, most // (codec.size + 1))
+        for at in range(0, len(mine), each):
+            servos = [
+                {"id": want.device.credentials["id"], "data": codec.pack(want.value)}
+                for want in mine[at : at + each]
+            ]
+            fields = {"start": codec.address, "size": codec.size, "servos": servos}
+            yield Outgoing(first, mine[0].message, fields)
+
+
+
+
+__all__ = ["Codec", "RegisterDevice", "Span", "together_rule"]

@@ -1,0 +1,53 @@
+"""What a state's declaration may say; what cannot be is said when the state is made, with its name."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from .errors import StateError
+
+#: Samples kept when nobody says otherwise: five seconds at 200 Hz.
+HISTORY = 1_000
+#: 16 bytes a sample, twice: 512 MiB.
+MOST_HISTORY = 1 << 24
+#: Beyond this order a polynomial through even samples swings wildly between them.
+MOST_ORDER = 9
+
+Interpolation = Literal["hold", "linear", "cubic"] | int
+ORDERS = {"hold": 0, "linear": 1, "cubic": 3}
+
+
+def checked_seconds(name: str, what: str, seconds: float | None) -> float | None:
+    """A duration, or None."""
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise StateError(f"state {name!r}: {what} = {seconds!r} is not a duration in seconds")
+    return seconds
+
+
+def checked_history(name: str, history: int | None, history_s: float | None, period_s: float | None) -> int:
+    """How many samples to keep, both ends of `history_s` included."""
+    if history is not None and history_s is not None:
+        raise StateError(f"state {name!r}: give history (samples) or history_s (seconds), not both")
+    if history_s is not None:
+        if period_s is None:
+            raise StateError(f"state {name!r}: history_s needs period_s; or give history in samples")
+        checked_seconds(name, "history_s", history_s)
+        history = math.ceil(history_s / period_s - 1e-9) + 1
+    history = HISTORY if history is None else history
+    if not 1 <= history <= MOST_HISTORY:
+        raise StateError(f"state {name!r}: a history of {history} samples (1 … {MOST_HISTORY})")
+    return history
+
+
+def checked_order(name: str, interpolation: Interpolation | None, *, is_real: bool) -> int:
+    """The order of the interpolating polynomial; by default 1, and for whole numbers 0: the last one is held."""
+    if interpolation is None:
+        return 1 if is_real else 0
+    order = ORDERS.get(interpolation) if isinstance(interpolation, str) else interpolation
+    if order is None or isinstance(order, bool) or not 0 <= order <= MOST_ORDER:
+        raise StateError(
+            f"state {name!r}: interpolation {interpolation!r}; there are 'hold', 'linear', 'cubic' "
+            f"and orders 0 … {MOST_ORDER}"
+        )
+    return order
