@@ -41,9 +41,9 @@ from .robot_file import load_robot as load_robot
 from .robot_file import make_robot as make_robot
 from .robot_file import parse_robot as parse_robot
 from .robot_text import print_robot as print_robot
-from .signal import UNKNOWN as UNKNOWN
-from .signal import Reading as Reading
-from .signal import Signal as Signal
+from .signals import UNKNOWN as UNKNOWN
+from .signals import Reading as Reading
+from .signals import Signal as Signal
 from .ticket import Job as Job
 from .ticket import Steps as Steps
 from .ticket import Ticket as Ticket

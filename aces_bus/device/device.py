@@ -27,7 +27,7 @@ from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
 from .coalesce import Rule, Want, put
 from .robot import DeviceConfig, Joint, Robot, Sensor
-from .signal import UNKNOWN, Signal
+from .signals import UNKNOWN, Signal
 from .ticket import Job, Steps, Ticket
 
 if TYPE_CHECKING:
@@ -168,6 +168,9 @@ class Device:
     def stop_motion(self) -> Any:
         """Stop what moves, now; nothing by default. Returns a ticket or job, or None."""
         return None
+
+    def renumbered(self) -> None:
+        """Its credentials are others now (`Host.renumber`): words that were made before are not its own."""
 
     def no_reply(self, ticket: Ticket) -> None:
         """A request has failed for want of an answer."""

@@ -171,6 +171,14 @@ class Host(Station[Device]):
         super().remove(name)
         self._turns = deque(turn for turn in self._turns if turn.device is not device)
 
+    def renumber(self, member: Device, **credentials: int) -> None:
+        """A device has other credentials from now on: its polls ask for them."""
+        super().renumber(member, **credentials)
+        for turn in self._turns:
+            if turn.device is member:
+                turn.word = self.word(member, turn.poll.message, turn.poll.fields)
+        member.renumbered()
+
     @property
     def devices(self) -> dict[str, Device]:
         """The devices, by name."""

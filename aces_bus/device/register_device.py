@@ -25,7 +25,7 @@ from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import RegisterMap
 from .coalesce import Outgoing, Want
 from .device import Device, Poll
-from .signal import Signal
+from .signals import Signal
 from .ticket import Job, Steps, Ticket
 
 #: How often a set-point that did not arrive is sent again.
@@ -399,8 +399,13 @@ class RegisterDevice(Device):
             raise DeviceError(f"{self.name}: {doing}: refused: {why}")
 
     def renumbered(self) -> None:
-        """Its credentials are others now: words that were made with the old ones are not its own."""
+        """Its credentials are others now: what its requests read is known by other words."""
         self._spans.clear()
+        for poll in self.polls:
+            if poll.message == self._read_message:
+                start, count = poll.fields["start"], poll.fields["count"]
+                word = self.host.word(self, poll.message, poll.fields)
+                self._spans[word] = Span(start, count, self.codecs.values())
 
     @property
     def _read_message(self) -> str:

@@ -20,7 +20,7 @@ from .host import BUDGET, Host
 from .port import Port
 from .registry import Driver, load_driver
 from .robot import DeviceConfig, Robot
-from .signal import Signal
+from .signals import Signal
 from .ticket import Job, together
 from .twin import Twin, Twins, World
 

@@ -93,6 +93,13 @@ class Station(Generic[M]):
         self.members.pop(name, None)
         self._routes.clear()
 
+    def renumber(self, member: M, **credentials: int) -> None:
+        """A member has other credentials from now on."""
+        state = member.__dict__
+        state["credentials"] = {**member.credentials, **credentials}
+        state.pop("_tags", None)
+        self._routes.clear()
+
     def _route(self, record: Any) -> _Route[M]:
         """Who may be meant by records of this type."""
         kind = type(record)

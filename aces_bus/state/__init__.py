@@ -6,8 +6,8 @@ a second before; `power = torque * omega` is a quantity like any other. See docs
 
 from __future__ import annotations
 
-from ..device.signal import UNKNOWN as UNKNOWN
-from ..device.signal import Reading as Reading
+from ..device.signals import UNKNOWN as UNKNOWN
+from ..device.signals import Reading as Reading
 from .derived import Derived as Derived
 from .derived import derived as derived
 from .design import butterworth as butterworth

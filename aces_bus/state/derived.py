@@ -15,7 +15,7 @@ import numbers
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ..device.signal import UNKNOWN
+from ..device.signals import UNKNOWN
 from ..runtime import Clock, RealClock
 from . import units
 from .errors import StateError

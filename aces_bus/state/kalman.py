@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..device.signal import UNKNOWN
+from ..device.signals import UNKNOWN
 from .errors import StateError
 from .estimators import Estimation
 from .units import multiplied

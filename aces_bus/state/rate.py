@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..device.signal import UNKNOWN
+from ..device.signals import UNKNOWN
 from . import units
 from .errors import StateError
 from .polynomial import slope_at

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..device.signal import UNKNOWN
+from ..device.signals import UNKNOWN
 from . import units
 from .declaration import checked_seconds
 from .errors import StateError

@@ -21,7 +21,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Any
 
-from ..device.signal import UNKNOWN
+from ..device.signals import UNKNOWN
 from ..runtime import Clock, RealClock
 from .declaration import Interpolation, checked_history, checked_order, checked_seconds
 from .errors import StateError

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..device.signal import UNKNOWN
+from ..device.signals import UNKNOWN
 from .errors import StateError
 from .quantity import Quantity
 from .state import State

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.device.signal import Signal
+from aces_bus.device.signals import Signal
 from aces_bus.runtime import RealClock, VirtualClock
 from aces_bus.state import UNKNOWN, ConstantVelocity, State, StateError
 

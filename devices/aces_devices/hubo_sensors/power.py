@@ -1,0 +1,118 @@
+"""The smart power controller: voltage, current and power of the robot; alarm and beeper.
+
+1. It is asked 20 times a second unless the robot's file says otherwise: a battery is slow.
+2. A low battery is told once, and again when it is over by half a volt.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from aces_bus.device import Device, Driver, Host, Job, Poll, Steps, Ticket
+from aces_bus.device.robot import DeviceConfig
+from aces_bus.errors import CallerError, NoReplyError
+
+from .power_twin import PowerTwin
+
+#: How often it is asked (s): hubo-ach asks twice in each cycle of 5 ms.
+EVERY = 0.05
+#: Where a low battery is told (V), and by how much it must recover. No sheet has it: 3.67 V a cell of a 12-cell pack.
+LOW, RECOVERED = 44.0, 0.5
+SOUNDS = ("off", "sound_1", "sound_2", "sound_3", "sound_4")
+
+
+class PowerBoard(Device):
+    """Signals: voltage (V), current (A), power (W)."""
+
+    protocol = "hubo"
+    actions: ClassVar = {
+        "alarm": "sound the alarm: 1 to 4, by default 1",
+        "quiet": "end the alarm",
+        "beep": "beep, by default for 0.3 s",
+    }
+
+    def setup(self) -> None:
+        """Three signals and one poll, as often as the settings say."""
+        every = float(self.config.settings.get("every_s", EVERY))
+        self.low_v = float(self.config.settings.get("low_voltage_v", LOW))
+        self.is_low = False
+        self.polls = (Poll("PowerQuery", reply="Power", every_s=every),)
+        for name, unit in (("voltage", "V"), ("current", "A"), ("power", "W")):
+            self.add_signal(
+                name, unit=unit, of=f"Power.{name}", stale_s=max(0.1, 5 * every), source="hubo-ach"
+            )
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Whether the battery is low."""
+        if type(record).__name__ != "Power":
+            return
+        voltage = record.voltage
+        if not self.is_low and voltage < self.low_v:
+            self.is_low = True
+            self.tell_event("alarm", f"low battery: {voltage:.1f} V, below {self.low_v:g} V")
+        elif self.is_low and voltage > self.low_v + RECOVERED:
+            self.is_low = False
+            self.tell_event("alarm over", f"battery: {voltage:.1f} V")
+
+    def alarm(self, sound: int = 1) -> Ticket:
+        """Sound the alarm: 1 to 4; 0 ends it. Raises `CallerError` for another sound."""
+        if not 0 <= int(sound) < len(SOUNDS):
+            raise CallerError(f"{self.name}: there is no alarm {sound}; there are 1 to 4, and 0 for none")
+        return self.tell("Alarm", sound=SOUNDS[int(sound)])
+
+    def quiet(self) -> Ticket:
+        """End the alarm."""
+        return self.alarm(0)
+
+    def beep(self, seconds: float = 0.3) -> Ticket:
+        """Beep for up to 25.5 s. Raises `FieldError` for longer."""
+        return self.tell("Beep", time=float(seconds))
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """The power board is one number of D12; older robots have none."""
+    variant = host.variants["hubo"]
+    found: list[DeviceConfig] = []
+    if variant.dialect != "D12":
+        return found
+    table = variant.tables["channels"]
+    for board in [number for number, kind in table.items() if kind == "power"]:
+        probe = host.probe("hubo", board=board)
+        try:
+            yield probe.ask("PowerQuery", reply="Power", timeout_s=0.01, retries=1)
+        except NoReplyError:
+            continue
+        finally:
+            host.remove(probe.name)
+        found.append(
+            DeviceConfig(
+                name="JMC14", driver="hubo_power", bus=host.name, credentials={"board": board}, kind="power"
+            )
+        )
+    return found
+
+
+EXAMPLE = """
+name = "hubo_power"
+rate_hz = 200
+
+[buses]
+upper = { link = "can", protocol = "hubo", dialect = "D12" }
+
+[devices]
+JMC14 = { driver = "hubo_power", bus = "upper", credentials = { board = 0x0E }, kind = "power" }
+"""
+
+driver = Driver(
+    "hubo_power",
+    device=PowerBoard,
+    twin=PowerTwin,
+    example=EXAMPLE,
+    doc="Hubo's smart power controller: voltage, current, power; alarm and beeper.",
+    source="hubo-ach; HuboCan",
+    scan=_scan,
+    settings={
+        "every_s": f"how often it is asked (s), {EVERY} when absent",
+        "low_voltage_v": f"below this a low battery is told (V), {LOW:g} when absent",
+    },
+)

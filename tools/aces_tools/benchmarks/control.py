@@ -1,0 +1,179 @@
+"""`aces bench control`: what a control loop pays for its states, beside deque, np.interp and scipy.
+
+1. Everything is measured as a controller would call it, in a plain `for` loop, whose own cost is counted in.
+2. A peer does the same work on the same samples; where it is not installed its row is missing, and so is the ratio.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from itertools import count, repeat
+from typing import Any
+
+from aces_bus.runtime import RealClock
+from aces_bus.state import Kalman, LowPass, Median, MovingAverage, RateLimit, Sos, State
+from aces_bus.state.filters import Filter
+
+from .timing import Row, fastest, optional
+
+#: A thousand samples at 200 Hz.
+HISTORY, PERIOD_NS = 1_000, 5_000_000
+#: What a control loop may spend (ns): a value, one between two samples, taking a sample, a filter's step.
+VALUE_NS, BETWEEN_NS, PUSH_NS, FILTER_NS = 300, 3_000, 1_000, 2_000
+#: Butterworth, 5 Hz of 200 Hz: second order, and the same four times over.
+SECTION = (0.005542717210280681, 0.011085434420561363, 0.005542717210280681, 1.0, -1.778631777824585, 0.8008026466657076)
+WHEN_S = -1.2345
+
+Contenders = Mapping[str, Callable[[], Any]]
+
+
+def run(*, quick: bool = False) -> Iterable[Row]:
+    """All rows; `quick` takes some two seconds and is rougher."""
+    rounds, calls = (5, 2_000) if quick else (15, 10_000)
+    for subject, peer, target, contenders in (values(), between(), made_of(), samples(), filters()):
+        loops = {name: _loop(call, calls) for name, call in contenders.items()}
+        best = {name: s / calls * 1e9 for name, s in fastest(loops, rounds=rounds).items()}
+        beside = best.get(peer)
+        for name, ns in best.items():
+            is_ours = name != peer
+            yield Row(
+                subject,
+                name,
+                ns,
+                "ns",
+                beside / ns if is_ours and beside is not None else None,
+                f"≤ {target:,} ns" if is_ours else "",
+                ns <= target if is_ours else None,
+            )
+
+
+def _loop(call: Callable[[], Any], calls: int) -> Callable[[], None]:
+    def run() -> None:
+        for _ in repeat(None, calls):
+            call()
+
+    return run
+
+
+def state_of(samples: int = HISTORY, **options: Any) -> State:
+    """A state with samples of a sine, the last of them now."""
+    clock = RealClock()
+    state = State("omega", unit="rad/s", clock=clock, history=HISTORY, **options)
+    start = clock.now() - samples * PERIOD_NS
+    for i in range(1, samples + 1):
+        state.push(math.sin(0.03 * i), start + i * PERIOD_NS)
+    return state
+
+
+def values() -> tuple[str, str, int, Contenders]:
+    """The newest value."""
+    plain, aged = state_of(), state_of(stale_after_s=3600)
+    recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(HISTORY)], HISTORY)
+    return (
+        "the newest value",
+        "deque[-1][1]",
+        VALUE_NS,
+        {
+            "deque[-1][1]": lambda: recent[-1][1],
+            "omega[0]": lambda: plain[0],
+            "omega[0], unknown when stale": lambda: aged[0],
+        },
+    )
+
+
+def between() -> tuple[str, str, int, Contenders]:
+    """A value between two samples."""
+    import numpy as np
+
+    linear, cubic = state_of(), state_of(interpolation="cubic")
+    ahead = state_of(estimator=Kalman(0.01, 1.0))
+    recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(HISTORY)], HISTORY)
+
+    def interpolated() -> float:
+        instants, numbers = zip(*recent, strict=True)
+        return float(np.interp(instants[-1] + WHEN_S * 1e9, instants, numbers))
+
+    return (
+        f"between two of {HISTORY:,} samples",
+        "deque and np.interp",
+        BETWEEN_NS,
+        {
+            "deque and np.interp": interpolated,
+            "omega[-1.2345], linear": lambda: linear[WHEN_S],
+            "omega[-1.2345], cubic": lambda: cubic[WHEN_S],
+            "omega[0], Kalman filter": lambda: ahead[0],
+        },
+    )
+
+
+def made_of() -> tuple[str, str, int, Contenders]:
+    """What is computed when it is read."""
+    torque, omega = state_of(), state_of()
+    power = torque * omega
+    return (
+        "computed from states",
+        "",
+        BETWEEN_NS,
+        {
+            "omega.rate()[0]": lambda: omega.rate()[0],
+            "power = torque * omega, power[0]": lambda: power[0],
+            "power[-1.2345]": lambda: power[WHEN_S],
+        },
+    )
+
+
+def samples() -> tuple[str, str, int, Contenders]:
+    """Taking a sample."""
+    instants = count(1 << 61, PERIOD_NS)
+    plain = state_of(samples=0)
+    recent: deque[tuple[int, float]] = deque(maxlen=HISTORY)
+    return (
+        "a sample comes in",
+        "deque.append",
+        PUSH_NS,
+        {
+            "deque.append": lambda: recent.append((next(instants), 0.5)),
+            "push": lambda: plain.push(0.5, next(instants)),
+        },
+    )
+
+
+def filters() -> tuple[str, str, int, Contenders]:
+    """One sample through a filter; the last row is all that a filtered state costs, beside the first push."""
+    instants = count(1 << 61, PERIOD_NS)
+    kinds: dict[str, Filter] = {
+        "second order": Sos((SECTION,), 200),
+        "eighth order": Sos((SECTION,) * 4, 200),
+        "three moving averages": MovingAverage((10, 5, 2)),
+        "median of 15": Median(15),
+        "rate limit": RateLimit(1.0),
+        "low pass by real time": LowPass(0.1),
+        "Kalman, velocity": Kalman(0.01, 1.0),
+        "Kalman, acceleration": Kalman(0.01, 1.0, "acceleration"),
+    }
+    contenders: dict[str, Callable[[], Any]] = {}
+    signal = optional("scipy.signal")
+    if signal is not None:
+        import numpy as np
+
+        rows, one, state = np.array([SECTION]), np.array([0.5]), np.zeros((1, 2))
+        contenders["scipy sosfilt, second order"] = lambda: signal.sosfilt(rows, one, zi=state)
+    for name, kind in kinds.items():
+        contenders[name] = _step(kind.start_filter(0.5), instants)
+    whole = Sos((SECTION,), 200)
+    for name, uneven in (("even samples", "resample"), ("samples as they come", "accept")):
+        fed = state_of(samples=0)
+        out: Any = fed.filtered(whole, uneven=uneven)  # type: ignore[arg-type]
+        contenders[f"omega.filtered(second order), {name}"] = _taken(out, instants)
+    return "a sample through a filter", "scipy sosfilt, second order", FILTER_NS, contenders
+
+
+def _step(step: Callable[[float, int], float], instants: count[int]) -> Callable[[], Any]:
+    return lambda: step(0.5, next(instants))
+
+
+def _taken(out: Any, instants: count[int]) -> Callable[[], Any]:
+    own = count(1 << 61, PERIOD_NS)  # even, whoever else takes instants
+    return lambda: out._take(0.5, next(own))
