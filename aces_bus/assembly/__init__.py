@@ -7,12 +7,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .buses import gate_of as gate_of
     from .buses import open_gates as open_gates
+    from .buses import port_for as port_for
     from .virtual import VirtualRobot as VirtualRobot
     from .virtual import wire_of as wire_of
 
-_PLACES = {"VirtualRobot": "virtual", "gate_of": "buses", "open_gates": "buses", "wire_of": "virtual"}
+_PLACES = {
+    "VirtualRobot": "virtual",
+    "gate_of": "buses",
+    "open_gates": "buses",
+    "port_for": "buses",
+    "wire_of": "virtual",
+}
 
-__all__ = ["VirtualRobot", "gate_of", "open_gates", "wire_of"]
+__all__ = ["VirtualRobot", "gate_of", "open_gates", "port_for", "wire_of"]
 
 
 def __getattr__(name: str) -> Any:

@@ -70,10 +70,15 @@ def open_gates(
     for name, protocol in spoken_on(robot, load).items():
         bus = robot.buses[name]
         gate = gate_of(bus, protocol, (options or {}).get(name))
-        more: dict[str, Any] = {}
-        if isinstance(gate, CanGate):
-            more["bitrate"] = bus.bitrate or protocol.bitrate
-        elif isinstance(gate, SerialGate):
-            more = {"baud": gate.baud, "half_duplex": gate.half_duplex}
-        ports[name] = port_of(gate, loop, **more)
+        ports[name] = port_for(gate, bus, loop)
     return ports
+
+
+def port_for(gate: CanGate | SerialGate | DatagramGate, bus: Bus, loop: Loop) -> Any:
+    """The port of a bus's gate, which knows what words cost."""
+    more: dict[str, Any] = {}
+    if isinstance(gate, CanGate):
+        more["bitrate"] = bus.bitrate
+    elif isinstance(gate, SerialGate):
+        more = {"baud": gate.baud, "half_duplex": gate.half_duplex}
+    return port_of(gate, loop, **more)

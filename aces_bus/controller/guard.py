@@ -9,10 +9,9 @@
 4. Nothing here waits or raises for a value.
 
 Theory. With velocities in units of a·dt, stopping from w takes whole steps: the largest w that still stops within the
-distance m (in units of a·dt²) is m/(n+1) + n/2 with n the largest whole number of n(n+1)/2 ≤ m. That bounds
-the velocity
-towards a limit of position. Where the set-points themselves are too fast, the same bound on the distance to them, beside their own
-velocity, catches up without overshoot.
+distance m (in units of a·dt²) is m/(n+1) + n/2 with n the largest whole number of n(n+1)/2 ≤ m. That bounds the velocity
+towards a limit of position. Where the set-points themselves are too fast, the same bound on the distance to them, beside
+their own velocity, catches up without overshoot.
 """
 
 from __future__ import annotations

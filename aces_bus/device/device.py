@@ -169,6 +169,9 @@ class Device:
         """Stop what moves, now; nothing by default. Returns a ticket or job, or None."""
         return None
 
+    def garbled(self, reason: str, instant: int) -> None:
+        """A word that is probably this device's was not understood."""
+
     def renumbered(self) -> None:
         """Its credentials are others now (`Host.renumber`): words that were made before are not its own."""
 

@@ -35,6 +35,8 @@ TELL_EVERY = 1_000_000_000
 SECOND = 20_000_000
 #: The robot of a probe.
 NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
+#: On a half-duplex line a silent device's time-outs take one part in so many of the time.
+SILENT_SHARE = 10
 #: The share of a tick that polls may fill when nobody says otherwise.
 BUDGET = 0.9
 
@@ -131,6 +133,8 @@ class Host(Station[Device]):
         self._serial_number = 0
         self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
         self._tick_at = 0
+        #: Half duplex: when the next tick is due, and after what instant no poll may end.
+        self._tick_end, self._polls_end = 0, 1 << 62
         self._next_tick: Timer | None = None
         self._woken = False
         #: Half duplex: what is to be sent, and the request that has the line (None: free).
@@ -225,6 +229,11 @@ class Host(Station[Device]):
         now = self.clock.now()
         counts = self.counts
         counts.ticks += 1
+        self._tick_end = now + self._period
+        self._polls_end = now + round(self._period * self.budget) if self._period else 1 << 62
+        if self._half and not self._period:
+            for turn in self._turns:
+                turn.due = turn.due if turn.every_ns else now
         used = self._send_set_points(now)
         if self._half:
             self._pump()
@@ -252,7 +261,12 @@ class Host(Station[Device]):
         self._pump()
 
     def _take_turn(self, turn: _Turn, now: int) -> None:
-        turn.due = now + turn.every_ns - (self._period // 2 if turn.every_ns else 0)
+        if turn.every_ns:
+            turn.due = now + turn.every_ns - self._period // 2
+        elif self._half:
+            turn.due = self._tick_end if self._period else 1 << 62  # once a tick
+        else:
+            turn.due = now
         turn.asked_at = now
         ticket = Ticket(
             self.clock, turn.device, turn.poll.message, turn.word, turn.replies, turn.timeout_ns, 0, turn
@@ -382,6 +396,9 @@ class Host(Station[Device]):
                 else f"last heard {(now - device.last_heard) / 1e9:.3f} s ago"
             )
             self.tell("silent", device.name, f"{device.misses} requests without an answer, {age}")
+        if self._half and device.is_silent and ticket.poll is not None:
+            # Its time-outs hold up all others: it is asked less often until it answers.
+            ticket.poll.due = max(ticket.poll.due, now + SILENT_SHARE * ticket.timeout_ns)
         if ticket.poll is None:
             tries = f"{ticket.tries} tries" if ticket.tries > 1 else "one try"
             error = NoReplyError(
@@ -468,9 +485,9 @@ class Host(Station[Device]):
         for _ in range(len(turns)):
             turn = turns[0]
             if turn.due <= now and turn.waiting is None:
-                if self._period and now + turn.cost_ns > self._tick_at + self._period and self.counts.ticks:
+                if now + turn.cost_ns > self._polls_end:
                     self.counts.polls_carried += 1
-                    return  # the next tick begins before its answer
+                    return  # its answer would come after the budget's end
                 turns.rotate(-1)
                 self._take_turn(turn, now)
                 return
@@ -499,6 +516,8 @@ class Host(Station[Device]):
         raw = word.meta.raw.hex(" ")
         where = f"{word.meta.identifier:#05x} " if word.meta.identifier is not None else ""
         self.tell("malformed", device.name if device is not None else "", f"{where}{raw}: {word.reason[11:]}")
+        if device is not None:
+            device.garbled(word.reason, instant)
 
     def _suspect(self, word: UnknownWord) -> Device | None:
         """Whose word it may have been: by its identifier, or whoever has the line."""

@@ -441,6 +441,4 @@ def together_rule(wants: Sequence[Want]) -> Iterable[Outgoing]:
             yield Outgoing(first, mine[0].message, fields)
 
 
-
-
 __all__ = ["Codec", "RegisterDevice", "Span", "together_rule"]

@@ -213,6 +213,18 @@ def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
     return load_protocol(own) if isinstance(own, str) else own
 
 
+def variants_of(robot: Robot, bus: str) -> list[Variant]:
+    """The installed protocols of a bus, with the robot's dialect and tables; also where it has no devices."""
+    found: dict[str, Variant] = {}
+    spoken = [(robot.buses[bus].protocol, robot.buses[bus].dialect)]
+    spoken += [robot.protocol_of(config) for config in robot.devices_on(bus)]
+    for name, dialect in spoken:
+        protocol = load_protocol(name)
+        tables = robot.tables(protocol) if robot.devices else None
+        found.setdefault(name, protocol.variant(dialect, tables or None))
+    return list(found.values())
+
+
 def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str, list[Variant]]:
     """The protocols of each bus that has active devices, with the robot's own tables."""
     found: dict[str, dict[str, Variant]] = {}

@@ -21,12 +21,15 @@ from functools import partial
 from typing import Any, ClassVar, TypeVar
 from typing import Protocol as Interface
 
-from ..errors import CallerError, UnknownNameError
+from ..errors import CallerError, FieldError, UnknownNameError
 from ..protocol import Protocol, Variant
 from ..runtime import EventClock, Timer
 from .port import Port
 from .robot import DeviceConfig, Joint, Robot, Sensor
 from .station import Station
+
+#: Bytes that are kept of a stream, for twins that answer what is not understood.
+TAIL = 512
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -126,6 +129,9 @@ class Twin:
     def heard(self, record: Any, instant: int) -> None:
         """A request that no method is for."""
 
+    def not_understood(self, data: bytes, reason: str) -> None:
+        """Bytes on a stream that are no request, from where they begin; only kinds that override this are given them."""
+
     # ------------------------------------------------------------------ hearing and answering
 
     def receive(self, record: Any, instant: int) -> None:
@@ -155,8 +161,9 @@ class Twin:
             self.replies += 1
             return
         if "wrong_number" in faults:
-            fields = {**self._other_number(message, int(faults["wrong_number"])), **fields}
-        word = self.twins.word(self, message, fields)
+            word = self._misnumbered(message, fields, int(faults["wrong_number"]))
+        else:
+            word = self.twins.word(self, message, fields)
         if "wrong_check" in faults:
             word = with_data(word, lambda data: data[:-1] + bytes((data[-1] ^ 0x55,)) if data else data)
         if "short" in faults:
@@ -178,9 +185,23 @@ class Twin:
         """Send any word, as a device out of its mind might."""
         self.twins.send(word)
 
-    def _other_number(self, message: str, number: int) -> dict[str, int]:
+    def _misnumbered(self, message: str, fields: dict[str, Any], number: int) -> Any:
+        """An answer with the number said, else with the next one that this robot knows, else with the one before."""
         known = set(self.variant[message].fields)
-        return {k: number if number >= 0 else v + 1 for k, v in self.credentials.items() if k in known}
+        mine = {k: v for k, v in self.credentials.items() if k in known}
+        if number >= 0:
+            return self.twins.word(self, message, {**dict.fromkeys(mine, number), **fields})
+        for step in (1, -1):
+            try:
+                return self.twins.word(self, message, {**{k: v + step for k, v in mine.items()}, **fields})
+            except FieldError:
+                pass
+        word = self.twins.word(self, message, fields)
+        if self.variant.link != "can":
+            return word
+        import msgspec  # a number that the spec does not know: its identifier is as near as any
+
+        return msgspec.structs.replace(word, arbitration_id=word.arbitration_id ^ 1)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
         """Do something again and again, from one period from now on, while the device is powered."""
@@ -242,11 +263,10 @@ class Twins(Station[Twin]):
         self.not_sent = 0
         #: Requests that were not understood, or were for nobody here.
         self.unknown = self.others = 0
-
-    @property
-    def twins(self) -> dict[str, Twin]:
-        """The twins, by name."""
-        return self.members
+        #: Who wants to see what is not understood; what was heard last, and its end's place in the stream.
+        self._ears: list[Twin] = []
+        self._tail = b""
+        self._heard = 0
 
     def send(self, word: Any) -> None:
         """Put a word on the bus."""
@@ -259,8 +279,26 @@ class Twins(Station[Twin]):
             twin.stop()
         super().close()
 
+    def add(self, member: Twin) -> Twin:
+        """Put a twin on the bus. Raises `CallerError` as `Station.add`."""
+        if type(member).not_understood is not Twin.not_understood:
+            self._ears.append(member)
+        return super().add(member)
+
+    def _received(self, word: Any, instant: int) -> None:
+        if self._ears and not self._is_can:
+            self._tail = (self._tail + word)[-TAIL:]
+            self._heard += len(word)
+        super()._received(word, instant)
+
     def _not_understood(self, word: Any, instant: int) -> None:
         self.unknown += 1
+        offset = word.meta.offset
+        if self._ears and offset is not None and word.reason != "skipped":
+            at = offset - self._heard + len(self._tail)
+            data = self._tail[at:] if at >= 0 else b""
+            for twin in self._ears:
+                twin.not_understood(data, word.reason)
 
     def _nobodys(self, record: Any, instant: int) -> None:
         self.others += 1

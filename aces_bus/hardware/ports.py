@@ -23,6 +23,8 @@ from .serial_wire import BITS, SerialWire
 from .wire import Wire, WireEvent
 
 Handler = Callable[[Any, int], Any]
+#: How long after bus-off a simulated station comes back (ns): SocketCAN's usual restart-ms, and what boards do.
+RESTART = 100_000_000
 
 
 class CanPort:
@@ -55,7 +57,9 @@ class CanPort:
     def open(self, received: Handler) -> None:
         """Begin to hear."""
         if isinstance(self._bus, Wire):
-            self.node = self._bus.attach(self.name, received, self._happened, mailboxes=4096)
+            self.node = self._bus.attach(
+                self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART
+            )
             self.node.hears_sent = False
             self._send: Callable[[Frame], Any] = self.node.send
             return

@@ -47,9 +47,8 @@ class Derived(Quantity):
         return Derived(name, self.function, self.inputs, self.unit if unit is None else unit)
 
     def _computed(self, values: list[Any]) -> Any:
-        for value in values:
-            if value is UNKNOWN:
-                return UNKNOWN
+        if UNKNOWN in values:
+            return UNKNOWN
         try:
             result = self.function(*values)
         except (ArithmeticError, ValueError):
@@ -84,12 +83,26 @@ class Derived(Quantity):
     @property
     def instant(self) -> int | None:
         """The oldest of the inputs' newest instants (ns)."""
-        return _oldest([one.instant for one in self._sources])
+        oldest: int | None = None
+        for one in self._sources:
+            instant = one.instant
+            if instant is None:
+                return None
+            if oldest is None or instant < oldest:
+                oldest = instant
+        return oldest
 
     @property
     def origin(self) -> int | None:
         """What `[0]` stands for when the past is counted from it: the oldest of the inputs' origins."""
-        return _oldest([one.origin for one in self._sources])
+        oldest: int | None = None
+        for one in self._sources:
+            instant = one.origin
+            if instant is None:
+                return None
+            if oldest is None or instant < oldest:
+                oldest = instant
+        return oldest
 
     @property
     def is_stale(self) -> bool:
@@ -189,11 +202,6 @@ def _unit(name: str, symbol: str, left: str | None, right: str | None) -> str | 
     if symbol == "**":
         return "" if left == right == "" else None
     return units.multiplied(left, right, -1 if symbol == "/" else 1)
-
-
-def _oldest(instants: list[int | None]) -> int | None:
-    known = [one for one in instants if one is not None]
-    return min(known) if len(known) == len(instants) else None
 
 
 def _common_clock(name: str, inputs: Sequence[Quantity]) -> Clock:

@@ -141,7 +141,11 @@ class Quantity(ABC):
         origin = self.origin
         if origin is None:
             return UNKNOWN
-        return self.at(origin + self._ns(t))
+        try:
+            instant = origin + round(t * 1e9)
+        except (OverflowError, ValueError, TypeError):
+            instant = origin + self._ns(t)  # says what is wrong with it
+        return self.at(instant)
 
     def get(self, t: float, default: Any = UNKNOWN) -> Any:
         """`q[t]`, or `default` where that is unknown or outside of what can be known."""

@@ -271,10 +271,10 @@ class State(Quantity):
                 return UNKNOWN
             origin = max(self._now(), self._newest_at)
         try:
-            return self.at(origin + round(t * 1e9))
+            instant = origin + round(t * 1e9)
         except (OverflowError, ValueError, TypeError):
-            self._ns(t)  # says what is wrong with it
-            raise
+            instant = origin + self._ns(t)  # says what is wrong with it
+        return self.at(instant)
 
     def at(self, instant: int) -> Any:
         """The value at an instant (ns): a sample, between two the interpolation, beyond them the estimator's."""

@@ -82,7 +82,7 @@ def test_what_does_not_add_up_is_refused() -> None:
     with pytest.raises(StateError, match=r"\(torque \+ omega\): N·m and rad/s do not add up"):
         _ = torque + omega
     with pytest.raises(StateError, match="different clocks"):
-        torque * State("other", clock=VirtualClock())
+        _ = torque * State("other", clock=VirtualClock())
     with pytest.raises(StateError, match="neither a state nor a number"):
         _ = torque + "1"  # type: ignore[operator]
     with pytest.raises(StateError, match="give the quantities"):

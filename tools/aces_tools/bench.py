@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "subject",
-        choices=["live", "columns", "bus"],
+        choices=["live", "columns", "bus", "control"],
         help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole captures, beside "
-        "cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can's",
+        "cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can's; "
+        "control: what a control loop pays for states and filters, beside deque, np.interp and scipy",
     )
     parser.add_argument(
         "--quick", action="store_true", help="a few seconds instead of a minute; rougher figures"
@@ -49,6 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
         from .benchmarks import bus
 
         rows = bus.run(quick=arguments.quick)
+    elif arguments.subject == "control":
+        from .benchmarks import control
+
+        rows = control.run(quick=arguments.quick)
     else:
         from .benchmarks import columns
 

@@ -30,6 +30,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "play": ("play", "play recordings onto a bus at their pace; only with --tx"),
     "bus": ("bus", "serve a virtual bus to other programs; list buses; measure a bus's load"),
     "robot": ("robot", "robots as files: check, show, list; import from HuboCan and hubo-ach"),
+    "devices": ("devices", "list the drivers, and what their devices can do"),
+    "device": ("device", "read, set, watch, enable and home the devices of a robot; motion only with --tx"),
+    "scan": ("scan", "find what answers on a bus, and write a robot's file of it"),
+    "sim": ("sim", "put a robot's simulated devices on a bus"),
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
     "spec": ("spec", "for the authors of protocols: new, check, show, explain, export, import, stubs"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
@@ -115,7 +119,9 @@ def _plain(arguments: list[str]) -> list[str]:
 def _help_of_actions(verb: str, doc: str, actions: dict[str, tuple[str, str]]) -> str:
     width = max(map(len, actions))
     lines = "\n".join(f"  {action:<{width}}  {text}" for action, (_, text) in actions.items())
-    return f"{doc.strip()}\n\nusage: aces {verb} ACTION …\n\n{lines}\n\n'aces {verb} ACTION --help' says more."
+    return (
+        f"{doc.strip()}\n\nusage: aces {verb} ACTION …\n\n{lines}\n\n'aces {verb} ACTION --help' says more."
+    )
 
 
 def _help() -> str:

@@ -3,8 +3,14 @@
 #: Action → its module in this package, and what it is for; as VERBS of `main`.
 ACTIONS: dict[str, tuple[str, str]] = {
     "new": ("authoring.new", "begin a protocol: a commented spec, a test and a README that pass at once"),
-    "check": ("authoring.check", "what is wrong or doubtful in a spec, a protocol, or a robot's buses; file:line"),
-    "show": ("authoring.show", "how messages are laid out and decoded: pictures, plan, generated source; --diff"),
+    "check": (
+        "authoring.check",
+        "what is wrong or doubtful in a spec, a protocol, or a robot's buses; file:line",
+    ),
+    "show": (
+        "authoring.show",
+        "how messages are laid out and decoded: pictures, plan, generated source; --diff",
+    ),
     "explain": ("authoring.explain", "why a word of a capture is decoded as it is, template by template"),
     "stubs": ("authoring.stubs", "stubs of the records, for editors and type checkers"),
     "export": ("authoring.export", "DBC, a Wireshark dissector, pages in Markdown"),

@@ -73,7 +73,12 @@ class SensorBoard(Device):
         return next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
 
     def axes(
-        self, sensor: Sensor | None, message: str, named: Sequence[tuple[str, str, str, float]], *, turned: bool = True
+        self,
+        sensor: Sensor | None,
+        message: str,
+        named: Sequence[tuple[str, str, str, float]],
+        *,
+        turned: bool = True,
     ) -> None:
         """A signal for each (name, field, unit, factor to SI) of a message, `turned` by the sensor's signs."""
         signs: Sequence[int] = (1,) * len(named)
@@ -102,7 +107,9 @@ class SensorBoard(Device):
         signs = sensor.signs or (1,) * len(named)
         rows: list[tuple[tuple[float, ...], Signal]] = []
         for (name, unit), row, sign in zip(named, matrix, signs, strict=False):
-            made = self.add_signal(name, unit=unit, owner=sensor.name, stale_s=self.fresh_s, source=self.facts)
+            made = self.add_signal(
+                name, unit=unit, owner=sensor.name, stale_s=self.fresh_s, source=self.facts
+            )
             self.readable.add(made.name)
             rows.append((tuple(sign * factor for factor in row), made))
 

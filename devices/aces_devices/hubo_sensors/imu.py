@@ -54,7 +54,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_imu"
-rate_hz = 200
+rate_hz = 50
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D12" }

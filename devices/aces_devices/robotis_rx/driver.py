@@ -35,6 +35,8 @@ RECEIVE_BUFFER = 143
 AROUND = 8
 #: Error bits that say what is wrong with the request, not with the servo.
 OF_REQUEST = frozenset(("angle_limit", "range", "checksum", "instruction"))
+#: So many garbled answers in a row are no noise.
+GARBLED = 5
 #: Names of the status return levels.
 LEVELS = ("none", "read_only", "all")
 
@@ -90,6 +92,8 @@ class RobotisRX(RegisterDevice):
         self.timeout_s = float(get("timeout_s", 0.02))
         self.health_s = float(get("health_s", 1.0))
         self.errors: frozenset[str] = frozenset()
+        #: Garbled words in a row where its answers should be.
+        self.garbles = 0
         joint = self.joints[0] if self.joints else None
         self.direction = joint.direction if joint is not None else 1
         self.zero = (joint.zero or 0.0) if joint is not None else 0.0
@@ -220,6 +224,7 @@ class RobotisRX(RegisterDevice):
         """Every status has the error bits."""
         if type(record).__name__ != "Status":
             return
+        self.garbles = 0
         error: int = record.error
         now = frozenset(record.error) if error else frozenset[str]()
         self._errors.update(tuple(sorted(now)), instant)
@@ -249,6 +254,15 @@ class RobotisRX(RegisterDevice):
         if mask is None:
             mask = self.codec("alarm_shutdown").register.default or 0
         return frozenset(name for name, bit in ERRORS.items() if mask >> bit & 1)
+
+    def garbled(self, reason: str, instant: int) -> None:
+        """Its answers are garbled again and again: noise does that now and then, two servos with one id each time."""
+        self.garbles += 1
+        if self.garbles % GARBLED == 0:
+            self.tell_event(
+                "two answers",
+                f"{self.garbles} garbled answers in a row: are there two servos with id {self.credentials['id']:#04x}?",
+            )
 
     # ------------------------------------------------------------------ actions
 

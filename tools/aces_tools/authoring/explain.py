@@ -254,8 +254,13 @@ def _inputs(arguments: argparse.Namespace, variants: list[Variant]) -> Iterator[
             raise CallerError(str(error)) from None
         yield Frames(can, [frame_of(word) for word in words])
         return
-    link = "can" if not streams else "serial" if not can else None
-    opened = open_capture(capture, link=link) if link is not None else open_capture(capture)
+    opened: CanCapture | SerialCapture
+    if not streams:
+        opened = open_capture(capture, link="can")
+    elif not can:
+        opened = open_capture(capture, link="serial")
+    else:
+        opened = open_capture(capture)
     with opened:
         if isinstance(opened, CanCapture):
             yield Frames(can, (frame for frames in opened.batches(256) for frame in frames))
@@ -364,7 +369,8 @@ def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
     }
     if attempt.is_can and attempt.frame is not None:
         shown["id"] = attempt.frame.arbitration_id
-    return _finite(shown)
+    finite: dict[str, Any] = _finite(shown)
+    return finite
 
 
 def _finite(value: Any) -> Any:

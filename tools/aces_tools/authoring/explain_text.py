@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from aces_bus.protocol.explain import Attempt, Death, Reading, Step
@@ -15,6 +15,8 @@ from aces_bus.protocol.lint.examples import plain, show
 
 from ..output.text import Paint
 
+#: A run of so many words of one field is one line.
+LONG = 5
 #: So many deaths of a word are told one by one.
 NAMED = 3
 #: The lines of templates never get narrower than this.
@@ -37,12 +39,34 @@ def lines_of(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
     place = max((len(step.place) for step in attempt.steps), default=0)
     word = max((len(step.word) for step in attempt.steps), default=0)
     what = min(18, max((len(step.what) for step in attempt.steps), default=0))
-    for number, step in enumerate(attempt.steps):
-        if attempt.left_out and number == len(attempt.steps) - 1:
+    for number, steps in enumerate(_grouped(attempt.steps)):
+        if attempt.left_out and steps[-1] is attempt.steps[-1]:
             lines.append(f"  {'…':>{place}}  {attempt.left_out} more words")
-        lines += _step(step, (place, word, what), len(attempt.templates), width, paint, number == 0)
+        if len(steps) > 1:
+            front = f"  {steps[0].place:>{place}}  "
+            words = " ".join(step.word for step in steps)
+            lines += _wrapped(
+                f"{steps[0].what}, {len(steps)} words: {words}", front, width, hang=" " * len(front)
+            )
+            continue
+        lines += _step(steps[0], (place, word, what), len(attempt.templates), width, paint, number == 0)
     lines.append("  " + _verdict(attempt, paint))
     return lines
+
+
+def _grouped(steps: Sequence[Step]) -> Iterator[list[Step]]:
+    """Words by themselves; long runs of one field in which nothing happens together."""
+    run: list[Step] = []
+    for step in steps:
+        is_quiet = bool(step.what) and not step.died and not step.read
+        if run and is_quiet and step.what == run[0].what:
+            run.append(step)
+            continue
+        yield from [run] if len(run) >= LONG else [[one] for one in run]
+        run = [step] if is_quiet else []
+        if not is_quiet:
+            yield [step]
+    yield from [run] if len(run) >= LONG else [[one] for one in run]
 
 
 def _step(
@@ -59,7 +83,7 @@ def _step(
     notes += [("skipped", f"✗ {one}") for one in _deaths(step.died)]
     if step.died and step.alive:
         notes.append(("value", _alive(step.alive)))
-    elif is_first and step.alive:
+    elif is_first and every > 1:
         notes.append(("value", f"○ {len(step.alive)} of {every} templates are possible"))
     indent = " " * (4 if is_narrow else len(plain_front) + what + 2)
     lines: list[str] = []
@@ -73,7 +97,9 @@ def _step(
 def _reading(one: Reading) -> str:
     unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
     owner = f"{one.template}." if one.template else ""
-    return f"{owner}{one.name} = {show(plain(one.value))}{unit}"
+    value = plain(one.value)
+    shown = _hex(value) if isinstance(value, bytes) and value else show(value)
+    return f"{owner}{one.name} = {shown}{unit}"
 
 
 def _alive(names: Sequence[str]) -> str:
@@ -148,8 +174,7 @@ def _style(reason: str) -> str:
 
 
 def _hex(data: bytes) -> str:
-    shown = data[:24].hex(" ").upper()
-    return shown + (f" … ({len(data)} bytes)" if len(data) > 24 else "")
+    return data[:24].hex(" ").upper() + (f" … ({len(data)} bytes)" if len(data) > 24 else "")
 
 
 def _wrapped(text: str, indent: str, width: int | None, hang: str = "") -> list[str]:
@@ -159,7 +184,7 @@ def _wrapped(text: str, indent: str, width: int | None, hang: str = "") -> list[
         text,
         max(width, NARROW),
         initial_indent=indent,
-        subsequent_indent=indent + hang,
+        subsequent_indent=hang if indent.strip() else indent + hang,
         break_long_words=False,
         break_on_hyphens=False,
     )

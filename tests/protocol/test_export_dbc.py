@@ -1,0 +1,186 @@
+"""A spec as a DBC: cantools decodes with it what we decode, and whatever it does not say is named.
+
+1. cantools, strict, is the oracle of the text that is printed.
+2. Nothing vanishes: each field has a signal, or a loss with its reason, or is what a DBC has elsewhere (identifiers).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+
+from aces_bus.errors import CallerError
+from aces_bus.protocol import Protocol, Unknown, Variant, make_scanner
+from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.foreign import load_database
+from aces_bus.protocol.printers import Loss
+from aces_bus.protocol.printers.dbc import print_dbc
+from aces_bus.protocol.printers.leaves import Leaf, leaves, scale_of
+from aces_bus.protocol.printers.source import print_source
+from aces_protocols.hubo.spec import hubo
+from aces_protocols.robotis.spec import robotis
+from tests.protocol.test_dbc_equal import databases
+from tests.protocol.test_export_wireshark import drawn, value_at
+from tests.specs.catalogue import SPECS
+from tests.tools.test_spec_import import run_source
+
+cantools = pytest.importorskip("cantools")
+
+VARIANTS = [hubo.variant("D12", "hubo2plus"), hubo.variant("D08", "hubo2")]
+VARIANTS += [SPECS[name].variants()[-1] for name in ("automotive", "database_like", "odrive_like", "mit_motor", "j1939_like")]
+
+
+def check(variant: Variant, seeds: Iterable[int]) -> tuple[int, list[Loss]]:
+    """Assert that cantools decodes what we decode; how many values were compared, and what the DBC does not say."""
+    text, losses = print_dbc(variant)
+    database = cantools.database.load_string(text, "dbc", strict=True)
+    lost = {(loss.message, loss.field) for loss in losses}
+    by_id = {(m.frame_id, m.is_extended_frame): m for m in database.messages}
+    frames = drawn(variant, seeds)
+    records = make_scanner([variant], everything=True, raw=True).feed(frames)
+    compared = 0
+    for frame, record in zip(frames, records, strict=True):
+        if isinstance(record, Unknown) or (record.meta.message, "") in lost and _is_left_out(losses, record):
+            continue
+        message = by_id.get((frame.arbitration_id, frame.is_extended_id))
+        if message is None and frame.is_extended_id:  # a J1939 group stands for all its sources
+            group = 0x3FF_FF00 if frame.arbitration_id >> 16 & 0xFF >= 240 else 0x3FF_0000
+            message = next(m for m in database.messages if (m.frame_id ^ frame.arbitration_id) & group == 0)
+        assert message is not None, (frame, record)
+        found = message.decode(frame.data, decode_choices=False, allow_truncated=True)
+        for leaf in leaves(flatten(variant[record.meta.message])):
+            compared += _compare(leaf, record, found, lost)
+    return compared, losses
+
+
+def _is_left_out(losses: list[Loss], record: Any) -> bool:
+    return any(loss.message == record.meta.message and "left out" in loss.reason for loss in losses if not loss.field)
+
+
+def _compare(leaf: Leaf, record: Any, found: dict[str, Any], lost: set[tuple[str, str]]) -> int:
+    name, node = record.meta.message, leaf.node
+    if isinstance(node, (p.Rest, p.Opaque)) or (isinstance(node, p.FromIdentifier) and node.number is None):
+        return 0
+    raw = value_at(record, leaf.path)
+    if raw is None:
+        return 0
+    own = next((n for n in (f"{name}_{leaf.identifier}", leaf.identifier) if n in found), None)
+    if own is None and isinstance(node, p.Scalar) and any(isinstance(step, p.FlagBits) for step in node.steps):
+        bits = {n: v for n, v in found.items() if n.startswith((f"{name}_{leaf.identifier}_", f"{leaf.identifier}_"))}
+        assert sum(bits.values()) > 0 or not int(raw), (leaf, raw, bits)
+        return 1
+    if own is None:
+        assert (name, leaf.path) in lost, (name, leaf.path, found)
+        return 0
+    assert isinstance(node, (p.Scalar, p.FromIdentifier))
+    if (name, leaf.path) in lost and "float" not in str(node.steps) and not isinstance(raw, (int, float)):
+        return 0  # bytes as a number
+    if isinstance(node, p.Scalar) and any(isinstance(step, p.Magnitude) for step in node.steps):
+        assert (name, leaf.path) in lost
+        return 0
+    scale = scale_of(node)
+    meant = raw * scale.scale + scale.offset if scale is not None else raw
+    assert math.isclose(found[own], meant, rel_tol=1e-9, abs_tol=1e-300) or math.isnan(meant), (leaf, found[own], meant)
+    return 1
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.label)
+def test_cantools_decodes_what_we_decode(variant: Variant) -> None:
+    """On random frames of every message; what has no signal is among the losses."""
+    compared, _ = check(variant, range(4))
+    assert compared > 4
+
+
+def test_losses_of_hubo_are_named_field_by_field() -> None:
+    """With the reason, in the returned list and in the comments of the file."""
+    text, losses = print_dbc(VARIANTS[0])
+    said = [str(loss) for loss in losses]
+    assert "Reference.position.0: sign and magnitude: kept as raw, the top bit is the sign" in said
+    assert "Parameters2: told from Parameters1 by its request alone: left out" in said
+    assert "InitSensor: told from InitBoard by its length alone: left out" in said
+    assert "Not as in the spec: position.0: sign and magnitude" in text
+    assert "Not as in the spec: Parameters2: told from Parameters1" in text
+    assert len(said) == len(set(said))
+
+
+def test_a_message_an_identifier_and_multiplexers_by_opcode() -> None:
+    """Captured boards become messages of their own, opcodes values of a multiplexer that are named after the message."""
+    database = cantools.database.load_string(print_dbc(VARIANTS[0])[0], "dbc", strict=True)
+    assert database.get_message_by_name("Encoder_3").frame_id == 0x063
+    assert database.get_message_by_name("Encoder_3").senders == ["Device"]
+    commands = database.get_message_by_frame_id(0x001)
+    opcode = commands.get_signal_by_name("opcode")
+    assert opcode.is_multiplexer
+    assert opcode.choices[0x0F] == "ControlOff"
+    assert commands.get_signal_by_name("DeadZone_dead_zone").multiplexer_ids == [0x20, 0x21, 0x22, 0x23]
+    assert commands.decode(bytes([3, 0x83, 20]), allow_truncated=True)["Beep_time"] == 2.0
+
+
+def test_only_some_messages_and_fewer_identifiers() -> None:
+    """`only` gives the one that bytes do not tell from others its place; `expand` bounds identifiers, and says so."""
+    text, losses = print_dbc(VARIANTS[0], only=["Parameters4"])
+    assert "max_pwm" in text
+    assert [str(loss) for loss in losses] == ["Parameters4.selector: a field of the request: left out"]
+    with pytest.raises(CallerError, match="nothing of it can be said"):
+        print_dbc(VARIANTS[0], only=["Encoder"], expand=3)
+    with pytest.raises(CallerError, match="a DBC is for CAN"):
+        print_dbc(robotis.variant())
+
+
+def test_hostile_text_stays_text() -> None:
+    """Quotes, backslashes and line ends in names of values, units and documents do not end a string."""
+    from construct import Byte, Struct
+
+    from aces_bus.protocol import Enumeration, Quantity
+
+    nasty = 'a"b\\"; BO_ 5 x: 8 y\n\\'
+    protocol = Protocol("nasty", link="can", doc=nasty)
+    payload = Struct("mode" / Enumeration(Byte, {nasty: 1, "\\": 2}), "x" / Quantity(Byte, unit=nasty, doc=nasty))
+    protocol.message("Only", id=1, payload=payload, doc=nasty, source=nasty)
+    text, _ = print_dbc(protocol.variant())
+    database = cantools.database.load_string(text, "dbc", strict=True)
+    assert [message.name for message in database.messages] == ["Only"]
+    assert load_database_text(text).messages.keys() == {"Only"}
+
+
+def load_database_text(text: str) -> Any:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "made.dbc"
+        path.write_text(text, encoding="utf-8")
+        imported = load_database(path)
+    assert not imported.losses, imported.problems
+    return imported.protocol
+
+
+@given(text=databases())
+@settings(max_examples=12)
+def test_from_dbc_to_source_to_dbc(text: str) -> None:
+    """Each signal is where it was, with its scale, unit, names and multiplexer, or is named."""
+    first = load_database_text(text)
+    again = run_source(print_source(first))
+    made, losses = print_dbc(again.variant())
+    second = load_database_text(made)
+    lost = {(loss.message, loss.field) for loss in losses}
+    assert {m.name for m in first.declared if (m.name, "") not in lost} <= set(second.messages)
+    for message in first.declared:
+        if (message.name, "") in lost:
+            continue
+        other = second.messages[message.name]
+        assert (other.identifier.constant, other.extended, other.fd) == (
+            message.identifier.constant, message.extended, message.fd
+        )  # fmt: skip
+        mine, theirs = ({x.path: x for x in leaves(flatten(m))} for m in (message, other))
+        for path, leaf in mine.items():
+            if (message.name, path) in lost or isinstance(leaf.node, p.Rest):
+                continue
+            assert theirs[path].node == leaf.node, (path, leaf, theirs[path])
+            assert theirs[path].whens == leaf.whens
+            assert theirs[path].doc == leaf.doc

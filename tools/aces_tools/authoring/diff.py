@@ -1,0 +1,219 @@
+"""What differs between two versions or dialects of a protocol: messages, templates, fields.
+
+1. Messages are compared by name; of those that are in one only, two with the same template are taken for one message under
+   two names.
+2. Docs and sources do not count; what changes a byte or its meaning does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from aces_bus.protocol import Message, draw
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.draw import FieldRow
+
+#: Columns of a field's line that are compared, and what each is called.
+COMPARED = ("place", "type", "unit", "scale", "offset", "range", "names")
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something that is another: `what` was `old` and is `new`; "" where there is none."""
+
+    what: str
+    old: str
+    new: str
+
+
+@dataclass
+class Changed:
+    """A message that both have, perhaps under two names."""
+
+    old: str
+    new: str
+    template: list[Change] = field(default_factory=list)
+    #: Field → what is another; a field that only one has is one change of "field".
+    fields: dict[str, list[Change]] = field(default_factory=dict)
+
+    @property
+    def is_same(self) -> bool:
+        return self.old == self.new and not self.template and not self.fields
+
+
+@dataclass
+class Difference:
+    """Everything that differs."""
+
+    removed: list[str]
+    added: list[str]
+    changed: list[Changed]
+    same: int
+
+    @property
+    def is_none(self) -> bool:
+        return not (self.removed or self.added or self.changed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "removed": self.removed,
+            "added": self.added,
+            "changed": [
+                {
+                    "message": one.new,
+                    "was": one.old,
+                    "template": [vars(c) for c in one.template],
+                    "fields": {name: [vars(c) for c in changes] for name, changes in one.fields.items()},
+                }
+                for one in self.changed
+            ],
+            "same": self.same,
+        }
+
+
+def difference(old: Mapping[str, Message], new: Mapping[str, Message]) -> Difference:
+    """What differs from `old` to `new`."""
+    removed = [name for name in old if name not in new]
+    added = [name for name in new if name not in old]
+    pairs = [(name, name) for name in old if name in new]
+    for one, other in _renamed([old[n] for n in removed], [new[n] for n in added]):
+        removed.remove(one)
+        added.remove(other)
+        pairs.append((one, other))
+    changed = [_compared(old[one], new[other]) for one, other in pairs]
+    different = [one for one in changed if not one.is_same]
+    return Difference(removed, added, different, len(changed) - len(different))
+
+
+def _renamed(removed: Sequence[Message], added: Sequence[Message]) -> list[tuple[str, str]]:
+    """Pairs with one template, where it is clear which goes with which; same fields before same template alone."""
+    found: list[tuple[str, str]] = []
+    for key in (_exactly, _template_key):
+        mine = [m for m in removed if m.name not in {one for one, _ in found}]
+        theirs = [m for m in added if m.name not in {other for _, other in found}]
+        by_key: dict[Any, tuple[list[str], list[str]]] = {}
+        for side, messages in enumerate((mine, theirs)):
+            for message in messages:
+                by_key.setdefault(key(message), ([], []))[side].append(message.name)
+        found += [(one[0], other[0]) for one, other in by_key.values() if len(one) == len(other) == 1]
+    return found
+
+
+def _template_key(message: Message) -> Any:
+    plan = flatten(message)
+    return (
+        message.identifier.describe(),
+        (message.extended, message.remote, message.fd),
+        plan.constants,
+        plan.one_of,
+        message.direction,
+    )
+
+
+def _exactly(message: Message) -> Any:
+    plan = flatten(message)
+    return _template_key(message), plan.lengths, tuple(_row_key(row) for row in draw.table(plan))
+
+
+def _row_key(row: FieldRow) -> Any:
+    return row.name, tuple(getattr(row, column) for column in COMPARED)
+
+
+def _compared(old: Message, new: Message) -> Changed:
+    found = Changed(old.name, new.name)
+    before, behind = _facts(old), _facts(new)
+    for what in before:
+        if before[what] != behind[what]:
+            found.template.append(Change(what, before[what], behind[what]))
+    rows = {row.name: row for row in draw.table(flatten(old), draw.captured_values(old))}
+    others = {row.name: row for row in draw.table(flatten(new), draw.captured_values(new))}
+    gone = [name for name in rows if name not in others]
+    fresh = [name for name in others if name not in rows]
+    for name in list(gone):
+        like = [n for n in fresh if (others[n].place, others[n].type) == (rows[name].place, rows[name].type)]
+        if len(like) == 1 and rows[name].place not in ("", "request", "other bits"):
+            gone.remove(name)
+            fresh.remove(like[0])
+            found.fields[name] = [Change("name", name, like[0]), *_columns(rows[name], others[like[0]])]
+    for name in rows:
+        if name in others and (changes := _columns(rows[name], others[name])):
+            found.fields[name] = changes
+    for name in gone:
+        found.fields[name] = [Change("field", _described(rows[name]), "")]
+    for name in fresh:
+        found.fields[name] = [Change("field", "", _described(others[name]))]
+    return found
+
+
+def _columns(old: FieldRow, new: FieldRow) -> list[Change]:
+    return [
+        Change(column, getattr(old, column), getattr(new, column))
+        for column in COMPARED
+        if getattr(old, column) != getattr(new, column)
+    ]
+
+
+def _described(row: FieldRow) -> str:
+    return ", ".join(filter(None, [row.place, row.type, row.unit]))
+
+
+def _facts(message: Message) -> dict[str, str]:
+    """What says which words are this message, and how long they are."""
+    plan = flatten(message)
+    kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
+    framing = message.framing
+    check = message.check if message.check is not None else framing.check if framing is not None else None
+    return {
+        "identifier": message.identifier.describe(8 if message.extended else 3) if framing is None else "",
+        "kind": ", ".join(kind for kind, given in kinds if given),
+        "sync": framing.sync.hex(" ").upper() if framing is not None else "",
+        "constants": ", ".join(_constant(one.offset, one.mask, one.value) for one in plan.constants),
+        "length": message.describe_lengths
+        or ("" if plan.lengths is None else f"{', '.join(map(str, plan.lengths))} bytes")
+        or f"{plan.least} bytes or more",
+        "check": check.describe if check is not None else "",
+        "direction": message.direction or "",
+        "reply to": ", ".join(map(str, message.reply_to)),
+        "after": ", ".join(map(str, message.after)),
+        "only where": ", ".join(
+            f"{c.key} of {c.capture} is {', '.join(sorted(map(str, c.values)))}" for c in message.when
+        ),
+        "decoded by": f"construct ({plan.opaque})" if plan.opaque else "",
+    }
+
+
+def _constant(offset: int, mask: int, value: int) -> str:
+    return f"byte {offset}{'' if mask == 0xFF else f' & {mask:#04x}'}={value:#04x}"
+
+
+def lines_of(found: Difference) -> list[tuple[str, str]]:
+    """(style, line) of a difference for people: `-` is gone, `+` is new, `~` is another."""
+    lines: list[tuple[str, str]] = []
+    lines += [("malformed", f"- {name}") for name in found.removed]
+    lines += [("from device", f"+ {name}") for name in found.added]
+    for one in found.changed:
+        name = one.new if one.old == one.new else f"{one.old} → {one.new}"
+        lines.append(("message", f"~ {name}"))
+        lines += [("value", f"    {c.what}: {_arrow(c)}") for c in one.template]
+        for field_name, changes in one.fields.items():
+            first = changes[0]
+            if first.what == "field":
+                sign, style, text = (
+                    ("+", "from device", first.new) if first.new else ("-", "malformed", first.old)
+                )
+                lines.append((style, f"    {sign} {field_name}: {text}"))
+                continue
+            moved = any(c.what == "place" for c in changes)
+            parts = [f"moved {_arrow(c)}" if c.what == "place" else f"{c.what} {_arrow(c)}" for c in changes]
+            lines.append(("flags" if moved else "value", f"    ~ {field_name}: {'; '.join(parts)}"))
+    return lines
+
+
+def _arrow(change: Change) -> str:
+    return f"{change.old or 'none'} → {change.new or 'none'}"
+
+
+__all__ = ["Change", "Changed", "Difference", "difference", "lines_of"]

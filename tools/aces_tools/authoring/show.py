@@ -1,0 +1,334 @@
+"""How messages are laid out and decoded: pictures, generated source, plan, paths; and what differs between two specs.
+
+  aces spec show hubo               every message as a picture
+  aces spec show hubo NameInfo      one, with its fields as a table
+  aces spec show hubo NameInfo --svg nameinfo.svg
+                                    the picture for a page; without MESSAGE,
+                                    of all
+  aces spec show robotis --source   the Python that decodes it
+  aces spec show robotis Read --plan
+                                    what that is printed from: bit positions,
+                                    scales, constants, lengths
+  aces spec show robotis --paths    what is decoded by generated code, what by
+                                    construct (slower, and equal), and why
+  aces spec show --diff hubo:D08 hubo:D12
+  aces spec show --diff old.py new.py
+                                    messages and fields added, removed, moved
+                                    and changed; exit status 1 when any is
+
+A Python file is executed with your rights: name only what you trust.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.protocol import Message, draw
+from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.spec.ambiguity import needing_context
+
+from .. import protocols
+from ..console import Output, say
+from ..protocols import Page
+from ..protocols_arg import named
+
+_WAYS = ("source", "plan", "paths", "diff")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("protocol", nargs="?", metavar="NAME|FILE", help="as -p of `aces decode` takes it")
+    add("message", nargs="?", metavar="MESSAGE")
+    add("--source", action="store_true", help="the Python generated from the spec")
+    add("--plan", action="store_true", help="what the source is printed from")
+    add("--paths", action="store_true", help="how each field is decoded")
+    add("--diff", nargs=2, metavar=("A", "B"), help="what differs from A to B")
+    add("--svg", metavar="FILE", help="write the pictures there")
+    add("--json", action="store_true", help="for programs")
+    add("--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    ways = [way for way in _WAYS if getattr(arguments, way)]
+    if len(ways) > 1 or (ways and arguments.svg):
+        both = [*ways, *(["svg"] if arguments.svg else [])]
+        raise CallerError(f"--{both[0]} and --{both[1]} show different things; give one")
+    if arguments.diff:
+        if arguments.protocol is not None:
+            raise CallerError("--diff A B names both protocols; leave the other out")
+        return _diff(arguments)
+    if arguments.protocol is None:
+        raise CallerError("name a protocol or a file; 'aces protocols' lists the installed ones")
+    if arguments.svg:
+        _svg(arguments)
+    elif arguments.plan:
+        _plan(arguments)
+    elif arguments.paths:
+        _paths(arguments)
+    elif arguments.message is None and not arguments.source and not arguments.json:
+        _pictures(arguments)
+    else:
+        return protocols.run(arguments)
+    return 0
+
+
+def _chosen(arguments: argparse.Namespace) -> list[Message]:
+    """The message that is asked for, or all."""
+    chosen = named(arguments.protocol)
+    messages = list(chosen.protocol.declared)
+    if chosen.dialect is not None or chosen.configuration is not None:
+        messages = list(chosen.variant().messages.values())
+    if arguments.message is None:
+        return messages
+    found = [message for message in messages if message.name == arguments.message]
+    if not found:
+        raise UnknownNameError(
+            f"message of {arguments.protocol}", arguments.message, [m.name for m in messages]
+        )
+    return found
+
+
+# ---------------------------------------------------------------------- pictures
+
+
+def _pictures(arguments: argparse.Namespace) -> None:
+    page = Page(arguments.color)
+    for index, message in enumerate(_chosen(arguments)):
+        if index:
+            page.lines([""])
+        doc = message.doc.strip().partition("\n")[0]
+        page.beside(f"{message.protocol.name}.{message.name}", [doc], "message")
+        page.lines(draw.picture(message))
+
+
+def _svg(arguments: argparse.Namespace) -> None:
+    output = Output(arguments.svg)
+    output.write(draw.picture_svg(_chosen(arguments)).encode("utf-8"))
+    output.close()
+    if arguments.svg != "-":
+        say(f"wrote {arguments.svg}")
+
+
+# ---------------------------------------------------------------------- the plan
+
+
+def _plan(arguments: argparse.Namespace) -> None:
+    plans = [(message, flatten(message)) for message in _chosen(arguments)]
+    if arguments.json:
+        print(json.dumps([_plain(plan) for _, plan in plans], ensure_ascii=False, indent=2))
+        return
+    page = Page(arguments.color)
+    for index, (message, plan) in enumerate(plans):
+        if index:
+            page.lines([""])
+        page.beside(f"{message.protocol.name}.{plan.name}", [f"declared in {plan.place}"], "message")
+        for name, text in _facts(plan):
+            page.beside(f"  {name:<10}", [text], "place")
+        rows = [(row.name, row.place, row.type, _steps(node)) for row, node in _with_nodes(plan)]
+        page.table(
+            ("  field", "place", "type", "from the wire to the record"), [(f"  {r[0]}", *r[1:]) for r in rows]
+        )
+
+
+def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
+    lengths = "any" if plan.lengths is None else ", ".join(map(str, plan.lengths))
+    yield (
+        "lengths",
+        f"{lengths}; at least {plan.least} bytes"
+        + (f", {plan.tail} behind the payload" if plan.tail else ""),
+    )
+    for constant in plan.constants:
+        mask = "" if constant.mask == 0xFF else f" & {constant.mask:#04x}"
+        yield "constant", f"byte {constant.offset}{mask} = {constant.value:#04x}"
+    for one in plan.one_of:
+        values = one.values
+        listed = (
+            f"{values[0]}…{values[-1]}" if isinstance(values, range) else ", ".join(map(str, values[:16]))
+        )
+        more = "" if isinstance(values, range) or len(values) <= 16 else ", …"
+        yield "one of", f"{draw.bits_place(one.number.bits)}: {listed}{more}"
+    if plan.lengths_by is not None:
+        name, table, other = plan.lengths_by
+        yield "length by", f"{name}: {', '.join(f'{value} → {size}' for value, size in table)}; else {other}"
+    if plan.split is not None:
+        yield "split", f"bytes {plan.split.start}…{plan.split.end} at {plan.split.separator!r}"
+    if plan.is_checked:
+        yield "check", "the message's own"
+    if plan.opaque:
+        yield "opaque", plan.opaque
+
+
+def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
+    """The lines of the field table, each with the node that it comes from."""
+    nodes = dict(_leaves(plan.fields, ""))
+    for row in draw.table(plan):
+        yield row, nodes.get(row.name, p.Opaque(""))
+
+
+def _leaves(fields: Sequence[p.PlanField], prefix: str) -> Iterator[tuple[str, p.Node]]:
+    for one in fields:
+        yield from _inside(f"{prefix}{one.name}", one.node)
+
+
+def _inside(name: str, node: p.Node) -> Iterator[tuple[str, p.Node]]:
+    yield name, node
+    if isinstance(node, p.Group):
+        yield from _leaves(node.fields, f"{name}.")
+    elif isinstance(node, p.Many):
+        for index, item in enumerate(node.items):
+            yield from _inside(f"{name}.{index}", item)
+
+
+def _steps(node: p.Node) -> str:
+    if isinstance(node, p.Many):
+        return _steps(node.items[0]) if node.items else ""
+    if isinstance(node, p.Opaque):
+        return f"construct: {node.reason}" if node.reason else ""
+    parts: list[str] = []
+    for step in getattr(node, "steps", ()):
+        if isinstance(step, p.Scale):
+            scale = f"× {step.scale:.12g}" if step.scale != 1 else ""
+            offset = f"{'+' if step.offset > 0 else '−'} {abs(step.offset):.12g}" if step.offset else ""
+            unknown = f"unknown at {', '.join(f'{v:g}' for v in step.unknown)}" if step.unknown else ""
+            names = f"named at {', '.join(str(v) for v, _ in step.names)}" if step.names else ""
+            sent = step.bounds or step.raw_bounds
+            bounds = ""
+            if sent is not None:
+                bounds = f"sent in {sent[0]:g}…{sent[1]:g}{'' if step.bounds is not None else ' (raw)'}"
+            parts += filter(None, [" ".join(filter(None, [scale, offset])), unknown, names, bounds])
+        elif isinstance(step, p.Names):
+            parts.append(f"{len(step.values)} names")
+        elif isinstance(step, p.FlagBits):
+            parts.append(f"{len(step.bits)} flags")
+        else:
+            parts.append(f"sign and magnitude of {step.width} bits")
+    unit = getattr(node, "unit", "")
+    return ", ".join([*parts, *([unit] if unit else [])])
+
+
+def _plain(value: Any) -> Any:
+    """A plan for JSON: each node says what it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        inside = {one.name: _plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
+        return {"is": type(value).__name__, **inside}
+    if isinstance(value, range):
+        return {"from": value.start, "to": value.stop - 1, "step": value.step}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return value.hex() if isinstance(value, bytes) else value
+
+
+# ---------------------------------------------------------------------- the paths
+
+
+def _paths(arguments: argparse.Namespace) -> None:
+    messages = _chosen(arguments)
+    hanging: set[str] = set()
+    for variant in named(arguments.protocol).protocol.variants():
+        hanging |= needing_context(list(variant.messages.values()))
+    found = [_path(message, message.name in hanging) for message in messages]
+    if arguments.json:
+        print(json.dumps(found, ensure_ascii=False, indent=2))
+        return
+    page = Page(arguments.color)
+    if arguments.message is not None:
+        for one in found:
+            page.beside(str(one["message"]), [f"{one['path']}; in columns {one['columns']}"], "message")
+            fields: list[dict[str, str]] = one["fields"]
+            page.table(("  field", "", ""), [(f"  {f['field']}", f["path"], f["how"]) for f in fields])
+        return
+    rows = [(str(one["message"]), str(one["path"]), str(one["columns"]), str(one["why"])) for one in found]
+    page.table(("message", "live", "in columns", ""), rows)
+    generated = sum(one["path"] == "generated" for one in found)
+    page.lines(
+        ["", f"{generated} of {len(found)} messages are decoded by generated code, the others by construct"]
+    )
+
+
+def _path(message: Message, hangs: bool) -> dict[str, Any]:
+    plan = flatten(message)
+    columns = "at once" if plan.is_flat and not hangs else "one by one"
+    both = "" if message.framing is None else "read in both directions together, "
+    why = plan.opaque or (f"{both}which message it is hangs on a request before it" if hangs else "")
+    return {
+        "message": message.name,
+        "path": "generated" if plan.is_flat else "construct",
+        "columns": columns,
+        "why": why,
+        "fields": [
+            dict(zip(("field", "path", "how"), one, strict=True)) for one in _field_paths(plan.fields, "")
+        ],
+    }
+
+
+def _field_paths(fields: Sequence[p.PlanField], prefix: str) -> Iterator[tuple[str, str, str]]:
+    for one in fields:
+        for name, node in _inside(f"{prefix}{one.name}", one.node):
+            if isinstance(node, (p.Group, p.Many)):
+                continue
+            if isinstance(node, p.Opaque):
+                yield name, "construct", node.reason
+            else:
+                yield name, "generated", _how(node)
+
+
+def _how(node: p.Node) -> str:
+    if isinstance(node, p.FromIdentifier):
+        return "a part of the identifier" if node.number is None else "a part of a head field"
+    if isinstance(node, p.FromRequest):
+        return "taken from the request"
+    if isinstance(node, p.Rest):
+        return "the bits that are left"
+    if isinstance(node, (p.Cell, p.MoreCells)):
+        return "cut out of the text"
+    assert isinstance(node, p.Scalar)
+    if node.kind in ("bytes", "text"):
+        return "a slice"
+    if (node.kind == "float" and not node.bits) or (node.bits and node.is_whole):
+        return "unpacked by struct"
+    return "shifted out of its bytes"
+
+
+# ---------------------------------------------------------------------- differences
+
+
+def _diff(arguments: argparse.Namespace) -> int:
+    from .diff import difference, lines_of
+
+    old, new = (named(text).variant() for text in arguments.diff)
+    found = difference(old.messages, new.messages)
+    if arguments.json:
+        print(
+            json.dumps({"from": old.label, "to": new.label, **found.as_dict()}, ensure_ascii=False, indent=2)
+        )
+        return int(not found.is_none)
+    page = Page(arguments.color)
+    page.lines([f"{page.paint('malformed', f'- {old.label}')}", page.paint("from device", f"+ {new.label}")])
+    for style, line in lines_of(found):
+        page.lines(page.paint(style, part) for part in _folded(line, page.width))
+    page.lines(
+        [
+            f"{len(found.removed)} removed, {len(found.added)} added, {len(found.changed)} changed,"
+            f" {found.same} the same"
+        ]
+    )
+    return int(not found.is_none)
+
+
+def _folded(line: str, width: int | None) -> list[str]:
+    import textwrap
+
+    if width is None or len(line) <= width:
+        return [line]
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    return textwrap.wrap(
+        line, max(width, 24), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )

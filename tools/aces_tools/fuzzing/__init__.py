@@ -1,0 +1,1 @@
+"""The parts of `aces fuzz`: the work of one process, corpora, and what is printed."""

@@ -1,0 +1,226 @@
+"""The work of one process: some examples of a run, or given scenes; what comes back is plain data.
+
+1. A task says everything: any process, now or later, does the same with it.
+2. Failures are shrunk, drawn and saved where they are found; what is sent back is text.
+"""
+
+from __future__ import annotations
+
+import shlex
+import signal
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from aces_bus.errors import CallerError
+from aces_bus.protocol import Variant
+from aces_bus.testing import laws
+from aces_bus.testing._bench import Bench
+from aces_bus.testing._coverage import Feature
+from aces_bus.testing._drawing import draw_scene
+from aces_bus.testing._saved import load, save
+from aces_bus.testing.fuzz import Failure, Fuzzer
+from aces_bus.testing.laws import Law, Way
+
+from ..protocols_arg import named
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is asked of every process: the names as they were written, the laws, the seed, and where things go."""
+
+    names: tuple[str, ...]
+    laws: tuple[int, ...]
+    seed: int
+    failures: str
+    corpus: str | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """Examples `first`…`first + count`, or the scenes of files."""
+
+    first: int = 0
+    count: int = 0
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Found:
+    """A failure as text."""
+
+    law: int
+    name: str
+    label: str
+    direction: str | None
+    text: str
+    drawing: str
+    size: int
+    capture: str
+    scene: str
+    commands: tuple[str, ...]
+    example: int | None
+
+
+@dataclass
+class Done:
+    """What a task did."""
+
+    examples: int = 0
+    checks: int = 0
+    words: int = 0
+    reached: dict[Feature, int] = field(default_factory=dict)
+    expected: set[Feature] = field(default_factory=set)
+    found: list[Found] = field(default_factory=list)
+    kept: int = 0
+
+
+def ignore_interrupts() -> None:
+    """In a process of the pool: Ctrl-C is for the one that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def places(text: str) -> list[tuple[Variant, Way]]:
+    """The wires of a protocol as the command line names it: all of a name alone, else those of dialect or configuration."""
+    what = named(text)
+    if what.channel is not None:
+        raise CallerError(f"{text}: a channel makes no difference here; write {text.partition('=')[2]}")
+    if what.configuration is not None:
+        variants = [what.variant()]
+    elif what.dialect is not None:
+        tables = [*what.protocol.configurations] or [None]
+        variants = [what.protocol.variant(what.dialect, table) for table in tables]
+    else:
+        variants = what.protocol.variants()
+    return [(variant, way) for variant in variants for way in laws.directions(variant)]
+
+
+@lru_cache(maxsize=1)
+def fuzzer_of(job: Job) -> Fuzzer:
+    """The fuzzer of this process."""
+    chosen = [law for law in laws.LAWS if law.number in job.laws]
+    made = Fuzzer([place for text in job.names for place in places(text)], seed=job.seed, laws=chosen)
+    made.keeps = job.corpus is not None
+    return made
+
+
+def work(job: Job, task: Task) -> Done:
+    """Do a task."""
+    fuzzer = fuzzer_of(job)
+    before = fuzzer.examples, fuzzer.checks, fuzzer.words
+    failures = len(fuzzer.failures)
+    fuzzer.coverage.reached.clear()
+    fuzzer.kept.clear()
+    for name in task.files:
+        _replayed(fuzzer, name)
+    fuzzer.run(task.count, task.first)
+    done = Done(
+        fuzzer.examples - before[0],
+        fuzzer.checks - before[1],
+        fuzzer.words - before[2],
+        dict(fuzzer.coverage.reached),
+        set(fuzzer.coverage.expected),
+        [told(job, failure) for failure in fuzzer.failures[failures:]],
+    )
+    return done
+
+
+def _replayed(fuzzer: Fuzzer, name: str) -> None:
+    """Judge the scene of a file, or the pieces of a capture, on the wires that they are of."""
+    if not name.endswith(".json"):
+        _captured(fuzzer, name)
+        return
+    loaded = load(Path(name))
+    mine = [b for b in fuzzer.benches if b.variants[0].name == loaded.protocol] or fuzzer.benches
+    mine = [b for b in mine if b.is_can != isinstance(loaded.words, bytes)]
+    if not mine:
+        raise CallerError(
+            f"{name}: a scene of {loaded.protocol}, on another kind of link than what is fuzzed"
+        )
+    same = [b for b in mine if (b.label, b.direction) == (loaded.label, loaded.direction)]
+    for bench in same or mine:
+        fuzzer.judge(bench, loaded.scene(bench), loaded.cuts)
+
+
+#: Of a capture, words in one scene, and scenes.
+PIECES = {True: (32, 200), False: (512, 200)}
+
+
+def _captured(fuzzer: Fuzzer, name: str) -> None:
+    from aces_bus.capture import CanCapture
+    from aces_bus.capture.open import open_capture
+
+    for is_can in sorted({bench.is_can for bench in fuzzer.benches}):
+        size, most = PIECES[is_can]
+        with open_capture(name, link="can" if is_can else "serial") as capture:
+            words: list[Any] = []
+            for item in capture:
+                words += [item] if isinstance(capture, CanCapture) else [bytes([b]) for b in item.data]
+                if len(words) >= size * most:
+                    break
+        for start in range(0, len(words), size):
+            piece: Any = words[start : start + size]
+            scene = laws.Scene(tuple(piece) if is_can else b"".join(piece))
+            for bench in fuzzer.benches:
+                if bench.is_can == is_can:
+                    fuzzer.judge(bench, scene, (len(scene) // 2,))
+
+
+def told(job: Job, failure: Failure) -> Found:
+    """A failure, saved and in words."""
+    folder = Path(job.failures)
+    wire, direction, law = failure.wire, failure.direction, failure.law
+    saved = save(folder, wire, direction, failure.scene, failure.cuts, law=law.number)
+    if job.corpus is not None:
+        save(Path(job.corpus), wire, direction, failure.scene, failure.cuts, law=law.number)
+    names = " ".join(map(shlex.quote, job.names))
+    commands = [f"aces fuzz {names} --replay {shlex.quote(str(saved.scene))}"]
+    if failure.example is not None:
+        commands.insert(0, f"aces fuzz {names} --law {law.number} --seed {job.seed}:{failure.example}")
+    way = {"to device": " --direction to", "from device": " --direction from", "both": " --direction both"}
+    name = next((n for n in job.names if named(n).protocol.name == laws.variants_of(wire)[0].name), names)
+    commands.append(
+        f"aces decode {shlex.quote(str(saved.capture))} -p {shlex.quote(name)}{way.get(str(direction), '')}"
+    )
+    return Found(
+        law.number,
+        law.name,
+        failure.label,
+        direction,
+        failure.text,
+        draw_scene(wire, direction, failure.scene, failure.cuts),
+        len(failure.scene),
+        str(saved.capture),
+        str(saved.scene),
+        tuple(commands),
+        failure.example,
+    )
+
+
+def keep(job: Job, known: set[Feature]) -> list[tuple[Feature, ...]]:
+    """Write the scenes of this process that reached something new for the whole run into the corpus."""
+    raise NotImplementedError
+
+
+def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
+    """The numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
+    found: list[int] = []
+    for text in texts:
+        for one in text.split(","):
+            found.append(_law(one.strip()).number)
+    return tuple(sorted(set(found))) or tuple(law.number for law in laws.LAWS)
+
+
+def _law(text: str) -> Law:
+    from aces_bus.errors import UnknownNameError
+
+    wanted = text.lower().replace("-", " ").replace("_", " ")
+    for law in laws.LAWS:
+        if wanted in (str(law.number), law.name, f"{law.number} {law.name}"):
+            return law
+    raise UnknownNameError("law", text, [str(law) for law in laws.LAWS])
+
+
+__all__ = ["Bench", "Done", "Found", "Job", "Task", "chosen_laws", "ignore_interrupts", "places", "work"]

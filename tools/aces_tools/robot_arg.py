@@ -1,0 +1,154 @@
+"""Which robot a command works on, and where its buses are: the options that `device`, `scan`, `sim` and `run` share.
+
+    --robot hubo2plus                    a robot that ships, or FILE.toml; or the variable ACES_ROBOT
+    --bus lower=can0 --bus upper=can1    where its buses are (default: what the file says)
+    --bus servos=/dev/ttyUSB0            a serial line; HOST:PORT for datagrams
+    -i socketcan                         python-can's interface of its CAN buses
+    --virtual                            no bus at all: its twins, here, in virtual time
+
+1. Nothing is opened before everything else about the call is known to be right.
+2. What a bus says when it cannot be opened becomes one line, with the bus's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
+
+if TYPE_CHECKING:
+    from aces_bus.assembly import VirtualRobot
+    from aces_bus.device import Rig, Robot
+    from aces_bus.runtime import EventClock
+
+VARIABLE = "ACES_ROBOT"
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser, *, named: bool = True, virtual: bool = True) -> None:
+    """Add the options; `named` also `--robot` (others take the robot as an argument)."""
+    group = parser.add_argument_group("the robot and its buses")
+    if named:
+        group.add_argument(
+            "-r", "--robot", metavar="NAME|FILE", help=f"a robot that ships, or a file (default: ${VARIABLE})"
+        )
+    group.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="NAME=CHANNEL",
+        help="where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)",
+    )
+    group.add_argument("-i", "--interface", metavar="INTERFACE", help="python-can's, of its CAN buses")
+    group.add_argument(
+        "--baud", type=int, metavar="N", help="speed of its serial lines (default: the file's)"
+    )
+    if virtual:
+        group.add_argument(
+            "--virtual", action="store_true", help="on no bus: with its twins, here, in virtual time"
+        )
+        group.add_argument("--seed", type=int, default=0, metavar="N", help="of the twins (default: 0)")
+
+
+def chosen_robot(name: str | None) -> Robot:
+    """The robot of a name, a file or the variable; raises `CallerError` when there is none, `RobotError` for a bad file."""
+    from aces_bus.device import load_robot as load_file
+    from aces_devices.robots import is_path, list_robots, load_robot
+
+    wanted = name or os.environ.get(VARIABLE)
+    if not wanted:
+        raise CallerError(
+            f"which robot? --robot NAME or FILE.toml, or the variable {VARIABLE} ({', '.join(list_robots())})"
+        )
+    return load_file(wanted) if is_path(wanted) else load_robot(wanted)
+
+
+def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """By bus, what the call says of it; raises `UnknownNameError` for a bus that the robot has not."""
+    found: dict[str, dict[str, Any]] = {name: {} for name in robot.buses}
+    for text in arguments.bus:
+        name, equals, channel = text.partition("=")
+        if not equals and len(robot.buses) == 1:
+            name, channel = next(iter(robot.buses)), text
+        if name not in robot.buses:
+            raise UnknownNameError(f"bus of {robot.name}", name, robot.buses)
+        if not channel:
+            raise CallerError(f"--bus {text}: say where it is, such as {name}=can0")
+        found[name]["channel"] = channel
+    for name, bus in robot.buses.items():
+        channel = found[name].get("channel", "")
+        if bus.link == "can" and arguments.interface:
+            found[name]["interface"] = arguments.interface
+        elif bus.link == "can" and str(channel).startswith(("unix:", "tcp:")):
+            found[name]["interface"] = "aces"
+        if bus.link == "serial" and arguments.baud:
+            found[name]["baud"] = arguments.baud
+    return found
+
+
+@dataclass
+class Opened:
+    """A robot whose buses are open. `virtual` is None on real buses."""
+
+    robot: Robot
+    rig: Rig
+    clock: EventClock
+    virtual: VirtualRobot | None
+
+    def wait(self, awaited: Any, timeout_s: float) -> Any:
+        """Let time pass until a ticket or job is over; its result. Raises its error."""
+        return awaited.wait(timeout_s)
+
+    def let_pass(self, seconds: float) -> None:
+        """Let time pass."""
+        self.clock.wait(lambda: False, round(seconds * 1e9))
+
+
+@contextmanager
+def opened(
+    robot: Robot,
+    arguments: argparse.Namespace,
+    *,
+    rate_hz: float | None,
+    rules: Mapping[str, Any] | None = None,
+) -> Generator[Opened]:
+    """The robot on its buses, or in virtual time with its twins; closed again at the end.
+
+    Raises `CallerError` naming the bus that cannot be opened.
+    """
+    if arguments.virtual:
+        from aces_bus.assembly import VirtualRobot
+
+        if arguments.bus or arguments.interface:
+            raise CallerError("--virtual has no buses; leave --bus and -i away")
+        with VirtualRobot(robot, rate_hz=rate_hz, seed=arguments.seed, rules=rules) as made:
+            yield Opened(robot, made.rig, made.clock, made)
+        return
+    options = bus_options(robot, arguments)
+    from aces_bus.assembly import open_gates
+    from aces_bus.device import connect
+    from aces_bus.runtime import Loop
+
+    with ExitStack() as stack:
+        loop = stack.enter_context(Loop())
+        ports = open_gates(robot, loop, options)
+        rig = connect(robot, ports, rate_hz=rate_hz, rules=rules)
+        stack.callback(rig.close)
+        for name, host in rig.hosts.items():
+            open_host(name, host, options[name].get("channel") or robot.buses[name].channel)
+        yield Opened(robot, rig, loop, None)
+
+
+def open_host(name: str, station: Any, channel: str | None) -> None:
+    """Open a host or twins; raises `CallerError` for whatever opening raises."""
+    try:
+        station.open()
+    except AcesError:
+        raise
+    except Exception as error:  # whatever a backend or the system may raise
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise CallerError(f"bus {name} ({channel}) cannot be opened: {said}") from error

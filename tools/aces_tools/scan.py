@@ -1,0 +1,187 @@
+"""Find what answers on a bus, and write a robot's file of it.
+
+  aces scan -p hubo --bus can0 -i socketcan > found.toml
+  aces scan -p robotis --bus /dev/ttyUSB0 --baud 1000000
+  aces scan --robot hubo2plus            is everything there that should be?
+                                         1 when something is missing
+  aces scan --robot hubo2plus --virtual  the same, on its twins
+
+It asks each number in turn and reads: nothing is set, nothing moves. On a bus
+in use it adds traffic. The file has what devices say of themselves; gears,
+limits and names of joints are for you to add.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import CallerError
+
+from .console import Output, say
+from .live import LivePatience
+from .robot_arg import add_robot_arguments, bus_options, chosen_robot, open_host
+
+if TYPE_CHECKING:
+    from aces_bus.device import Driver, Host, Robot
+
+#: Seconds of the bus's time that a scan may take at most.
+LONGEST_S = 600
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_robot_arguments(parser)
+    add = parser.add_argument
+    add("-p", "--protocol", metavar="NAME[:DIALECT]", help="without a robot: what is spoken on the bus")
+    add("-o", "--output", metavar="FILE.toml", help="write the robot's file there (default: stdout)")
+    add("--json", action="store_true", help="what was found, as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    robot = _robot(arguments)
+    found: list[Any] = []
+    with ExitStack() as stack:
+        patience = stack.enter_context(LivePatience())
+        hosts = _hosts(robot, arguments, stack)
+        for name, host in hosts.items():
+            for driver in _scanners(host):
+                found += _scanned(name, host, driver, patience)
+    expected = {(c.bus, tuple(sorted(c.credentials.items()))): c for c in robot.devices.values() if c.active}
+    there = {(c.bus, tuple(sorted(c.credentials.items()))) for c in found}
+    missing = [config.name for key, config in expected.items() if key not in there]
+    if arguments.json:
+        listed = [
+            {
+                "bus": c.bus,
+                "driver": c.driver,
+                "credentials": c.credentials,
+                "channels": c.channels,
+                "model": c.model,
+                "kind": c.kind,
+            }
+            for c in found
+        ]
+        print(json.dumps({"found": listed, "missing": missing}, ensure_ascii=False, indent=2))
+    elif expected:
+        for config in found:
+            key = (config.bus, tuple(sorted(config.credentials.items())))
+            name = expected[key].name if key in expected else "not in the robot's file"
+            print(f"{config.bus}: {_numbers(config)}  {name}")
+        for name in missing:
+            print(f"{robot.devices[name].bus}: {_numbers(robot.devices[name])}  {name} does not answer")
+    else:
+        _write(robot, found, arguments)
+    say(f"found={len(found)} missing={len(missing)}" + (" (interrupted)" if patience.is_over else ""), who="")
+    return 1 if missing or not found else 0
+
+
+def _numbers(config: Any) -> str:
+    return f"{config.driver} " + ", ".join(f"{k} {v:#04x}" for k, v in config.credentials.items())
+
+
+def _robot(arguments: argparse.Namespace) -> Robot:
+    """The robot of the call, or one without devices on the bus that is named."""
+    from aces_bus.device import Bus, Robot
+    from aces_bus.protocol import load_protocol
+
+    if arguments.protocol is None:
+        return chosen_robot(arguments.robot)
+    if arguments.robot:
+        raise CallerError("--robot says what is spoken already; leave --protocol away")
+    if arguments.virtual:
+        raise CallerError("--virtual needs a robot whose twins are to be found: --robot NAME")
+    name, _, dialect = arguments.protocol.partition(":")
+    protocol = load_protocol(name)
+    protocol.variant(dialect or None)  # raises for one that does not exist
+    if not arguments.bus:
+        raise CallerError("which bus? --bus can0, --bus /dev/ttyUSB0, --bus HOST:PORT")
+    bus = Bus(
+        name="bus",
+        link=protocol.link,
+        protocol=name,
+        dialect=dialect or None,
+        bitrate=protocol.bitrate if protocol.link == "can" else None,
+        baud=arguments.baud or protocol.baud if protocol.link == "serial" else None,
+    )
+    return Robot(name="found", buses={"bus": bus}, devices={}, joints={}, sensors={})
+
+
+def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Host]:
+    """A host without devices for each bus, open."""
+    from aces_bus.device import Host
+    from aces_bus.device.rig import variants_of
+
+    hosts: dict[str, Host] = {}
+    if arguments.virtual:
+        from aces_bus.assembly import VirtualRobot
+
+        virtual = VirtualRobot(robot, seed=arguments.seed)
+        stack.enter_context(virtual.simulation)
+        ports: dict[str, Any] = virtual.ports("scan")
+    else:
+        from aces_bus.assembly import gate_of, port_for
+        from aces_bus.protocol import load_protocol
+        from aces_bus.runtime import Loop
+
+        loop = stack.enter_context(Loop())
+        options = bus_options(robot, arguments)
+        ports = {
+            name: port_for(gate_of(bus, load_protocol(bus.protocol), options[name]), bus, loop)
+            for name, bus in robot.buses.items()
+        }
+    for name, port in ports.items():
+        hosts[name] = Host(port, variants_of(robot, name), name=name)
+        stack.callback(hosts[name].close)
+        open_host(name, hosts[name], None)
+    return hosts
+
+
+def _scanners(host: Host) -> list[Driver]:
+    """The drivers that can find their devices on this bus."""
+    from aces_bus.device import list_drivers, load_driver
+
+    drivers = [load_driver(name) for name in list_drivers()]
+    return [one for one in drivers if one.protocol in host.variants and one.scan is not None]
+
+
+def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any]:
+    from msgspec.structs import replace
+
+    from aces_bus.device import Job
+
+    scan = driver.scan
+    assert scan is not None
+    job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))
+    is_shown = sys.stderr.isatty()
+    end = host.clock.now() + LONGEST_S * 1_000_000_000
+    while not job.is_over and host.clock.now() < end and not patience.is_over:
+        host.clock.wait(lambda: job.is_over or patience.is_over, 200_000_000)
+        if is_shown:
+            print(f"\r{name} {driver.name}: {job.progress:4.0%} {job.text:<20.20}", end="", file=sys.stderr)
+    if is_shown:
+        print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
+    if not job.is_over:
+        job.cancel()
+        return []
+    if job.error is not None:
+        say(f"{name}: {job.error}")
+        return []
+    return [replace(config, bus=name) for config in job.result]
+
+
+def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> None:
+    from msgspec.structs import replace
+
+    from aces_bus.device import print_robot
+
+    options = bus_options(robot, arguments)
+    bus = replace(
+        robot.buses["bus"], **{k: v for k, v in options["bus"].items() if k in ("channel", "interface")}
+    )
+    whole = replace(robot, buses={"bus": bus}, devices={config.name: config for config in found})
+    output = Output(arguments.output)
+    output.write(print_robot(whole).encode())
+    output.close()
