@@ -35,6 +35,11 @@ class DeviceEvent(msgspec.Struct, frozen=True):
     device: str
     detail: str = ""
 
+    @property
+    def source(self) -> str:
+        """Who it is about: the device, or the bus where no device is meant."""
+        return self.device or self.bus
+
     def __str__(self) -> str:
         who = f"{self.bus} {self.device}".strip()
         return f"{self.instant / 1e9:.6f} {who}: {self.kind}{f': {self.detail}' if self.detail else ''}"

@@ -31,6 +31,8 @@ from .ticket import Ticket
 
 #: Events of one kind and device are told this often at most (ns); all are counted.
 TELL_EVERY = 1_000_000_000
+#: What tells of a change, and therefore is told each time.
+TOLD_ALWAYS = ("silent", "answers", "alarm", "alarm over", "rebooted")
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
 #: The robot of a probe.
@@ -149,8 +151,18 @@ class Host(Station[Device]):
         super().add(member)
         for poll in member.polls:
             word = self.word(member, poll.message, poll.fields)
-            self._turns.append(_Turn(member, poll, word, 2 * self.port.wire_ns(word)))
+            turn = _Turn(member, poll, word, 2 * self.port.wire_ns(word))
+            if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
+                turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self._turns) % 1))
+            self._turns.append(turn)
         return member
+
+    def postpone(self, device: Device, message: str, duration_s: float) -> None:
+        """Poll a device with this message not before so long from now: its answer could be taken for another's."""
+        until = self.clock.now() + round(duration_s * 1e9)
+        for turn in self._turns:
+            if turn.device is device and turn.poll.message == message and turn.due < until:
+                turn.due = until
 
     def probe(self, protocol: str, **credentials: int) -> Device:
         """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
@@ -552,7 +564,7 @@ class Host(Station[Device]):
         now = self.clock.now()
         key = (kind, f"{device} {detail}" if kind == "stranger" else device)
         last = self._told.get(key)
-        if last is not None and now - last < TELL_EVERY and kind not in ("silent", "answers"):
+        if last is not None and now - last < TELL_EVERY and kind not in TOLD_ALWAYS:
             self.events.counts[kind, device] += 1
             return
         if len(self._told) > 10_000:

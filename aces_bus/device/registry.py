@@ -65,7 +65,10 @@ def load_driver(name: str) -> Driver:
     known = list_drivers()
     if name not in known:
         raise UnknownNameError("driver", name, known)
-    driver = known[name].load()
+    try:
+        driver = known[name].load()
+    except (ImportError, AttributeError) as error:
+        raise SpecError(f"driver {name!r} ({known[name].value}) cannot be loaded: {error}") from error
     if not isinstance(driver, Driver):
         raise SpecError(f"{known[name].value} is not a Driver but {type(driver).__name__}")
     if driver.name != name:

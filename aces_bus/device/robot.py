@@ -79,13 +79,15 @@ class Bus(msgspec.Struct, frozen=True, kw_only=True):
 class DeviceConfig(msgspec.Struct, frozen=True, kw_only=True):
     """One node: a board, a servo. `credentials` are fields of the protocol's messages with this node's values.
 
+    None are needed where the protocol has no such fields: a board that is alone on its line.
+
     `kind` is its entry in the protocol's configuration tables, where that is not the number of its channels.
     """
 
     name: str
     driver: Name
     bus: Name
-    credentials: Credentials
+    credentials: Credentials = msgspec.field(default_factory=dict[str, int])
     channels: Count | None = None
     kind: Kind | None = None
     protocol: Name | None = None  # where it is not its bus's

@@ -155,6 +155,7 @@ def _check_devices(
     drivers = {point.name for point in entry_points(group=DRIVERS)}
     warned: set[str] = set()
     claimed: dict[tuple[str, str, str, int], DeviceConfig] = {}
+    alone: dict[tuple[str, str], DeviceConfig] = {}
     for name, device in robot.devices.items():
         path = ("devices", name)
         if device.driver not in warned:
@@ -173,6 +174,13 @@ def _check_devices(
             if device.dialect is not None:
                 _check_dialect((*path, "dialect"), protocol, dialect, complain)
             _check_credentials(path, device, spoken, protocols.addresses[spoken], complain)
+        if not device.credentials:
+            other = alone.setdefault((device.bus, spoken), device)
+            if other is not device:
+                complain(
+                    (*path, "credentials"),
+                    f"nothing tells it from device {other.name}, which speaks {spoken} on bus {device.bus} too",
+                )
         for key, number in device.credentials.items():
             other = claimed.setdefault((device.bus, spoken, key, number), device)
             if other is not device:
@@ -198,6 +206,11 @@ def _check_credentials(
     known: Mapping[str, Address],
     complain: Complain,
 ) -> None:
+    if known and not device.credentials:
+        complain(
+            (*path, "credentials"),
+            f"is missing: expected what identifies it on the bus, such as {{ {next(iter(known))} = 0x20 }}",
+        )
     for key, number in device.credentials.items():
         at = (*path, "credentials", key)
         if key not in known:

@@ -126,7 +126,7 @@ class SerialPort:
         """Begin to hear."""
         if isinstance(self._line, SerialWire):
             # An adapter for half-duplex lines takes its own echo out.
-            self.node = self._line.attach(self.name, received, echo=False)
+            self.node = self._line.attach(self.name, received, echo=False, whole=True)
             self._send: Callable[[bytes], Any] = self.node.send
             return
         loop, handle = self.clock, received

@@ -2,6 +2,7 @@
 
 1. Time is the clock's; the same clock, calls and seed give the same line, bit for bit.
 2. Every byte that a node sends arrives at every other node, late by its own time on the wire, or is counted as lost.
+   Nodes that allow it are given whole chunks at once, at the end of their last byte: the same bytes, the same collisions.
 
 A byte is ten bits at the line's speed (a start bit, eight, a stop bit). On a full-duplex line each way is its own; on a
 half-duplex one (RS-485, the Dynamixel bus) all share a wire: bytes that overlap in time are garbled for everybody, and a
@@ -13,7 +14,7 @@ node that echoes hears itself.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -37,36 +38,49 @@ class Noise:
 
 
 class SerialNode:
-    """One end of a line; made by `SerialWire.attach`. `received` is called with each byte and its end's instant (ns)."""
+    """One end of a line; made by `SerialWire.attach`. `received` is called with bytes and the instant (ns) of their end."""
 
     def __init__(
-        self, wire: SerialWire, name: str, received: Callable[[bytes, int], None] | None, *, echo: bool
+        self,
+        wire: SerialWire,
+        name: str,
+        received: Callable[[bytes, int], None] | None,
+        *,
+        echo: bool,
+        whole: bool,
     ) -> None:
-        self.wire, self.name, self.received, self.echo = wire, name, received, echo
-        self.is_connected = True
+        self.wire, self.name, self.received, self.echo, self.whole = wire, name, received, echo, whole
+        self._is_connected = True
         #: When the last byte that was given to send has left.
         self.free_at = 0
         #: Bytes of this node that met others on the wire.
         self.collisions = 0
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether it is plugged in: what it sends meanwhile is lost, and it hears nothing."""
+        return self._is_connected
+
+    @is_connected.setter
+    def is_connected(self, on: bool) -> None:
+        self.wire.catch_up()  # what has left, and what was heard, until now
+        self._is_connected = on
+
     def send(self, data: bytes) -> int:
         """Put bytes behind those that are still leaving; the instant (ns) at which the last one has left."""
-        wire = self.wire
-        start = max(wire.clock.now(), self.free_at)
-        for byte in data:
-            end = start + wire.byte_ns
-            wire.carry(self, byte, start, end)
-            start = end
-        self.free_at = start
-        return start
+        if not data:
+            return max(self.wire.clock.now(), self.free_at)
+        return self._send(bytes(data), self.wire.byte_ns)
 
     def send_break(self, duration_ns: int | None = None) -> None:
         """Hold the line low, by default for two bytes: others read a single zero, and know it for a break by its length."""
-        wire = self.wire
-        start = max(wire.clock.now(), self.free_at)
-        end = start + (duration_ns if duration_ns is not None else 2 * wire.byte_ns)
-        wire.carry(self, 0, start, end)
-        self.free_at = end
+        self._send(BREAK, duration_ns if duration_ns is not None else 2 * self.wire.byte_ns)
+
+    def _send(self, data: bytes, byte_ns: int) -> int:
+        chunk = _Chunk(self, data, max(self.wire.clock.now(), self.free_at), byte_ns)
+        self.free_at = chunk.end
+        self.wire.carry(chunk)
+        return chunk.end
 
     @property
     def pending(self) -> int:
@@ -75,15 +89,35 @@ class SerialNode:
         return 0 if left <= 0 else -(-left // self.wire.byte_ns)
 
 
-@dataclass
-class _Flying:
-    """A byte on the wire."""
+class _Chunk:
+    """Bytes that one node sends without a gap."""
 
-    node: SerialNode
-    byte: int
-    start: int
-    end: int
-    is_garbled: bool = False
+    __slots__ = ("byte_ns", "data", "done", "end", "garbled", "node", "others", "start")
+
+    def __init__(self, node: SerialNode, data: bytes, start: int, byte_ns: int) -> None:
+        self.node, self.data, self.start, self.byte_ns = node, data, start, byte_ns
+        self.end = start + len(data) * byte_ns
+        #: How many bytes have arrived.
+        self.done = 0
+        #: Who else was on the wire meanwhile, and which bytes met theirs.
+        self.others: list[_Chunk] = []
+        self.garbled: set[int] = set()
+
+    def meets(self, other: _Chunk) -> range:
+        """Which of its bytes are on the wire while the other is."""
+        first = max(0, (other.start - self.start) // self.byte_ns)
+        return range(first, min(len(self.data), -(-(other.end - self.start) // self.byte_ns)))
+
+    def arrived(self, number: int) -> int:
+        """What is read of a byte where several drive the wire: a dominant zero of either, and bits out of step."""
+        byte = self.data[number]
+        start = self.start + number * self.byte_ns
+        alone = _Chunk(self.node, self.data[number : number + 1], start, self.byte_ns)
+        for other in self.others:
+            for index in other.meets(alone):
+                shift = abs(other.start + index * other.byte_ns - start) * BITS // self.node.wire.byte_ns
+                byte &= (other.data[index] << shift | (1 << shift) - 1) & 0xFF
+        return byte
 
 
 class SerialWire:
@@ -102,7 +136,7 @@ class SerialWire:
         self.nodes: list[SerialNode] = []
         self._noise = noise
         self._random = random.Random(noise.seed if noise is not None else 0)
-        self._flying: list[_Flying] = []
+        self._flying: list[_Chunk] = []
         self.bytes = self.garbled = self.flipped = self.dropped = self.inserted = 0
 
     def attach(
@@ -111,55 +145,84 @@ class SerialWire:
         received: Callable[[bytes, int], None] | None = None,
         *,
         echo: bool | None = None,
+        whole: bool = False,
     ) -> SerialNode:
-        """A new node. `echo`: it hears itself; None: on a half-duplex line."""
+        """A new node. `echo`: it hears itself; None: on a half-duplex line.
+
+        `whole`: it may be given all bytes of one `send` together, at their end, as adapters do; otherwise byte by byte. That
+        is what happens on a line without noise whose nodes all agree to it, and it is much cheaper.
+        """
         node = SerialNode(
             self,
             name or f"node{len(self.nodes)}",
             received,
             echo=self.half_duplex if echo is None else echo,
+            whole=whole,
         )
+        self.catch_up()  # it was not there for what has passed
         self.nodes.append(node)
         return node
 
-    def carry(self, node: SerialNode, byte: int, start: int, end: int) -> None:
-        """A byte goes on the wire from `start` to `end` (ns)."""
-        flying = _Flying(node, byte, start, end)
+    def carry(self, chunk: _Chunk) -> None:
+        """Bytes go on the wire, which may be busy with others' on a half-duplex line."""
+        now = self.clock.now()
+        flying = self._flying = [other for other in self._flying if other.end > now]
         if self.half_duplex:
-            now = self.clock.now()
-            self._flying = [other for other in self._flying if other.end > now]
-            for other in self._flying:
-                if other.node is not node and other.start < end and start < other.end:
-                    for one in (flying, other):
-                        if not one.is_garbled:
-                            one.is_garbled = True
-                            one.node.collisions += 1
-            self._flying.append(flying)
-        self.clock.call_at(end, partial(self._arrive, flying))
-
-    def _arrive(self, flying: _Flying) -> None:
-        self.bytes += 1
-        sender = flying.node
-        if not sender.is_connected:
+            for other in flying:
+                if other.node is not chunk.node and other.start < chunk.end and chunk.start < other.end:
+                    for one, two in ((chunk, other), (other, chunk)):
+                        one.others.append(two)
+                        fresh = set(one.meets(two)) - one.garbled
+                        one.garbled |= fresh
+                        one.node.collisions += len(fresh)
+        flying.append(chunk)
+        arrive = partial(self._arrive, chunk)
+        if self._noise is None and all(node.whole for node in self.nodes):
+            self.clock.post(chunk.end, arrive)
             return
-        byte = flying.byte
-        if flying.is_garbled:
-            self.garbled += 1
-            byte = self._garbled(flying)
-        for data in self._after_noise(byte):
-            for node in self.nodes:
-                if node.received is None or not node.is_connected or (node is sender and not node.echo):
-                    continue
-                node.received(data, flying.end)
+        for number in range(1, len(chunk.data) + 1):
+            self.clock.post(chunk.start + number * chunk.byte_ns, arrive)
 
-    def _garbled(self, flying: _Flying) -> int:
-        """What is read where several drive the wire: a dominant zero of either, and bits out of step."""
-        byte = flying.byte
-        for other in self._flying:
-            if other.node is not flying.node and other.start < flying.end and flying.start < other.end:
-                shift = abs(other.start - flying.start) * BITS // self.byte_ns
-                byte &= (other.byte << shift | (1 << shift) - 1) & 0xFF
-        return byte
+    def catch_up(self) -> None:
+        """Let what has arrived by now be heard, of what was to be heard later, as a whole."""
+        for chunk in list(self._flying):
+            self._arrive(chunk)
+
+    def _arrive(self, chunk: _Chunk) -> None:
+        """Hand over the bytes whose end has come."""
+        first = chunk.done
+        last = chunk.done = min(len(chunk.data), (self.clock.now() - chunk.start) // chunk.byte_ns)
+        if first >= last:
+            return
+        self.bytes += last - first
+        if not chunk.node.is_connected:
+            return
+        data = chunk.data if last - first == len(chunk.data) else chunk.data[first:last]
+        if chunk.garbled:
+            hit = [number for number in chunk.garbled if first <= number < last]
+            self.garbled += len(hit)
+            changed = bytearray(data)
+            for number in hit:
+                changed[number - first] = chunk.arrived(number)
+            data = bytes(changed)
+        ends = range(chunk.start + (first + 1) * chunk.byte_ns, chunk.end + 1, chunk.byte_ns)
+        if self._noise is None:
+            self._hand_over(chunk.node, data, ends)
+            return
+        for byte, end in zip(data, ends, strict=False):
+            for one in self._after_noise(byte):
+                self._hand_over(chunk.node, one, (end,))
+
+    def _hand_over(self, sender: SerialNode, data: bytes, ends: Sequence[int]) -> None:
+        """Bytes, and when each of them ended, to all who hear them."""
+        for node in tuple(self.nodes):
+            if node.received is None or not node.is_connected or (node is sender and not node.echo):
+                continue
+            if node.whole or len(data) == 1:
+                node.received(data, ends[len(data) - 1])
+            else:
+                for byte, end in zip(data, ends, strict=False):
+                    node.received(bytes((byte,)), end)
 
     def _after_noise(self, byte: int) -> tuple[bytes, ...]:
         noise = self._noise

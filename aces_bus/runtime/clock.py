@@ -10,9 +10,12 @@ from __future__ import annotations
 import heapq
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from ..errors import CallerError
+
+
+T = TypeVar("T")
 
 
 class Clock(Protocol):
@@ -115,6 +118,10 @@ class VirtualClock:
     def call_soon(self, action: Callable[[], None]) -> None:
         """Plan `action` for this very instant, behind what is planned for it already."""
         self.post(self._now, action)
+
+    def call(self, action: Callable[[], T]) -> T:
+        """Do it now and return what it returns: there is one thread."""
+        return action()
 
     def wait(self, until: Callable[[], bool], timeout_ns: int) -> bool:
         """Let events happen until `until()` holds, at most `timeout_ns`; whether it holds."""

@@ -13,10 +13,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol, Self
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from typing import Any, Protocol, Self, TypeVar
 
 from ..errors import CallerError
 from .clock import Clock, RealClock, Timer
+
+
+T = TypeVar("T")
 
 
 class EventClock(Clock, Protocol):
@@ -36,6 +41,10 @@ class EventClock(Clock, Protocol):
 
     def call_soon(self, action: Callable[[], None]) -> None:
         """Do it next; the only method that other threads may call."""
+        ...
+
+    def call(self, action: Callable[[], T]) -> T:
+        """Do it now, where all planned actions run, and return what it returns: how programs touch what a clock drives."""
         ...
 
     def wait(self, until: Callable[[], bool], timeout_ns: int) -> bool:
@@ -83,6 +92,31 @@ class Loop(RealClock):
     def call_soon(self, action: Callable[[], None]) -> None:
         """Do it next, on the loop's thread."""
         self._push(0, action)
+
+    def call(self, action: Callable[[], T]) -> T:
+        """Do it on the loop's thread and return what it returns; what it raises is raised here.
+
+        Raises `CallerError` when the loop does not run.
+        """
+        if threading.current_thread() is self._thread:
+            return action()
+        done: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                done.set_result(action())
+            except BaseException as error:  # it is raised where it was asked for
+                done.set_exception(error)
+
+        self.call_soon(run)
+        while True:
+            try:
+                return done.result(0.5)
+            except FutureTimeout:
+                if done.done():
+                    raise
+                if self._stopping or self._thread is None or not self._thread.is_alive():
+                    raise CallerError(f"{self.thread_name} does not run: nothing can be done on it") from None
 
     def _push(self, instant: int, planned: Any) -> None:
         with self._changed:

@@ -22,6 +22,7 @@ from .errors import StateError
 from .quantity import Listener, Quantity
 
 _INFINITY = math.inf
+_NEVER = -(1 << 63)
 
 
 class Derived(Quantity):
@@ -38,9 +39,11 @@ class Derived(Quantity):
             (one.stale_after_s for one in inputs if one.stale_after_s is not None), default=None
         )
         self._listeners: list[Listener] = []
-        self._told = -1
+        self._told, self._told_epoch = _NEVER, 0
         #: Samples that listeners did not get, as an input's history had gone by then.
         self.skipped = 0
+        #: What the function raised last, when a sample was made for listeners: they got `UNKNOWN`.
+        self.failure: Exception | None = None
 
     def named(self, name: str, unit: str | None = None) -> Derived:
         """The same under a name, and in a unit of your choice of symbols ("W" for N·m·rad/s)."""
@@ -72,7 +75,7 @@ class Derived(Quantity):
     @property
     def span(self) -> tuple[int, int] | None:
         """Where all inputs have values of their own; None where there is no such time."""
-        start, end = -(1 << 63), 1 << 63
+        start, end = _NEVER, 1 << 63
         for one in self._sources:
             span = one.span
             if span is None:
@@ -110,6 +113,11 @@ class Derived(Quantity):
         return any(one.is_stale for one in self._sources)
 
     @property
+    def epoch(self) -> int:
+        """Grows with each of the inputs'."""
+        return sum(one.epoch for one in self._sources)
+
+    @property
     def forgotten(self) -> int | None:
         """The latest of the inputs' instants before which samples are gone."""
         return max((one.forgotten for one in self._sources if one.forgotten is not None), default=None)
@@ -136,15 +144,21 @@ class Derived(Quantity):
         """Call `listener(value, instant)` with each new sample (rule 3)."""
         if not self._listeners:
             newest = self.instant
-            self._told = -(1 << 63) if newest is None else newest
+            self._told = _NEVER if newest is None else newest
+            self._told_epoch = self.epoch
             for one in self._sources:
                 one.subscribe(self._advanced)
         self._listeners.append(listener)
 
     def _advanced(self, _value: Any, _instant: int) -> None:
         newest = self.instant
-        if newest is None or newest <= self._told:
+        if newest is None:
             return
+        if newest <= self._told:
+            if self.epoch == self._told_epoch:
+                return
+            self._told = _NEVER
+        self._told_epoch = self.epoch
         since, self._told = self._told, newest
         for instant in sorted({at for one in self._sources for at in one.samples_between(since + 1, newest)}):
             try:
@@ -152,6 +166,9 @@ class Derived(Quantity):
             except StateError:
                 self.skipped += 1
                 continue
+            except Exception as error:  # a function of the user's own: its inputs must go on
+                self.failure = error
+                value = UNKNOWN
             for listener in self._listeners:
                 listener(value, instant)
 

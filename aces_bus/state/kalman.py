@@ -135,6 +135,9 @@ class VelocityTrack(Track):
         scale = 1 / (xx + r)
         k, l = xx * scale, xv * scale  # noqa: E741 - gains of value and velocity
         error = value - x
+        if not -math.inf < x + k * error < math.inf:  # it has run away, as no float holds this
+            self._seen, self.state = 0, ()
+            return self.observe(value, instant)
         self.state = (instant, x + k * error, v + l * error, 0.0, r * k, r * l, vv - l * xv)
 
 
@@ -151,8 +154,8 @@ class AccelerationTrack(Track):
             else:
                 dt = (instant - self.state[0]) * 1e-9
                 # The acceleration is open: as uncertain as ten times what three samples would leave of it.
-                aa = 600 * r / dt**4 + (10 * (value - self.state[1]) / (dt * dt)) ** 2
                 v = (value - self.state[1]) / dt
+                aa = 600 * r / dt**4 + (10 * v / dt) * (10 * v / dt)
                 self.state = (
                     instant,
                     value,
@@ -184,6 +187,9 @@ class AccelerationTrack(Track):
         scale = 1 / (xx + r)
         k, l, m = xx * scale, xv * scale, xa * scale  # noqa: E741 - gains of value, velocity, acceleration
         error = value - x
+        if not -math.inf < x + k * error < math.inf:  # it has run away, as no float holds this
+            self._seen, self.state = 0, ()
+            return self.observe(value, instant)
         self.state = (
             instant, x + k * error, v + l * error, a + m * error,
             r * k, r * l, r * m, vv - l * xv, va - l * xa, aa - m * xa,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .derived import Derived
     from .filters import Filter
     from .rate import Rate
-    from .running import Running, Uneven
+    from .running import Filtered, Integral, Uneven
     from .spectrum import Spectrum
     from .window import Window
 
@@ -91,6 +91,11 @@ class Quantity(ABC):
     def forgotten(self) -> int | None:
         """Samples before this instant were there and are not kept any more; None when none was dropped."""
 
+    @property
+    @abstractmethod
+    def epoch(self) -> int:
+        """Grows whenever all was forgotten, so that whoever keeps sums of it begins anew."""
+
     @abstractmethod
     def subscribe(self, listener: Listener) -> None:
         """Call `listener(value, instant)` with each new sample; it must return soon, and may get `UNKNOWN`."""
@@ -136,7 +141,7 @@ class Quantity(ABC):
 
     def __getitem__(self, t: float) -> Any:
         """The value `t` seconds from the origin (rule 1): float or `UNKNOWN`; raises `StateError` outside the history."""
-        if not t:
+        if t == 0:
             return self.value
         origin = self.origin
         if origin is None:
@@ -197,7 +202,7 @@ class Quantity(ABC):
 
         return self._make(("rate", order), lambda: Rate(self, order))  # type: ignore[no-any-return]
 
-    def integral(self, start: float = 0.0, *, max_gap_s: float | None = None) -> Running:
+    def integral(self, start: float = 0.0, *, max_gap_s: float | None = None) -> Integral:
         """The integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at
         the first call.
 
@@ -212,7 +217,7 @@ class Quantity(ABC):
 
         return self._make(key, lambda: Integral(self, start, max_gap_s=max_gap_s))  # type: ignore[no-any-return]
 
-    def filtered(self, kind: Filter, *, uneven: Uneven = "resample") -> Running:
+    def filtered(self, kind: Filter, *, uneven: Uneven = "resample") -> Filtered:
         """The quantity behind a filter (see `aces_bus.state.filters` and `design`), with a history of its own.
 
         A filter designed for a rate needs even samples. `uneven` says what becomes of others: "resample"
@@ -293,4 +298,5 @@ class Quantity(ABC):
         return f"<{type(self).__name__} {self.name} = {self.last!r}{unit}{aged}>"
 
     # Quantities are things, not their values: two are equal when they are the same. `a[0] == b[0]` compares values.
+    __array_ufunc__: None = None  # NumPy numbers leave it to us
     __iter__: None = None  # indexing takes seconds, not places

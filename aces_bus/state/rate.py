@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from ..device.signals import UNKNOWN
@@ -67,9 +68,8 @@ class Rate(Quantity):
             return UNKNOWN
         if len(values) < 2 or UNKNOWN in values:
             return UNKNOWN
-        if len(values) == 2:
-            return (values[1] - values[0]) * 1e9 / (instants[1] - instants[0])
-        return slope_at(instants, values, instant)
+        slope = slope_at(instants, values, instant)
+        return slope if -math.inf < slope < math.inf else UNKNOWN
 
     @property
     def span(self) -> tuple[int, int] | None:
@@ -85,6 +85,11 @@ class Rate(Quantity):
     def is_stale(self) -> bool:
         """Whether the source is."""
         return self.source.is_stale
+
+    @property
+    def epoch(self) -> int:
+        """The source's."""
+        return self.source.epoch
 
     @property
     def forgotten(self) -> int | None:

@@ -52,7 +52,21 @@ class Running(State):
         self.source = source
         #: What a filter of the user's own raised last.
         self.failure: Exception | None = None
-        self._taken_at = _NEVER
+        self._taken_at, self._taken_epoch = _NEVER, source.epoch
+
+    def _is_old(self) -> bool:
+        """Whether the source has given this instant before; not when it has forgotten all since, as this does then."""
+        epoch = self.source.epoch
+        if epoch == self._taken_epoch:
+            return True
+        self._taken_epoch = epoch
+        self.clear()
+        self._begin_again()
+        return False
+
+    def _begin_again(self) -> None:
+        """Begin anew, as the source has."""
+        raise NotImplementedError
 
     def _begin_taking(self, *, past: bool) -> None:
         """Take the source's samples: all that it has kept, or the newest only, and those to come."""
@@ -82,7 +96,7 @@ class Integral(Running):
 
     @property
     def skipped_s(self) -> float:
-        """Time that adds nothing, as its samples are too far apart."""
+        """Time that adds nothing: its samples are too far apart, or the sum would be beyond what a float holds."""
         return self._skipped / 1e9
 
     def reset(self, start: float | None = None) -> None:
@@ -93,7 +107,7 @@ class Integral(Running):
             self.push(self._area, self._before[1])
 
     def _take(self, value: Any, instant: int) -> None:
-        if instant <= self._taken_at:
+        if instant <= self._taken_at and self._is_old():
             return
         self._taken_at = instant
         if value is UNKNOWN:
@@ -103,11 +117,15 @@ class Integral(Running):
         self._before = value, instant
         if before is not None:
             duration = instant - before[1]
-            if duration > self._max_gap:
-                self._skipped += duration
+            area = self._area + (value + before[0]) * duration * 0.5e-9
+            if duration <= self._max_gap and -math.inf < area < math.inf:
+                self._area = area
             else:
-                self._area += (value + before[0]) * duration * 0.5e-9
+                self._skipped += duration
         self.push(self._area, instant)
+
+    def _begin_again(self) -> None:
+        self._before = None
 
 
 class Filtered(Running):
@@ -153,13 +171,18 @@ class Filtered(Running):
         self._begin_taking(past=True)
 
     def _take(self, value: Any, instant: int) -> None:
-        if instant <= self._taken_at:
+        if instant <= self._taken_at and self._is_old():
             return
         self._taken_at = instant
         if value is UNKNOWN:
             self.push(UNKNOWN, instant)
         else:
             self._each(value, instant)
+
+    def _begin_again(self) -> None:
+        self._step = None
+        self._before = 0.0, _NEVER
+        self._grid_next = _NEVER
 
     def _start(self, value: float) -> Step:
         start = getattr(self.kind, "start_filter", None)

@@ -97,7 +97,7 @@ class State(Quantity):
         self._size = size = self.history + SPARE
         self._instants = array("q", bytes(16 * size))
         self._values = array("d", bytes(16 * size))
-        self._count = self._begin = 0
+        self._count = self._begin = self._epoch = 0
         self._newest: Any = UNKNOWN
         self._newest_at = _NEVER
         #: Called with each new sample.
@@ -109,6 +109,7 @@ class State(Quantity):
 
         self._observe: Observe | None = None
         self._estimate: Estimate | None = None
+        self._estimator = estimator
         if estimator is not None:
             self._observe, self._estimate = started(estimator, self)
 
@@ -154,23 +155,27 @@ class State(Quantity):
             values, instants = self._values, self._instants
             values[at] = values[at + size] = value
             instants[at] = instants[at + size] = instant
-            # The value first: an old value must never stand beside a new instant.
-            self._newest = value = values[at] if self._cast is None else self._cast(value)
+            newest = values[at] if self._cast is None else self._cast(value)
         except (TypeError, ValueError, OverflowError):
             self._push_unknown(instant)
             return
-        self._newest_at = instant
+        # The instant last: beside it there is never an older value, and what it counts from is in the history.
+        self._newest = newest
         self._count = count + 1
+        self._newest_at = instant
         if self._observe is not None:
-            self._observe(value, instant)
+            try:
+                self._observe(newest, instant)
+            except Exception:  # an estimator of the user's own: samples go on
+                self._failed += 1
         for listener in self.listeners:
-            listener(value, instant)
+            listener(newest, instant)
 
     def _push_unknown(self, instant: int) -> None:
         self._store(_NAN, instant, self._count)
         self._newest = UNKNOWN
-        self._newest_at = instant
         self._count += 1
+        self._newest_at = instant
         self._unknown += 1
         for listener in self.listeners:
             listener(UNKNOWN, instant)
@@ -202,6 +207,11 @@ class State(Quantity):
         self._newest = UNKNOWN
         self._newest_at = _NEVER
         self._begin = self._count
+        self._epoch += 1
+        if self._estimator is not None:
+            self._observe, self._estimate = started(self._estimator, self)
+        if self._target is not None:
+            self._target.clear()
 
     @property
     def counts(self) -> Counts:
@@ -259,7 +269,7 @@ class State(Quantity):
     def __getitem__(self, t: float) -> Any:
         """The value `t` seconds from the newest sample, with an estimator from now: float or `UNKNOWN`."""
         if self._estimate is None:
-            if not t:
+            if t == 0:
                 if self._stale_after is None or self._now() - self._newest_at <= self._stale_after:
                     return self._newest
                 return UNKNOWN
@@ -313,9 +323,9 @@ class State(Quantity):
                 value = self._values[at - 1]
             if self._count - count < SPARE:
                 break
-        if value != value:
+        if not -_INFINITY < value < _INFINITY:
             return UNKNOWN
-        return value if self._cast is None or value is UNKNOWN else self._cast(value)
+        return value if self._cast is None else self._cast(value)
 
     def _fitted(self, instant: int, at: int, start: int, end: int) -> float:
         """The polynomial through the order + 1 known samples around places at - 1 and at, or as many as there are."""
@@ -343,13 +353,13 @@ class State(Quantity):
                 break
         return value_at(self._instants[low:high], values[low:high], instant)
 
-    def _beyond(self, instant: int) -> Any:
-        """What the estimator says; nothing of the future when the newest sample is stale (rule 2 of `quantity`)."""
+    def _beyond(self, instant: int) -> float:
+        """What the estimator says; nothing (NaN) of the future when the newest sample is stale (rule 2 of `quantity`)."""
         assert self._estimate is not None
         if instant > self._newest_at and self.is_stale:
-            return UNKNOWN
-        value = self._estimate(instant)
-        return value if value is UNKNOWN or -_INFINITY < value < _INFINITY else UNKNOWN
+            return _NAN
+        value: Any = self._estimate(instant)
+        return _NAN if value is UNKNOWN else value
 
     def _no_value(self, instant: int) -> StateError:
         return self._outside(
@@ -392,6 +402,11 @@ class State(Quantity):
         return self._stale_after is not None and self._now() - self._newest_at > self._stale_after
 
     @property
+    def epoch(self) -> int:
+        """How often it was cleared."""
+        return self._epoch
+
+    @property
     def forgotten(self) -> int | None:
         """The instant (ns) of the oldest sample kept, when older ones had to go."""
         if self._count - self._begin <= self.history:
@@ -409,7 +424,7 @@ class State(Quantity):
             values, instants = self._values, self._instants
             slope = (values[end - 1] - values[end - 2]) * 1e9 / (instants[end - 1] - instants[end - 2])
             if self._count - count < SPARE:
-                return slope if slope == slope else UNKNOWN
+                return slope if -_INFINITY < slope < _INFINITY else UNKNOWN
 
     def samples_up_to(self, instant: int, most: int) -> list[int]:
         """Instants of up to `most` samples; the last one is the first that is not before `instant`, or the newest."""

@@ -33,7 +33,7 @@ def crouching() -> StateMachine:
         ],
         table=[
             Row("wait", "down", after_s=5.0),
-            Row("down", "up", "LHP[0] > 1.2"),
+            Row("down", "up", "LHP[0] > 1.205"),
             Row("up", "down", "LHP[0] < 0.01"),
             Row("*", "over", "RSP[0] > 0"),
             Row("*", "over", on="bus-off"),
@@ -115,7 +115,7 @@ def test_functions_stand_where_texts_do() -> None:
     """A guard and equations may be functions of the machine; the diagram shows their names."""
 
     def ready(machine: StateMachine) -> bool:
-        return machine.phase_s > 0.15
+        return machine.phase_s > 0.25
 
     def ramp(machine: StateMachine) -> Mapping[str, float]:
         return {"X": machine.bound["X"][0] + machine.phase_s}

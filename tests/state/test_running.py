@@ -23,6 +23,7 @@ from aces_bus.state import (
     Sos,
     StateError,
     butterworth,
+    derived,
     iir,
     notch,
 )
@@ -68,7 +69,7 @@ def test_the_integral_begins_when_it_is_asked_for() -> None:
     assert area[0] == 5.0
     fed(omega, lambda t: 1.0, range(S, 2 * S, 100 * MS))
     assert area[0] == pytest.approx(6.0)
-    area.reset(0.0)  # type: ignore[attr-defined]
+    area.reset(0.0)
     assert area[0] == 0.0
     fed(omega, lambda t: 1.0, [3 * S])
     assert area[0] == pytest.approx(1.1)
@@ -83,7 +84,7 @@ def test_unknown_samples_do_not_poison_an_integral() -> None:
         assert (bridged[0] is UNKNOWN) == (i == 5)
     assert bridged[0] == pytest.approx(2.0)
     assert careful[0] == pytest.approx(1.6)
-    assert careful.skipped_s == pytest.approx(0.2)  # type: ignore[attr-defined]
+    assert careful.skipped_s == pytest.approx(0.2)
 
 
 # ---- filters --------------------------------------------------------------------------------------------------------
@@ -331,3 +332,33 @@ def test_a_filter_that_cannot_be_is_refused(make: Any) -> None:
     """Lengths, rates, times and coefficients are checked when the filter is described."""
     with pytest.raises(StateError):
         make()
+
+
+def test_what_is_made_of_a_state_begins_anew_with_it() -> None:
+    """After a clock was set back and the state was cleared, its integrals, filters and products take the new samples."""
+    omega = made(estimator=Kalman(0.01, 1.0))
+    area, calm, even = omega.integral(), omega.filtered(LowPass(0.1)), omega.filtered(LOW)
+    energy = (omega * 2).integral()
+    fed(omega, lambda t: 1.0, range(10 * S, 11 * S + 1, 5 * MS))
+    omega.clear()
+    for i in range(201):
+        omega.push(3.0, i * 5 * MS)
+    assert area[0] == pytest.approx(1.0 + 3.0)
+    assert energy[0] == pytest.approx(2.0 + 6.0)
+    assert calm[0] == pytest.approx(3.0)
+    assert even[0] == pytest.approx(3.0)
+    assert even.counts.late == 0
+    assert even.instant == S
+    assert omega.at(1100 * MS) == pytest.approx(3.0)
+
+
+def test_a_function_that_raises_does_not_stop_its_inputs() -> None:
+    """Whoever subscribes to a computed quantity gets unknown where its function raised; the reader gets the exception."""
+    omega = made()
+    odd = derived("odd", lambda value: [][0], omega)
+    out = odd.integral()
+    omega.push(1.0, 0)
+    assert out[0] is UNKNOWN
+    assert isinstance(odd.failure, IndexError)
+    with pytest.raises(IndexError):
+        _ = odd[0]

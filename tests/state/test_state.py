@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
 from bisect import bisect_left
 from fractions import Fraction
 from typing import Any
@@ -14,7 +16,7 @@ from hypothesis import strategies as st
 
 from aces_bus.device.signals import Signal
 from aces_bus.runtime import RealClock, VirtualClock
-from aces_bus.state import UNKNOWN, ConstantVelocity, State, StateError
+from aces_bus.state import UNKNOWN, ConstantVelocity, Estimation, Kalman, State, StateError
 
 from .feeding import MS, S, fed, instants, made
 
@@ -329,3 +331,77 @@ def test_states_default_to_this_machines_clock() -> None:
     state.push(1.0, state.clock.now())
     assert state[0] == 1.0
     assert "x = 1.0" in repr(state)
+
+
+def test_readers_on_other_threads_see_whole_samples() -> None:
+    """While one thread pushes, others read values that were pushed, at their instants, without locks and without errors."""
+    omega = made(history=100)
+    omega.push(0.0, 0)
+    is_done = threading.Event()
+    seen = [0]
+
+    def push() -> None:
+        for i in range(1, 30_000):
+            omega.push(float(i * MS), i * MS)
+        is_done.set()
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    writer = threading.Thread(target=push)
+    try:
+        writer.start()
+        while not is_done.is_set():
+            value, earlier = omega[0], omega.get(-0.0315)
+            assert value % MS == 0
+            if earlier is not UNKNOWN:
+                assert earlier % (MS // 2) == 0
+            found = omega.window()
+            assert (found.values == found.instants).all()
+            assert (np.diff(found.instants) == MS).all()
+            assert omega.rate()[0] in (UNKNOWN, 1e9)
+            seen[0] += 1
+    finally:
+        sys.setswitchinterval(interval)
+        writer.join()
+    assert seen[0] > 0
+    assert omega.counts.kept == 30_000
+
+
+def test_an_estimator_of_ones_own_that_raises_does_not_stop_samples() -> None:
+    """Samples go on, and the failures are counted."""
+
+    class Broken:
+        def start(self, state: State) -> Estimation:
+            def observe(value: float, instant: int) -> None:
+                raise RuntimeError
+
+            return Estimation(observe, lambda instant: 1.0)
+
+    omega = fed(made(estimator=Broken()), lambda t: t, [0, S])
+    assert omega.counts.failed == 2
+    assert omega.last == 1.0
+
+
+def test_what_no_float_holds_is_unknown() -> None:
+    """Between, behind and beyond samples of 1e308 there is no infinity."""
+    cases: list[dict[str, Any]] = [
+        {},
+        {"interpolation": "cubic"},
+        {"estimator": Kalman(1.0, 1.0, "acceleration")},
+    ]
+    for options in cases:
+        omega = made(**options)
+        for i in range(8):
+            omega.push(1.7e308 * (-1) ** i, i)
+        assert omega.at(0) == 1.7e308
+        assert omega.rate().at(3) is UNKNOWN
+        assert omega.rate(3).at(3) is UNKNOWN
+        assert omega.rate()[0] is UNKNOWN
+        if "estimator" in options:
+            assert omega.at(100) is UNKNOWN
+            fed(omega, lambda t: 2.0, range(S, 3 * S, 10 * MS))
+            assert omega.at(3 * S) == pytest.approx(2.0)
+    area = made()
+    total = area.integral()
+    fed(area, lambda t: 1.7e308, [0, S, 100 * S])
+    assert (total[0], total.skipped_s) == (0.0, 100.0)

@@ -39,8 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
             found.append(
                 {"driver": name, "protocol": driver.protocol, "doc": driver.doc, "module": point.value}
             )
-        except (AcesError, ImportError) as error:
-            say(f"{name} ({point.value}) cannot be loaded: {error}")
+        except AcesError as error:
+            say(str(error))
             status = 1
     if arguments.json:
         print(json.dumps(found, ensure_ascii=False, indent=2))

@@ -36,6 +36,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "sim": ("sim", "put a robot's simulated devices on a bus"),
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
     "spec": ("spec", "for the authors of protocols: new, check, show, explain, export, import, stubs"),
+    "fuzz": ("fuzz", "look for a stream that breaks a protocol: nine laws, shrunk failures, coverage"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
 }
 

@@ -54,8 +54,8 @@ class Template:
             return self._dead(data)
         for head in self.message.heads_written:
             end = head.offset + head.size
-            if self.framing is not None and self.is_moved and end > self.framing.head_end:
-                break
+            if self.is_moved and not (self._is_inserted and self.framing and end <= self.framing.head_end):
+                break  # stuffing has moved it
             if (
                 head.pattern is not None
                 and end <= len(data)
@@ -146,13 +146,19 @@ class Template:
             for mark in self.marks:
                 if mark.offset < 0 and size + mark.offset <= at < size + mark.offset + mark.size:
                     return mark.label.partition(":")[0]
-        if self.is_moved and self.framing is not None and at >= self.framing.head_end:
+        if not self._is_in_place(at):
             return ""
         return _VALUE.sub("", self._owners.get(at, ""))
 
+    def _is_in_place(self, at: int) -> bool:
+        """Whether byte `at` of the wire is byte `at` of the plan, whatever is stuffed."""
+        if not self.is_moved or self.framing is None:
+            return True
+        return at < (self.framing.head_end if self._is_inserted else len(self.framing.sync))
+
     def cell(self, at: int, size: int | None) -> str:
         """The same, short: constants as their digits."""
-        if not self.is_moved or (self.framing is not None and at < self.framing.head_end):
+        if self._is_in_place(at):
             for constant in self.plan.constants:
                 if constant.offset == at and constant.mask == 0xFF:
                     return f"{constant.value:02X}"

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from ..codegen import plan as p
 from ..scan.context import Context
 from ..scan.reference import Found, Reference
 from ..spec.framing import Framing, Judgement, Verdict
@@ -19,7 +18,8 @@ from ..spec.message import Direction, Message
 from ..spec.packet import can_image
 from ..spec.protocol import Variant
 from .attempt import Attempt, Death, Reading, Row, Step
-from .template import Template, captured, stepped
+from .template import Template
+from .words import captures, frame_cell, frame_death, unchosen, words_of
 
 #: Words of one attempt that are explained; of longer packets the first ones and the last.
 WORDS = 160
@@ -155,21 +155,30 @@ class Tracer(Reference):
                         sizes[framing] = known
                 judged = verdicts[framing]
                 why = template.death(prefix, judged, sizes.get(framing))
-                if why is None and judged.verdict is Verdict.WHOLE and template.message.name != found.message:
-                    request = one.request[1] if one.request is not None else None
-                    why = template.last_word(prefix, request)
-                    if why is None and found.message is not None:
-                        why = ("order", f"{found.message} is tried first")
+                if why is None and template.message.name != found.message:
+                    is_whole = judged.verdict is Verdict.WHOLE
+                    if is_whole:
+                        why = template.last_word(prefix, one.request[1] if one.request is not None else None)
+                        why = why or unchosen(template, found, one.request)
+                    elif at == end and one.is_silent and found.reason != "pending":
+                        why = "incomplete", "the line falls silent before it is whole"
+                    elif is_last and found.message is not None:
+                        why = "order", f"{found.message} is complete"
                 if why is not None:
                     died.append(Death(template.name, *why))
                     dead[template.name] = len(traces), why[0]
                     alive.remove(template)
             traces.append((at - one.start - 1, prefix, died, list(alive)))
-            if is_last or any(v.verdict is Verdict.WHOLE for v in verdicts.values()):
+            if is_last:
                 break
-            if len(traces) == WORDS and alive and size is not None and size > WORDS + 1:
-                left_out = size - WORDS - 1
-                at = one.start + size - 1
+            if len(traces) == WORDS and alive:
+                # Of what is longer only the end is of interest: there length, end and check decide.
+                reach = size or max(
+                    sizes.get(t.framing) or t.framing.max_size for t in alive if t.framing is not None
+                )
+                last = min(end, one.start + reach)
+                left_out = max(0, last - at - 1)
+                at += left_out
         lead = self._lead(found, traces)
         for offset, prefix, died, living in traces:
             known = sizes.get(lead.framing) if lead.framing is not None else None
@@ -258,17 +267,17 @@ class Tracer(Reference):
         dead: dict[str, tuple[int, str]] = {}
         deaths: list[list[Death]] = []
         living: list[list[Template]] = []
-        words = _words(frame, data)
+        words = words_of(frame, data)
         for index in range(len(words)):
             died: list[Death] = []
             for template in list(alive):
-                why = _frame_death(template, frame, data, words[index])
+                why = frame_death(template, frame, data, words[index])
                 is_over = index == len(words) - 1 and why is None
                 if is_over and template.message.name != found.message:
                     request = self._request[1] if self._request is not None else None
                     why = template.last_word(image, request)
                     if why is None:
-                        why = _unchosen(template, found, self._request)
+                        why = unchosen(template, found, self._request)
                 if why is not None:
                     died.append(Death(template.name, *why))
                     dead[template.name] = index, why[0]
@@ -281,7 +290,7 @@ class Tracer(Reference):
             read: tuple[Reading, ...] = ()
             what = {"id": "identifier", "kind": "kind of frame", "length": "length"}.get(place, "")
             if place == "id" and lead.message.identifier.match(frame.arbitration_id) is not None:
-                read = _captures(lead, living[index], frame)
+                read = captures(lead, living[index], frame)
             elif offset is not None:
                 what = lead.label(offset, len(data))
                 if lead in living[index] or lead.name in {d.template for d in deaths[index]}:
@@ -294,7 +303,7 @@ class Tracer(Reference):
         for template in self.templates:
             dies_at, cause = dead.get(template.name, (None, ""))
             cells = tuple(
-                _frame_cell(template, word) for word in words[: None if dies_at is None else dies_at + 1]
+                frame_cell(template, word) for word in words[: None if dies_at is None else dies_at + 1]
             )
             is_chosen = template is lead and found.message is not None
             rows.append(Row(template.name, cells, dies_at, is_chosen, cause))
@@ -351,92 +360,4 @@ def _completed(steps: list[Step], found: Found, lead: Template) -> list[Step]:
     return [*steps[:-1], replace(steps[-1], read=(*steps[-1].read, *rest))]
 
 
-# ---------------------------------------------------------------------- the words of a frame
-
-_Word = tuple[str, str, int | None]
-
-
-def _words(frame: Any, data: bytes) -> list[_Word]:
-    digits = 8 if frame.is_extended_id else 3
-    kinds = [
-        k for k, given in (("29 bits", frame.is_extended_id), ("remote", frame.is_remote_frame)) if given
-    ]
-    kinds += ["CAN FD"] if frame.is_fd else []
-    words: list[_Word] = [("id", f"{frame.arbitration_id:0{digits}X}", None)]
-    words += [("kind", ", ".join(kinds), None)] if kinds else []
-    words.append(("length", str(len(data)), None))
-    return words + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
-
-
-def _frame_death(template: Template, frame: Any, data: bytes, word: _Word) -> tuple[str, str] | None:
-    message = template.message
-    place, _, offset = word
-    if place == "id":
-        if message.identifier.match(frame.arbitration_id) is None:
-            return "identifier", message.identifier.describe(8 if message.extended else 3)
-        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
-        if not any(flags) and (message.extended, message.remote, message.fd) != flags:
-            return "kind of frame", _kind(message)
-        return None
-    if place == "kind":
-        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
-        return (
-            ("kind of frame", _kind(message))
-            if (message.extended, message.remote, message.fd) != flags
-            else None
-        )
-    if place == "length":
-        if message.lengths is not None and len(data) not in message.lengths:
-            return "length", message.describe_lengths
-        return None
-    assert offset is not None
-    return template.death(data[: offset + 1], None, None)
-
-
-def _kind(message: Message) -> str:
-    kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
-    return ", ".join(kind for kind, given in kinds if given) or "a plain data frame"
-
-
-def _unchosen(
-    template: Template, found: Found, request: tuple[str, Mapping[str, Any]] | None
-) -> tuple[str, str] | None:
-    """Why a template whose bytes fit is not what the frame is."""
-    asks = [*template.message.reply_to, *template.message.after]
-    if found.message is not None:
-        if request is not None and asks:
-            return "request", f"what was asked last, {request[0]}, gives {found.message}"
-        return "order", f"{found.message} is tried first"
-    if found.reason.startswith("unknown: needs"):
-        return (
-            "request",
-            f"no {'|'.join(dict.fromkeys(r.message.name for r in asks))} was seen that it answers",
-        )
-    return None
-
-
-def _captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Reading, ...]:
-    read: list[Reading] = []
-    raws = lead.message.identifier.match(frame.arbitration_id) or {}
-    name = "" if len(living) <= 1 else lead.name
-    for field in lead.plan.fields:
-        node = field.node
-        if isinstance(node, p.FromIdentifier) and node.number is None and field.name in raws:
-            read.append(Reading(name, field.name, stepped(node, raws[field.name]), node.unit))
-    return tuple(read)
-
-
-def _frame_cell(template: Template, word: _Word) -> str:
-    place, _, offset = word
-    message = template.message
-    if place == "id":
-        return message.identifier.describe(8 if message.extended else 3)
-    if place == "kind":
-        return _kind(message)
-    if place == "length":
-        return message.describe_lengths.removesuffix(" bytes")
-    assert offset is not None
-    return template.cell(offset, None)
-
-
-__all__ = ["WORDS", "Tracer", "captured"]
+__all__ = ["WORDS", "Tracer"]

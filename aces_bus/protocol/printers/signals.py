@@ -16,6 +16,7 @@ from ..codegen.choose import Choice, choose
 from ..codegen.flatten import flatten
 from ..foreign.problems import clean
 from ..foreign.statements import KEYWORDS
+from ..spec.bits import BitLayout
 from ..spec.message import Message
 from ..spec.order import ordered
 from ..spec.pattern import Pattern
@@ -162,11 +163,10 @@ def _said(message: Message, *, is_named: bool) -> str:
 
 def _j1939(pattern: Pattern) -> int | None:
     """The identifier that stands for a parameter group of SAE J1939: priority 6, source and destination the null address."""
-    shapes = {capture.name: (capture.shift, len(capture.values)) for capture in pattern.captures}
-    wanted = {"priority": (26, 8), "source": (0, 256)}
-    if shapes == wanted:
+    shapes = sorted((capture.shift, len(capture.values)) for capture in pattern.captures)
+    if shapes == [(0, 256), (26, 8)]:
         return pattern.constant | 6 << 26 | 0xFE
-    if shapes == {**wanted, "destination": (8, 256)}:
+    if shapes == [(0, 256), (8, 256), (26, 8)]:
         return pattern.constant | 6 << 26 | 0xFE << 8 | 0xFE
     return None
 
@@ -317,6 +317,8 @@ class _Group:
             self._lose(name, "", f"its length depends on {plan.lengths_by[0]}")
         elif message.lengths is not None and len(message.lengths) > 1 and not is_open:
             self._lose(name, "", f"{message.describe_lengths} of data: the least is written")
+        if isinstance(message.payload, BitLayout) and message.payload.overlapping:
+            self._lose(name, "", "its fields share bits, which strict readers refuse: written all the same")
         if message.check is not None:
             offset, size, order = message.check_span
             self._lose(name, str(message.check.field), f"a check ({message.check.describe}): kept as raw")

@@ -9,7 +9,7 @@ An axis of the robot's file: value = sign × (matrix · digits), or sign × what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
@@ -150,7 +150,8 @@ class SensorBoard(Device):
     def period_ms(self) -> int:
         """The board's period as the robot's file has it: its `period_ms`, or the robot's rate."""
         rate = self.host.rate_hz or self.robot.rate_hz or 200
-        return max(1, min(255, round(self.config.settings.get("period_ms", 1000 / rate))))
+        period = float(self.config.settings.get("period_ms", 1000 / rate))
+        return max(1, min(255, round(period)))
 
     def set_period(self, period_ms: int | None = None) -> Job:
         """Set the board's period (ms). In D12 the answer says what the board took; in D08 nothing is answered."""
@@ -209,9 +210,7 @@ def _times(factor: float) -> Callable[[Any], Any]:
 # ---------------------------------------------------------------------- finding
 
 
-def found_by(
-    host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.01
-) -> Iterator[Any]:
+def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.01) -> Steps:
     """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
 
     D12 asks for board information (which repeats the usual period of 5 ms to the board), D08 for the D/A offsets, which

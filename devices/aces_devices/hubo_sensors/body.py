@@ -106,10 +106,10 @@ class Body:
 
 def body_of(world: World, robot: Robot) -> Body:
     """The one body of a simulated robot."""
-    found = world.shared.get("hubo body")
+    found: Body | None = world.shared.get("hubo body")
     if found is None:
         found = world.shared["hubo body"] = Body(world, robot)
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _name(robot: Robot, alias: str) -> str | None:

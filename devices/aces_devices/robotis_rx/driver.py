@@ -139,7 +139,7 @@ class RobotisRX(RegisterDevice):
         self.register_signal(
             "velocity",
             "present_speed",
-            to_si=lambda raw: signed(raw) * SPEED_STEP * direction,
+            to_si=lambda raw: signed(raw) * SPEED_STEP * direction + 0.0,  # no -0
             unit="rad/s",
             doc="How fast the joint turns.",
             **motion,
@@ -147,7 +147,7 @@ class RobotisRX(RegisterDevice):
         self.register_signal(
             "load",
             "present_load",
-            to_si=lambda raw: signed(raw) / TOP * direction,
+            to_si=lambda raw: signed(raw) / TOP * direction + 0.0,
             doc="The drive as a share of the greatest torque, -1 to 1.",
             **motion,
         )
@@ -156,7 +156,7 @@ class RobotisRX(RegisterDevice):
             self.register_signal(
                 "duty",
                 "moving_speed",
-                to_si=lambda raw: signed(raw) / TOP * direction,
+                to_si=lambda raw: signed(raw) / TOP * direction + 0.0,
                 set="moving_speed",
                 to_raw=self.drive,
                 lower=-1.0,

@@ -109,12 +109,12 @@ class Motion:
         over = gap - self.margin[is_ccw]
         if over <= 0:
             return 0.0
-        return min(self.limit / TOP, self.punch / TOP + over / steps(self.slope[is_ccw]))
+        return min(self.limit / TOP, self.punch / TOP + over / STEPS[self.slope[is_ccw]])
 
     def _gap_after(self, gap: float, is_ccw: bool, left: float) -> float:
         """What is left of a distance after some seconds."""
         margin, top, free = self.margin[is_ccw], self._top(), self._free()
-        slope, punch = steps(self.slope[is_ccw]), self.punch / TOP
+        slope, punch = STEPS[self.slope[is_ccw]], self.punch / TOP
         if gap <= margin or top <= 0:
             return gap
         # At a constant speed, down to where the drive asks for less.
@@ -129,6 +129,9 @@ class Motion:
         return max(0.0, rest) + margin
 
 
-def steps(slope: int) -> int:
-    """The step that a compliance slope acts as: 4, 8, 16, 32, 64, 128 or 254 (RX-28 manual)."""
+def _step(slope: int) -> int:
     return next((step for step in (4, 8, 16, 32, 64, 128) if slope < 2 * step), 254)
+
+
+#: What a compliance slope acts as: 4, 8, 16, 32, 64, 128 or 254 (RX-28 manual).
+STEPS = tuple(_step(slope) for slope in range(256))

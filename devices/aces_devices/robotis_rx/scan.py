@@ -6,9 +6,9 @@ A Ping that nobody answers costs 12 bytes of line time, the longest return delay
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+import msgspec
 
-from aces_bus.device import Device, DeviceConfig, Host, Job, Robot, Steps
+from aces_bus.device import Device, DeviceConfig, Host, Job, Steps
 from aces_bus.errors import NoReplyError
 from aces_protocols.robotis.spec import SERVOS, control_table
 
@@ -16,19 +16,6 @@ from aces_protocols.robotis.spec import SERVOS, control_table
 LONGEST_DELAY_S = 254 * 2e-6
 #: What an adapter may add: most collect bytes for up to 16 ms.
 ADAPTER_S = 0.016
-
-
-class _Probe(Device):
-    """Whoever answers to an id."""
-
-    protocol: ClassVar[Any] = "robotis"
-    silent_after = 1 << 30
-
-    def setup(self) -> None:
-        self.garbles = 0
-
-    def garbled(self, reason: str, instant: int) -> None:
-        self.garbles += 1
 
 
 def scan(host: Host, job: Job | None = None, *, adapter_s: float = ADAPTER_S, tries: int = 2) -> Steps:
@@ -39,54 +26,42 @@ def scan(host: Host, job: Job | None = None, *, adapter_s: float = ADAPTER_S, tr
     """
     found: list[DeviceConfig] = []
     taken = {device.credentials.get("id"): device for device in host.devices.values()}
-    robot = Robot(name="scan", buses={}, devices={}, joints={}, sensors={})
-    variant = next(v for v in host.variants.values() if v.protocol.name == "robotis")
     for number in SERVOS:
         if job is not None:
             job.progress, job.text = number / len(SERVOS), f"id {number}, {len(found)} found"
         known = taken.get(number)
-        config = DeviceConfig(
-            name=f"S{number}",
-            driver="robotis_rx",
-            bus=host.name,
-            credentials={"id": number},
-            channels=1,
-        )
-        probe = known if known is not None else host.add(_Probe(host, config, robot, variant))
+        device = known if known is not None else host.probe("robotis", id=number)
         try:
-            yield from _look(host, probe, config, found, adapter_s, tries)
+            config = yield from _look(host, device, number, adapter_s, tries)
         finally:
             if known is None:
-                host.remove(probe.name)
+                host.remove(device.name)
+        if config is not None:
+            found.append(config)
     return found
 
 
-def _look(
-    host: Host, probe: Device, config: DeviceConfig, found: list[DeviceConfig], adapter_s: float, tries: int
-) -> Steps:
-    import msgspec
-
+def _look(host: Host, device: Device, number: int, adapter_s: float, tries: int) -> Steps:
+    """The servo with this id; None: there is none."""
+    config = DeviceConfig(
+        name=f"S{number}", driver="robotis_rx", bus=host.name, credentials={"id": number}, channels=1
+    )
     wait_s = LONGEST_DELAY_S + adapter_s + host.port.wire_ns(bytes(8)) / 1e9
-    retries = 0
-    while True:
+    malformed = ("malformed", device.name)
+    for _ in range(tries):
+        before = host.events.counts[malformed]
         try:
-            yield probe.ask("Ping", reply="Status", timeout_s=wait_s, retries=0)
+            yield device.ask("Ping", reply="Status", timeout_s=wait_s, retries=0)
             break
         except NoReplyError:
-            garbles = getattr(probe, "garbles", 0)
-            if not garbles:
-                return
-            retries += 1
-            if retries > tries:
-                doc = "its answers are garbled: two servos with this id, or a bad line"
-                found.append(msgspec.structs.replace(config, doc=doc))
-                return
+            if host.events.counts[malformed] == before:
+                return None
+    else:
+        doc = "its answers are garbled: two servos with this id, or a bad line"
+        return msgspec.structs.replace(config, doc=doc)
     register = control_table["model_number"]
-    model: str | None = None
-    settings: dict[str, Any] = {}
     try:
-        wait_s += host.port.wire_ns(bytes(register.size)) / 1e9
-        answer = yield probe.ask(
+        answer = yield device.ask(
             "Read",
             reply="Status",
             timeout_s=wait_s,
@@ -94,12 +69,12 @@ def _look(
             start=register.address,
             count=register.size,
         )
-        if len(answer.parameters) == register.size:
-            value = register.decode(answer.parameters)
-            model = value if isinstance(value, str) else f"model {value}"
     except NoReplyError:
-        settings = {"status_return_level": 0}
-    found.append(msgspec.structs.replace(config, model=model, settings=settings))
+        return msgspec.structs.replace(config, settings={"status_return_level": 0})
+    if len(answer.parameters) != register.size:
+        return config
+    value = register.decode(answer.parameters)
+    return msgspec.structs.replace(config, model=value if isinstance(value, str) else f"model {value}")
 
 
 __all__ = ["scan"]

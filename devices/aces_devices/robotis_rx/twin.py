@@ -10,6 +10,7 @@ Source: Robotis RX-28 manual; where it is silent, see the README's choices.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from struct import Struct
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
@@ -51,6 +52,8 @@ def _layout() -> dict[int, tuple[str, int, int, int, bool]]:
 
 
 LAYOUT = _layout()
+#: By name: where a register stands, and how.
+PLACES = {r.name: (r.address, Struct("<H" if r.size == 2 else "B")) for r in control_table.values()}
 
 
 class RobotisRXTwin(Twin):
@@ -114,14 +117,12 @@ class RobotisRXTwin(Twin):
     # ------------------------------------------------------------------ registers
 
     def __getitem__(self, name: str) -> int:
-        register = control_table[name]
-        return int.from_bytes(self.table[register.address : register.address + register.size], "little")
+        address, codec = PLACES[name]
+        return int(codec.unpack_from(self.table, address)[0])
 
     def __setitem__(self, name: str, value: int) -> None:
-        register = control_table[name]
-        self.table[register.address : register.address + register.size] = value.to_bytes(
-            register.size, "little"
-        )
+        address, codec = PLACES[name]
+        codec.pack_into(self.table, address, value)
 
     def position(self, now: int) -> float:
         """The joint's angle (rad)."""
@@ -200,14 +201,17 @@ class RobotisRXTwin(Twin):
         baud = getattr(self.twins.port, "baud", None)
         return baud is None or abs(2_000_000 / (self["baud_rate"] + 1) / baud - 1) < 0.03
 
-    def _status(self, request: Any, kind: int, error: int = 0, data: bytes = b"") -> None:
+    def _status(
+        self, request: Any, kind: int, error: int = 0, data: bytes = b"", bits: int | None = None
+    ) -> None:
         """Answer, if it answers such requests: broadcasts never, save Ping; others as the status return level says."""
         if request is not None and request.id == BROADCAST and kind != PING:
             return
         level = self["status_return_level"]
         if kind == PING or level == 2 or (level == 1 and kind == READ):
             delay = 2_000 * self["return_delay"]
-            self.reply("Status", delay_ns=delay, error=error | self._measure(), parameters=data)
+            error |= self._measure() if bits is None else bits
+            self.reply("Status", delay_ns=delay, error=error, parameters=data)
 
     @on("Ping")
     def _ping(self, request: Any) -> None:
@@ -219,8 +223,8 @@ class RobotisRXTwin(Twin):
         if end > SIZE or not request.count:
             self._status(request, READ, 1 << ERRORS["range"])
             return
-        self._measure()
-        self._status(request, READ, 0, bytes(self.table[request.start : end]))
+        bits = self._measure()
+        self._status(request, READ, 0, bytes(self.table[request.start : end]), bits)
 
     @on("Write")
     def _write(self, request: Any) -> None:

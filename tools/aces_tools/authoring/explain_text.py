@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from aces_bus.protocol.explain import Attempt, Death, Reading, Step
@@ -28,7 +28,9 @@ def lines_of(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
     found = attempt.found
     head = paint("source", attempt.label)
     if not attempt.is_can and attempt.run == 1 and len(attempt.raw) > 1:
-        head += paint("raw", f"  {_hex(attempt.raw)}")
+        room = len(attempt.raw) if width is None else max(1, (width - len(attempt.label) - 2) // 3)
+        shown = attempt.raw[:room].hex(" ").upper() if len(attempt.raw) <= room else ""
+        head += paint("raw", f"  {shown}") if shown and len(attempt.raw) <= 24 else ""
     lines = [head]
     if attempt.run > 1 and found.message is None:
         lines += _wrapped(f"{_hex(attempt.raw)}: no packet begins here", "  ", width)
@@ -50,8 +52,7 @@ def lines_of(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
             )
             continue
         lines += _step(steps[0], (place, word, what), len(attempt.templates), width, paint, number == 0)
-    lines.append("  " + _verdict(attempt, paint))
-    return lines
+    return lines + _verdict(attempt, width, paint)
 
 
 def _grouped(steps: Sequence[Step]) -> Iterator[list[Step]]:
@@ -148,24 +149,28 @@ def _wanted(details: Sequence[str]) -> str:
     return f"{shown}, not {came.pop()}" if is_same else shown
 
 
-def _verdict(attempt: Attempt, paint: Paint) -> str:
+def _verdict(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
+    """What was decided, and where the search goes on."""
     found = attempt.found
-    if found.message is not None:
-        fields: Any = found.fields or {}
-        inside = ", ".join(f"{k}={show(plain(v))}" for k, v in fields.items() if not k.startswith("_"))
-        name = found.message if found.protocol is None else f"{found.protocol}.{found.message}"
-        text = f"→ {paint('message', name)}({inside})"
-        if attempt.request is not None:
-            asked, values = attempt.request
-            shown = ", ".join(f"{k}={show(plain(v))}" for k, v in values.items() if not k.startswith("_"))
-            text += f"\n  answers {asked}({shown})"
-        return text if attempt.is_can else f"{text}\n  the search goes on at offset {attempt.resumes}"
-    text = f"→ {paint(_style(found.reason), found.reason)}"
-    if attempt.is_can:
-        return text
-    if found.reason == "pending":
-        return f"{text}: the bytes end before the packet does"
-    return f"{text}; the search goes on at offset {attempt.resumes}"
+    goes_on = "" if attempt.is_can else f"the search goes on at offset {attempt.resumes}"
+    if found.message is None:
+        if found.reason == "pending":
+            goes_on = "the bytes end before the packet does"
+        first, *more = _wrapped(
+            f"→ {found.reason}{f'; {goes_on}' if goes_on else ''}", "  ", width, hang="  "
+        )
+        return [first.replace(found.reason, paint(_style(found.reason), found.reason), 1), *more]
+    name = found.message if found.protocol is None else f"{found.protocol}.{found.message}"
+    first, *more = _wrapped(f"→ {name}({_listed(found.fields or {})})", "  ", width, hang="    ")
+    lines = [first.replace(name, paint("message", name), 1), *more]
+    if attempt.request is not None:
+        asked, values = attempt.request
+        lines += _wrapped(f"answers {asked}({_listed(values)})", "    ", width, hang="  ")
+    return [*lines, f"    {goes_on}"] if goes_on else lines
+
+
+def _listed(fields: Mapping[str, Any]) -> str:
+    return ", ".join(f"{k}={show(plain(v))}" for k, v in fields.items() if not k.startswith("_"))
 
 
 def _style(reason: str) -> str:

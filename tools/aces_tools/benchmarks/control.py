@@ -80,7 +80,7 @@ def state_of(samples: int = HISTORY, **options: Any) -> State:
 def values() -> tuple[str, str, int | None, Contenders]:
     """The newest value."""
     plain, aged = state_of(), state_of(stale_after_s=3600)
-    recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(HISTORY)], HISTORY)
+    recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(1, HISTORY + 1)], HISTORY)
     return (
         "the newest value",
         "deque[-1][1]",
@@ -99,7 +99,7 @@ def between() -> tuple[str, str, int | None, Contenders]:
 
     linear, cubic = state_of(), state_of(interpolation="cubic")
     ahead = state_of(estimator=Kalman(0.01, 1.0))
-    recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(HISTORY)], HISTORY)
+    recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(1, HISTORY + 1)], HISTORY)
 
     def interpolated() -> float:
         instants, numbers = zip(*recent, strict=True)

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import signal
 from collections.abc import Sequence
@@ -14,10 +15,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.testing import laws
-from aces_bus.testing._bench import Bench
 from aces_bus.testing._coverage import Feature
 from aces_bus.testing._drawing import draw_scene
 from aces_bus.testing._saved import load, save
@@ -71,6 +71,7 @@ class Done:
     examples: int = 0
     checks: int = 0
     words: int = 0
+    process: int = 0
     reached: dict[Feature, int] = field(default_factory=dict)
     expected: set[Feature] = field(default_factory=set)
     found: list[Found] = field(default_factory=list)
@@ -97,34 +98,74 @@ def places(text: str) -> list[tuple[Variant, Way]]:
     return [(variant, way) for variant in variants for way in laws.directions(variant)]
 
 
+class Worker:
+    """The fuzzer of this process; what is in the corpus is judged before anything else."""
+
+    def __init__(self, job: Job) -> None:
+        chosen = [law for law in laws.LAWS if law.number in job.laws]
+        self.job = job
+        self.fuzzer = Fuzzer(
+            [place for text in job.names for place in places(text)], seed=job.seed, laws=chosen
+        )
+        self.fuzzer.keeps = job.corpus is not None
+        self._done = Done()
+        self._failures = 0
+        self._kept = 0
+        self.todo = corpus_files(job.corpus) if job.corpus is not None else ()
+
+    def do(self, task: Task) -> Done:
+        """Do a task; tells what was done since the last time, and everything that was reached so far."""
+        fuzzer, before = self.fuzzer, self._done
+        for name in (*self.todo, *task.files):
+            _replayed(fuzzer, name)
+        fuzzer.kept = [] if self.todo else fuzzer.kept
+        self.todo = ()
+        fuzzer.run(task.count, task.first)
+        for bench, scene, cuts in fuzzer.kept if self.job.corpus is not None else ():
+            if self._kept < MOST_KEPT:
+                save(Path(self.job.corpus or ""), bench.wire, bench.direction, scene, cuts)
+                self._kept += 1
+        fuzzer.kept.clear()
+        found = [told(self.job, failure) for failure in fuzzer.failures[self._failures :]]
+        self._failures = len(fuzzer.failures)
+        self._done = Done(fuzzer.examples, fuzzer.checks, fuzzer.words, kept=self._kept)
+        return Done(
+            fuzzer.examples - before.examples,
+            fuzzer.checks - before.checks,
+            fuzzer.words - before.words,
+            os.getpid(),
+            dict(fuzzer.coverage.reached),
+            set(fuzzer.coverage.expected),
+            found,
+            self._kept,
+        )
+
+
+#: Scenes that a process adds to a corpus at most.
+MOST_KEPT = 1000
+
+
+def corpus_files(folder: str) -> tuple[str, ...]:
+    """The files of a corpus to judge: scenes, and captures that somebody put there; not those that scenes come with."""
+    try:
+        names = sorted(path for path in Path(folder).iterdir() if path.is_file() and path.name[0] != ".")
+    except FileNotFoundError:
+        return ()
+    except OSError as error:
+        raise CallerError(f"{folder}: {error.strerror or error}") from error
+    scenes = {path.with_suffix("") for path in names if path.suffix == ".json"}
+    return tuple(str(path) for path in names if path.suffix == ".json" or path.with_suffix("") not in scenes)
+
+
 @lru_cache(maxsize=1)
-def fuzzer_of(job: Job) -> Fuzzer:
-    """The fuzzer of this process."""
-    chosen = [law for law in laws.LAWS if law.number in job.laws]
-    made = Fuzzer([place for text in job.names for place in places(text)], seed=job.seed, laws=chosen)
-    made.keeps = job.corpus is not None
-    return made
+def worker_of(job: Job) -> Worker:
+    """The worker of this process."""
+    return Worker(job)
 
 
 def work(job: Job, task: Task) -> Done:
-    """Do a task."""
-    fuzzer = fuzzer_of(job)
-    before = fuzzer.examples, fuzzer.checks, fuzzer.words
-    failures = len(fuzzer.failures)
-    fuzzer.coverage.reached.clear()
-    fuzzer.kept.clear()
-    for name in task.files:
-        _replayed(fuzzer, name)
-    fuzzer.run(task.count, task.first)
-    done = Done(
-        fuzzer.examples - before[0],
-        fuzzer.checks - before[1],
-        fuzzer.words - before[2],
-        dict(fuzzer.coverage.reached),
-        set(fuzzer.coverage.expected),
-        [told(job, failure) for failure in fuzzer.failures[failures:]],
-    )
-    return done
+    """Do a task in this process."""
+    return worker_of(job).do(task)
 
 
 def _replayed(fuzzer: Fuzzer, name: str) -> None:
@@ -199,11 +240,6 @@ def told(job: Job, failure: Failure) -> Found:
     )
 
 
-def keep(job: Job, known: set[Feature]) -> list[tuple[Feature, ...]]:
-    """Write the scenes of this process that reached something new for the whole run into the corpus."""
-    raise NotImplementedError
-
-
 def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
     """The numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
     found: list[int] = []
@@ -214,8 +250,6 @@ def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
 
 
 def _law(text: str) -> Law:
-    from aces_bus.errors import UnknownNameError
-
     wanted = text.lower().replace("-", " ").replace("_", " ")
     for law in laws.LAWS:
         if wanted in (str(law.number), law.name, f"{law.number} {law.name}"):
@@ -223,4 +257,14 @@ def _law(text: str) -> Law:
     raise UnknownNameError("law", text, [str(law) for law in laws.LAWS])
 
 
-__all__ = ["Bench", "Done", "Found", "Job", "Task", "chosen_laws", "ignore_interrupts", "places", "work"]
+__all__ = [
+    "Done",
+    "Found",
+    "Job",
+    "Task",
+    "chosen_laws",
+    "corpus_files",
+    "ignore_interrupts",
+    "places",
+    "work",
+]

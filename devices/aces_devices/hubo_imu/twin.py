@@ -11,7 +11,7 @@ from typing import Any
 
 from aces_bus.device import on
 
-from .board_twin import CENTIDEGREES, Axes, SensorTwin
+from ..hubo_sensors.twin import CENTIDEGREES, Axes, SensorTwin
 
 
 class ImuTwin(SensorTwin):

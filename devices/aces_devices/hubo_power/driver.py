@@ -12,7 +12,7 @@ from aces_bus.device import Device, Driver, Host, Job, Poll, Steps, Ticket
 from aces_bus.device.robot import DeviceConfig
 from aces_bus.errors import CallerError, NoReplyError
 
-from .power_twin import PowerTwin
+from .twin import PowerTwin
 
 #: How often it is asked (s): hubo-ach asks twice in each cycle of 5 ms.
 EVERY = 0.05
@@ -94,7 +94,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_power"
-rate_hz = 50
+rate_hz = 25
 
 [buses]
 upper = { link = "can", protocol = "hubo", dialect = "D12" }

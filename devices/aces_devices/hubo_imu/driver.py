@@ -11,8 +11,8 @@ from typing import Any
 
 from aces_bus.device import Driver, Host, Job, Poll, Steps
 
-from .board import MOTION, SensorBoard, found_by
-from .imu_twin import ImuTwin
+from ..hubo_sensors.board import MOTION, SensorBoard, found_by
+from .twin import ImuTwin
 
 _DEGREE = pi / 180
 
@@ -54,7 +54,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_imu"
-rate_hz = 50
+rate_hz = 25
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D12" }
@@ -64,14 +64,22 @@ old = { link = "can", protocol = "hubo", dialect = "D08" }
 IMU_0 = { driver = "hubo_imu", bus = "lower", credentials = { board = 0x32, sensor = 3 }, kind = "imu" }
 IMU_1 = { driver = "hubo_imu", bus = "lower", credentials = { board = 0x33, sensor = 4 }, kind = "imu" }
 OLD_0 = { driver = "hubo_imu", bus = "old", credentials = { board = 0x32, sensor = 3 }, kind = "imu" }
-OLD_1 = { driver = "hubo_imu", bus = "old", credentials = { board = 0x33, sensor = 4 }, kind = "imu", settings = { name_info_tail = "0000000000" } }
+
+[devices.OLD_1]
+driver = "hubo_imu"
+bus = "old"
+credentials = { board = 0x33, sensor = 4 }
+kind = "imu"
+settings = { name_info_tail = "0000000000" }
 
 [sensors]
 IMU0 = { kind = "imu", device = "IMU_0" }
 IMU1 = { kind = "imu", device = "IMU_1", signs = [-1, 1, -1, 1] }
 OLD0 = { kind = "imu", device = "OLD_0" }
 # 750 digits are 1 g, which is as many radians for small angles; 100 digits are 1 °/s: the twin's own scales
-OLD1 = { kind = "imu", device = "OLD_1", matrix = [[0.0013333, 0, 0, 0], [0, 0.0013333, 0, 0], [0, 0, 0.00017453, 0], [0, 0, 0, 0.00017453]] }
+OLD1 = { kind = "imu", device = "OLD_1", matrix = [
+    [0.0013333, 0, 0, 0], [0, 0.0013333, 0, 0], [0, 0, 0.00017453, 0], [0, 0, 0, 0.00017453],
+] }
 """
 
 driver = Driver(

@@ -12,8 +12,8 @@ from typing import Any
 
 from aces_bus.device import Driver, Host, Job, Poll, Steps
 
-from .board import SensorBoard, found_by
-from .ft_twin import ForceTorqueTwin
+from ..hubo_sensors.board import SensorBoard, found_by
+from .twin import ForceTorqueTwin
 
 #: Standard gravity.
 G = 9.80665
@@ -90,7 +90,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_ft"
-rate_hz = 50
+rate_hz = 25
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D12" }
@@ -108,7 +108,9 @@ RFFT = { kind = "force_torque", device = "FT_RF", signs = [-1, -1, 1] }
 TILT_R = { kind = "tilt", device = "FT_RF" }
 LFFT = { kind = "force_torque", device = "FT_LF" }
 RHFT = { kind = "force_torque", device = "FT_RH", matrix = [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.1]] }
-OLD_RFFT = { kind = "force_torque", device = "OLD_RF", matrix = [[0.0722, -0.0002, -0.0007], [0.0012, 0.0740, -0.0014], [-0.0562, 0.0469, 0.3234]] }
+OLD_RFFT = { kind = "force_torque", device = "OLD_RF", matrix = [
+    [0.0722, -0.0002, -0.0007], [0.0012, 0.0740, -0.0014], [-0.0562, 0.0469, 0.3234],
+] }
 OLD_TILT = { kind = "tilt", device = "OLD_RF" }
 OLD_RHFT = { kind = "force_torque", device = "OLD_RH" }
 """

@@ -12,7 +12,7 @@ from typing import Any
 from aces_bus.device import on
 from aces_bus.errors import CallerError
 
-from .board_twin import CENTIDEGREES, Axes, SensorTwin
+from ..hubo_sensors.twin import CENTIDEGREES, Axes, SensorTwin
 
 #: Steps of a field: 0.01 N·m, 0.1 N; 1/100 °, 1/750 g.
 _FORCE = (100.0, 100.0, 10.0)

@@ -1,0 +1,99 @@
+"""The words of a CAN frame: identifier, kind, length, bytes; and why a template that fits is given up all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..codegen import plan as p
+from ..scan.reference import Found
+from ..spec.message import Message
+from .attempt import Reading
+from .template import Template, stepped
+
+#: Place, text, and of a byte its offset.
+Word = tuple[str, str, int | None]
+
+
+def words_of(frame: Any, data: bytes) -> list[Word]:
+    digits = 8 if frame.is_extended_id else 3
+    kinds = [
+        k for k, given in (("29 bits", frame.is_extended_id), ("remote", frame.is_remote_frame)) if given
+    ]
+    kinds += ["CAN FD"] if frame.is_fd else []
+    words: list[Word] = [("id", f"{frame.arbitration_id:0{digits}X}", None)]
+    words += [("kind", ", ".join(kinds), None)] if kinds else []
+    words.append(("length", str(len(data)), None))
+    return words + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
+
+
+def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tuple[str, str] | None:
+    message = template.message
+    place, _, offset = word
+    if place == "id":
+        if message.identifier.match(frame.arbitration_id) is None:
+            return "identifier", message.identifier.describe(8 if message.extended else 3)
+        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
+        if not any(flags) and (message.extended, message.remote, message.fd) != flags:
+            return "kind of frame", _kind(message)
+        return None
+    if place == "kind":
+        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
+        return (
+            ("kind of frame", _kind(message))
+            if (message.extended, message.remote, message.fd) != flags
+            else None
+        )
+    if place == "length":
+        if message.lengths is not None and len(data) not in message.lengths:
+            return "length", message.describe_lengths
+        return None
+    assert offset is not None
+    return template.death(data[: offset + 1], None, None)
+
+
+def _kind(message: Message) -> str:
+    kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
+    return ", ".join(kind for kind, given in kinds if given) or "a plain data frame"
+
+
+def unchosen(
+    template: Template, found: Found, request: tuple[str, Mapping[str, Any]] | None
+) -> tuple[str, str] | None:
+    """Why a template whose bytes fit is not what the frame is."""
+    asks = [*template.message.reply_to, *template.message.after]
+    if found.message is not None:
+        if request is not None and asks:
+            return "request", f"what was asked last, {request[0]}, gives {found.message}"
+        return "order", f"{found.message} is tried first"
+    if asks and found.reason.startswith("unknown: needs"):
+        names = "|".join(dict.fromkeys(request.message.name for request in asks))
+        return "request", f"no {names} was seen that it answers"
+    return None
+
+
+def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Reading, ...]:
+    read: list[Reading] = []
+    raws = lead.message.identifier.match(frame.arbitration_id) or {}
+    name = "" if len(living) <= 1 else lead.name
+    for field in lead.plan.fields:
+        node = field.node
+        if isinstance(node, p.FromIdentifier) and node.number is None and field.name in raws:
+            read.append(Reading(name, field.name, stepped(node, raws[field.name]), node.unit))
+    return tuple(read)
+
+
+def frame_cell(template: Template, word: Word) -> str:
+    place, _, offset = word
+    message = template.message
+    if place == "id":
+        return message.identifier.describe(8 if message.extended else 3)
+    if place == "kind":
+        return _kind(message)
+    if place == "length":
+        return message.describe_lengths.removesuffix(" bytes")
+    assert offset is not None
+    return template.cell(offset, None)
+
+
+__all__ = ["Word", "captures", "frame_cell", "frame_death", "unchosen", "words_of"]

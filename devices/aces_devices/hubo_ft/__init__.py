@@ -1,0 +1,3 @@
+"""Hubo's force/torque boards: feet (with tilt) and hands."""
+
+from .driver import driver as driver

@@ -1,0 +1,308 @@
+"""Homing: searching a joint's switch and index, and what follows from it.
+
+1. Home commands are told, then looked after: progress, success, failure by status, by a stop, or by time.
+2. No board of the bus is sent references for 3 s after a home command, and the board itself none while it searches.
+
+D12: the settings are stored in the board (0x11 with bit 1). Success: home flag 6 (2 for wrist rolls) and |position| at most
+0.0075 rad (hubo-ach). Boards of three and more channels have no home flag: there a joint that has moved or met its switch,
+then rests near zero, is homed. D08: offset and direction are sent, the status byte says 5 (done) or 10 (failed), masked
+with 0x0F; each joint is tried 2 times, arms 3 times (acesHubo).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aces_bus.device import Job, Steps
+from aces_bus.errors import CallerError
+
+from .axis import ARRIVED, Axis
+from .core import HOME_HOLD, BoardCore, search_state
+from .switching import PAUSE
+
+#: Between two looks at a search (ns).
+LOOK = 50_000_000
+#: A joint without a home flag must have rested for so long (ns).
+REST = 300_000_000
+
+
+class Homing(BoardCore):
+    """Home searches and zeros."""
+
+    _home_jobs: list[Job]
+
+    def setup(self) -> None:
+        """As all boards; nothing is searched."""
+        self._home_jobs = []
+        super().setup()
+
+    def home(self, joint: str | None = None) -> Job:
+        """Search the home of one joint, or of all of this board. It moves, whether enabled or not.
+
+        The job's `progress` tells how far it is; it fails with a `DeviceError` that says why. Its result are the names of
+        the joints that were homed. Raises `UnknownNameError` for a joint that is not here, `CallerError` for a board that
+        cannot home or a robot file without the joint's home (D08).
+        """
+        message = self.shape.home
+        if message is None:
+            raise CallerError(f"{self.name} (kind {self.kind}) has no home search")
+        if self.homing:
+            raise CallerError(f"{self.name}: a home search is under way")
+        axes = self.chosen(joint)
+        if message == "Home":
+            return self._start(axes, lambda job: self._home_d12(job, axes, joint is None))
+        if message == "Home5D08":
+            fields: dict[str, Any] = {"power": [self._power(axes)] * 5}
+            return self._start(axes, lambda job: self._home_blind(job, axes, message, fields))
+        if self.shape.channels == 3:
+            axes = [self._only_switch(joint)]
+        for axis in axes:
+            self._home_of(axis)
+        return self._start(axes, lambda job: self._home_d08(job, axes))
+
+    def _start(self, axes: list[Axis], steps: Any) -> Job:
+        self.homing = {axis.channel for axis in axes}
+
+        def guarded(job: Job) -> Steps:
+            try:
+                return (yield from steps(job))
+            finally:
+                self.homing = set()
+
+        job = self.job("home", guarded)
+        self._home_jobs = [one for one in self._home_jobs if not one.is_over] + [job]
+        return job
+
+    def stop_homing(self) -> None:
+        """Wait for home searches no more."""
+        for job in self._home_jobs:
+            job.cancel()
+        self._home_jobs.clear()
+        self.homing = set()
+
+    def _announce(self) -> None:
+        """A home command goes out: no references on this bus for a while (hubo-ach)."""
+        duration = float(self.config.settings.get("hold_home_s", HOME_HOLD))
+        for device in self.host.devices.values():
+            if isinstance(device, BoardCore):
+                device.hold_off(duration)
+
+    def _timeout(self) -> int:
+        return round(float(self.config.settings.get("home_timeout_s", 30)) * 1e9)
+
+    def _arrived(self, axes: list[Axis]) -> None:
+        """Set-points are zero now."""
+        for axis in axes:
+            if self.is_streaming and axis.joint is not None and self.set_message == self.shape.reference:
+                self.give(axis, axis.to_counts(0.0))
+
+    # ------------------------------------------------------------------ D12
+
+    def _home_d12(self, job: Job, axes: list[Axis], whole: bool) -> Steps:
+        if self.shape.has_driver_switch and not self.is_enabled:
+            yield self.tell("DriverSwitch", state="on")
+        began = self.clock.now()
+        for axis in axes[:1] if whole else axes:
+            self._announce()
+            yield self.tell("Home", channel="all" if whole else f"channel_{axis.channel}")
+        if self.kind == "hand":
+            for _ in range(2):
+                yield self.tell("ControlMode", mode="hybrid")
+        first = {axis.channel: axis.count for axis in axes}
+        moved: set[int] = set()
+        waiting, rested = list(axes), dict.fromkeys((axis.channel for axis in axes), began)
+        status = self.shape.status
+        assert status is not None
+        while waiting:
+            yield LOOK
+            now = self.clock.now()
+            yield self.ask("SendStatus", reply=status.reply)
+            yield from self._positions()
+            for axis in list(waiting):
+                if axis.count != first[axis.channel]:
+                    moved.add(axis.channel)
+                    rested[axis.channel] = now
+                    first[axis.channel] = axis.count
+                if axis.status is not None and "limit_switch" in (axis.status.value or ()):
+                    moved.add(axis.channel)
+                near = axis.count is not None and abs(axis.to_rad(axis.count)) <= ARRIVED
+                if self.shape.has_home_flag:
+                    over = near and axis.homed is not None and bool(axis.homed.value)
+                else:
+                    over = near and axis.channel in moved and now - rested[axis.channel] >= REST
+                if over:
+                    waiting.remove(axis)
+            job.progress = max(1 - len(waiting) / len(axes), min(0.9, (now - began) / self._timeout()))
+            job.text = f"searching {', '.join(axis.name for axis in waiting)}" if waiting else "home"
+            if waiting and now - began >= self._timeout():
+                raise self.fail(f"no home within {self._timeout() / 1e9:g} s: {self._why(waiting)}")
+            self._keep_off(now)
+        self._arrived(axes)
+        return [axis.name for axis in axes]
+
+    def _positions(self) -> Steps:
+        for ask in self.shape.encoders:
+            yield self.ask(ask.message, reply=ask.reply, **ask.fields)
+
+    def _keep_off(self, now: int) -> None:
+        """While a board searches, its own references stay away."""
+        if self._held_until < now + 4 * LOOK:
+            self.hold_off(4 * LOOK / 1e9)
+
+    def _why(self, axes: list[Axis]) -> str:
+        """What is known of joints that found no home."""
+        said: list[str] = []
+        for axis in axes:
+            parts = [f"home flag {axis.home.value}"] if axis.home is not None else []
+            if axis.errors is not None and axis.errors.value:
+                parts += axis.errors.value
+            if axis.count is not None:
+                parts.append(f"at {axis.to_rad(axis.count):.4f} rad")
+            said.append(f"{axis.name} ({', '.join(parts)})")
+        return "; ".join(said)
+
+    # ------------------------------------------------------------------ D08
+
+    def _home_of(self, axis: Axis) -> Any:
+        home = axis.joint.home if axis.joint is not None else None
+        if home is None or home.offset is None or home.direction is None:
+            raise CallerError(
+                f"{self.name}: {axis.name} needs home = {{ offset, direction }} in the robot's file"
+            )
+        return home
+
+    def _only_switch(self, joint: str | None) -> Axis:
+        """The one motor of three that has a limit switch."""
+        axis = self.axes[0]
+        if joint is not None and self.axis(joint) is not axis:
+            raise CallerError(f"{self.name}: only {axis.name} has a limit switch; it homes the board")
+        return axis
+
+    def _power(self, axes: list[Axis]) -> int:
+        powers = {
+            axis.joint.home.power for axis in axes if axis.joint is not None and axis.joint.home is not None
+        }
+        power = next(iter(powers), None)
+        if power is None or len(powers) > 1:
+            raise CallerError(f"{self.name}: its joints need one home = {{ power }} in the robot's file")
+        return power
+
+    def tries(self) -> int:
+        """How often a joint's search is tried: 3 for arms and wrists, 2 for legs and waist (acesHubo)."""
+        arm = self.credentials["board"] in (0x08, 0x09, 0x0A, 0x0B, 0x20, 0x21, 0x22)
+        return int(self.config.settings.get("home_tries", 3 if arm else 2))
+
+    def home_fields(self, axis: Axis) -> dict[str, Any]:
+        """The home command of a channel of D08, from the robot's file.
+
+        A board of three channels has 16 bits for the pulses: higher bits and the sign do not fit and are left out, and the
+        other motors get 5 turns, as acesHubo sent both.
+        """
+        home = self._home_of(axis)
+        fields: dict[str, Any] = {"direction": home.direction, "motor": f"channel_{axis.channel}"}
+        if self.shape.channels == 3:
+            return {**fields, "pulses": abs(home.offset) & 0xFFFF, "revolutions": [5.0, 5.0]}
+        offset = [0, 0]
+        offset[axis.channel] = home.offset
+        return {**fields, "offset": offset}
+
+    def _home_d08(self, job: Job, axes: list[Axis]) -> Steps:
+        if not self.is_enabled:
+            yield self.tell("DriverSwitch", state="on")
+            yield self.tell("ControlOn")
+        status = self.shape.status
+        assert status is not None and self.shape.home is not None
+        for done, axis in enumerate(axes):
+            tries = self.tries()
+            for attempt in range(1, tries + 1):
+                job.text = f"searching {axis.name}, try {attempt} of {tries}"
+                self._announce()
+                began = self.clock.now()
+                yield self.tell(self.shape.home, **self.home_fields(axis))
+                state = "searching"
+                while state == "searching":
+                    yield LOOK
+                    record = yield self.ask("SendStatus", reply=status.reply)
+                    state = search_state(record.motor[axis.channel])
+                    passed = self.clock.now() - began
+                    job.progress = (done + min(0.9, passed / self._timeout())) / len(axes)
+                    if passed >= self._timeout():
+                        state = "failed"
+                    self._keep_off(self.clock.now())
+                if state == "done":
+                    break
+            else:
+                raise self.fail(f"{axis.name} found no home in {tries} tries")
+            self._arrived([axis])
+        yield from self._positions()
+        return [axis.name for axis in axes]
+
+    def _home_blind(self, job: Job, axes: list[Axis], message: str, fields: dict[str, Any]) -> Steps:
+        """Fingers of D08 are driven against their stop; nothing tells when they are there."""
+        self._announce()
+        yield self.tell(message, **fields)
+        yield round(float(self.config.settings.get("hold_home_s", HOME_HOLD)) * 1e9)
+        return [axis.name for axis in axes]
+
+    # ------------------------------------------------------------------ zeros and errors
+
+    def zero_encoder(self, joint: str | None = None) -> Job:
+        """Make the present position of a joint, or of all, the encoder's zero. Errors are cleared too (D12)."""
+        axes = self.chosen(joint)
+        if self.kind in ("neck", 5) and not self.shape.gains:
+            raise CallerError(f"{self.name} (kind {self.kind}) has no encoder to set to zero")
+
+        def steps(job: Job) -> Steps:
+            self.homing = {axis.channel for axis in axes}
+            try:
+                if self.dialect == "D12":
+                    for channel in ["all"] if joint is None else [f"channel_{axes[0].channel}"]:
+                        yield self.tell("EncoderZero", channel=channel)
+                else:
+                    for motor in ["all"] if joint is None else [f"motor_{axes[0].channel + 1}"]:
+                        yield self.tell("EncoderZeroD08", motor=motor)
+                # The old set-points mean other places now.
+                for axis in axes:
+                    if (
+                        self.is_streaming
+                        and axis.joint is not None
+                        and self.set_message == self.shape.reference
+                    ):
+                        self.give(axis, 0)
+                yield 2 * PAUSE
+                yield from self._positions()
+            finally:
+                self.homing = set()
+
+        return self.job("zero encoder", steps)
+
+    def clear_errors(self, joint: str | None = None, *, zero: bool = False) -> Job:
+        """Clear error bits (D12). The command sets the encoder to zero too, so a joint that is not at zero needs `zero`.
+
+        The job fails with a `DeviceError` when the joint is farther than 0.0075 rad from zero and `zero` is False.
+        """
+        self.only_d12_errors()
+        axes = self.chosen(joint)
+
+        def steps(job: Job) -> Steps:
+            yield from self._positions()
+            away = [
+                a
+                for a in axes
+                if a.joint is not None and a.count is not None and abs(a.to_rad(a.count)) > ARRIVED
+            ]
+            if away and not zero:
+                names = ", ".join(f"{a.name} at {a.to_rad(a.count or 0):.4f} rad" for a in away)
+                raise self.fail(
+                    f"clearing errors sets encoders to zero, and {names}; home it, or say zero=True"
+                )
+            yield self.zero_encoder(joint)
+
+        return self.job("clear errors", steps)
+
+    def only_d12_errors(self) -> None:
+        """Raises `CallerError` where errors cannot be cleared."""
+        if self.dialect != "D12" or self.shape.status is None:
+            raise CallerError(
+                f"{self.name} speaks {self.dialect} and is of kind {self.kind}: it reports no errors"
+            )

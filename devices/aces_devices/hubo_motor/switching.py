@@ -1,0 +1,248 @@
+"""Switching a board: enable, disable, modes, gains, sounds.
+
+1. Before anything is switched on, the set-points are where the joints are (hubo-ach), and have been sent.
+2. Enabling is over when the board's status says so, where it has one.
+
+Enable: D08 NameInfo and gains, then as D12: reference = present position, FET switch 0x0B, control on 0x0E. Disable: 0x0F,
+then 0x0B with 0 (facts, 5.6). Hands of five fingers take no control on and off (hubo-ach); theirs is a duty of 0.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from aces_bus.device import Job, Steps, Ticket
+from aces_bus.errors import CallerError
+
+from .axis import Axis
+from .core import BoardCore, unsigned
+
+#: Between two requests that one board is sent by a job (ns).
+PAUSE = 2_000_000
+
+
+class Switching(BoardCore):
+    """Enable, disable, gains, modes."""
+
+    def enable(self) -> Job:
+        """Follow set-points from now on, beginning where the joints are. Waits for a hold-off to end."""
+        return self.job("enable", self._enabling)
+
+    def _enabling(self, job: Job) -> Steps:
+        shape = self.shape
+        if self._held_until > self.clock.now():
+            job.text = "hold-off"
+            yield self._held_until - self.clock.now()
+        self.quiet()
+        if shape.name_info is not None:
+            yield from self.initial_steps()
+        job.progress, job.text = 0.3, "position"
+        yield from self.reading_positions()
+        message = self.set_message
+        self.is_streaming = True
+        if message is not None:
+            for axis in self.axes:
+                if axis.joint is not None:
+                    self.give(axis, self.present(axis))
+            yield self.tick_ns()
+        job.progress, job.text = 0.6, "switches"
+        if self.kind == "hand":
+            yield self.tell("ControlMode", mode="hybrid")
+        if shape.has_driver_switch:
+            yield self.tell("DriverSwitch", state="on")
+        if shape.has_switches:
+            yield self.tell("ControlOn")
+        if shape.reports_drive and shape.status is not None:
+            yield from self._seeing_enabled(job)
+        self.is_enabled = True
+
+    def present(self, axis: Axis) -> float:
+        """The set-point at which a channel stays where it is."""
+        if self.set_message == self.shape.pwm:
+            return 0
+        if self.shape.references[axis.channel].startswith("finger"):
+            return 0.0
+        if self.kind == "neck":
+            return self._neck(axis)(axis.to_rad(axis.count or 0))
+        return axis.count or 0
+
+    def tick_ns(self) -> int:
+        """Until the next tick has surely sent what was given (ns)."""
+        rate = self.host.rate_hz
+        return PAUSE if rate is None else round(1e9 / rate) + PAUSE
+
+    def reading_positions(self) -> Steps:
+        """Ask for the encoders, whatever is known of them."""
+        for ask in self.shape.encoders:
+            yield self.ask(ask.message, reply=ask.reply, **ask.fields)
+
+    def _seeing_enabled(self, job: Job) -> Steps:
+        assert self.shape.status is not None
+        for _ in range(10):
+            yield 2 * PAUSE
+            yield self.ask("SendStatus", reply=self.shape.status.reply)
+            off = [a.name for a in self.axes if a.enabled is not None and not a.enabled.value]
+            if not off:
+                return
+        why = [
+            f"{a.name} {', '.join(a.errors.value)}"
+            for a in self.axes
+            if a.errors is not None and a.errors.value
+        ]
+        self.quiet()
+        raise self.fail(f"{', '.join(off)} cannot be enabled" + (f" ({'; '.join(why)})" if why else ""))
+
+    def initial_steps(self) -> Steps:
+        """D08: NameInfo, where the robot's file knows its numbers, and position gains."""
+        fields = self._name_info()
+        if fields is not None:
+            yield self.ask(self.shape.name_info or "", reply="NameInfoReply", **fields)
+        for axis in self.axes:
+            if axis.joint is not None and axis.joint.gains is not None:
+                for ticket in self._gain_tickets(axis, None, None, None, False):
+                    yield ticket
+
+    def _name_info(self) -> dict[str, Any] | None:
+        period = self.config.settings.get("period_ms")
+        homes = [axis.joint.home if axis.joint is not None else None for axis in self.axes]
+        if period is None:
+            return None
+        if self.kind == 5:
+            return {"period": int(period)}
+        turns = [0 if home is None or home.search_turns is None else home.search_turns for home in homes]
+        if self.kind == 3:
+            known = all(home is not None and home.search_turns is not None for home in homes)
+            return {"period": int(period), "limit": turns} if known else None
+        phases = [0 if home is None or home.z_phase is None else home.z_phase for home in homes]
+        if any(
+            a.joint is not None and (h is None or h.z_phase is None)
+            for a, h in zip(self.axes, homes, strict=True)
+        ):
+            return None
+        # A one-channel board has places for two.
+        return {"period": int(period), "limit": (turns + [0])[:2], "z_phase": (phases + [0])[:2]}
+
+    def disable(self) -> Job:
+        """Control off, then drivers off; set-points are forgotten."""
+
+        def steps(job: Job) -> Steps:
+            yield self.stop_motion()
+            yield PAUSE
+            if self.shape.has_driver_switch:
+                yield self.tell("DriverSwitch", state="off")
+
+        return self.job("disable", steps)
+
+    def stop_motion(self) -> Ticket | None:
+        """No set-points any more, control off (duty off for boards without that), at once."""
+        self.stop_homing()
+        was_compliant = self.is_compliant
+        self.quiet()
+        shape = self.shape
+        ticket: Ticket | None = None
+        if was_compliant or self.set_message == shape.pwm:
+            ticket = self._pwm_off()
+        if shape.has_switches:
+            ticket = self.tell("ControlOff")
+        return ticket
+
+    def _pwm_off(self) -> Ticket | None:
+        shape = self.shape
+        if shape.pwm_off is None:
+            return None
+        zeros = [0] * (2 if shape.channels == 1 else shape.channels)
+        fields: dict[str, Any] = {"mode": "off", "duty": zeros}
+        if not shape.pwm_signed or shape.pwm_off == "Pwm":
+            fields.update(unsigned(zeros, shape.directions))
+        return self.tell(shape.pwm_off, **fields)
+
+    def stop_homing(self) -> None:
+        """End home searches that this driver waits for."""
+        raise NotImplementedError
+
+    # ------------------------------------------------------------------ gains and modes
+
+    def set_gains(
+        self,
+        joint: str | None = None,
+        *,
+        kp: int | None = None,
+        ki: int | None = None,
+        kd: int | None = None,
+        torque: bool = False,
+    ) -> Job:
+        """Position gains (or those of the torque loop) in the board's numbers; what is None is the robot file's, else 0.
+
+        The job's result is how many commands were sent. Raises `UnknownNameError` for a joint that is not here.
+        """
+        axes = self.chosen(joint)
+
+        def steps(job: Job) -> Steps:
+            sent: list[Ticket] = []
+            for axis in axes:
+                sent += self._gain_tickets(axis, kp, ki, kd, torque)
+                yield PAUSE
+            return len(sent)
+
+        return self.job("set gains", steps)
+
+    def _gain_tickets(
+        self, axis: Axis, kp: int | None, ki: int | None, kd: int | None, torque: bool
+    ) -> list[Ticket]:
+        messages = self.shape.torque_gains if torque else self.shape.gains
+        own = axis.joint.gains if axis.joint is not None and not torque else None
+        given = (kp, ki, kd)
+        stored = (None, None, None) if own is None else (own.kp, own.ki, own.kd)
+        if not messages or all(value is None for value in (*given, *stored)):
+            return []
+        numbers = [int((b or 0) if a is None else a) for a, b in zip(given, stored, strict=True)]
+        return [self.tell(messages[axis.channel], kp=numbers[0], ki=numbers[1], kd=numbers[2])]
+
+    def set_control_mode(self, mode: Literal["position", "torque", "current", "hybrid"]) -> Ticket:
+        """What references mean: position; current (D12) or torque (D08); hybrid: wrist position and finger current."""
+        known = ("position", "torque") if self.dialect != "D12" else ("position", "current", "hybrid")
+        if mode not in known:
+            raise CallerError(f"{self.name} has the control modes {', '.join(known)}, not {mode!r}")
+        if self.kind == "hand":
+            self._change_hand(mode)
+        return self.tell("ControlMode" if self.dialect == "D12" else "ControlModeD08", mode=mode)
+
+    def _change_hand(self, mode: str) -> None:
+        """A hand's fingers are given currents or, in mode `position`, positions: another message."""
+        other = "ReferenceHandPosition" if mode == "position" else "ReferenceHand"
+        old = self.set_message
+        if old == other or old is None:
+            return
+        given = self._given.get(old, {})
+        self._paths.setdefault(other, dict(self._paths[old]))
+        self.set_message = other
+        self.drop(old)
+        for path, value in given.items():
+            if self.is_streaming:
+                self.want_raw(other, path, value if path == "position" else 0)
+
+    def switching_mode(self, *, free_wheeling: bool) -> Ticket:
+        """Non-complementary switching lets a motor wheel freely (D12)."""
+        self.only_d12("the switching mode")
+        return self.tell("SwitchingMode", mode="non_complementary" if free_wheeling else "complementary")
+
+    def beep(self, seconds: float = 0.3) -> Ticket:
+        """Beep, in steps of 0.1 s up to 25.5 s (D12)."""
+        self.only_d12("a beeper")
+        if not 0 <= seconds <= 25.5:
+            raise CallerError(f"{self.name}: a beep takes 0 to 25.5 s, not {seconds}")
+        return self.tell("Beep", time=round(seconds, 1))
+
+    def alarm(self, sound: int = 0) -> Ticket:
+        """Sound 1 to 4; 0 is silence (D12)."""
+        self.only_d12("an alarm")
+        if sound not in range(5):
+            raise CallerError(f"{self.name}: alarm sounds are 0 to 4, not {sound}")
+        return self.tell("Alarm", sound="off" if sound == 0 else f"sound_{sound}")
+
+    def only_d12(self, what: str) -> None:
+        """Raises `CallerError` on a board of the older firmware."""
+        if self.dialect != "D12" or self.kind == "neck":
+            raise CallerError(
+                f"{self.name} speaks {self.dialect} and is of kind {self.kind}: it has not got {what}"
+            )

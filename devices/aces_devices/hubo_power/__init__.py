@@ -1,0 +1,3 @@
+"""Hubo's smart power controller."""
+
+from .driver import driver as driver

@@ -1,0 +1,229 @@
+"""The guard: nothing gets through that is beyond the limits, and feasible motions get through untouched."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
+from aces_bus.errors import CallerError
+from aces_devices.robots import load_robot
+from tests.controller.fakes import fakes
+
+MS = 1_000_000
+wild = st.lists(st.floats(-20, 20) | st.sampled_from([0.0, 1.0, -1.0]), min_size=1, max_size=60)
+
+
+def guarded(bounds: Bounds, values: list[float], period_ms: int = 10) -> tuple[list[float], Guard]:
+    """What leaves a guard for these set-points of A."""
+    guard = Guard({"A": bounds}, period_s=period_ms / 1e3)
+    return [guard.apply(n * period_ms * MS, {"A": value})["A"] for n, value in enumerate(values)], guard
+
+
+@given(wild, st.floats(0.1, 100), st.floats(0.5, 1e4))
+def test_position_rate_and_acceleration_hold(values: list[float], rate: float, acceleration: float) -> None:
+    """Whatever is asked for: within the limits of position and rate always, and within the acceleration too."""
+    out, _ = guarded(Bounds(-2.0, 3.0, rate, acceleration), [0.0, *values, *[values[-1]] * 50])
+    speeds = np.diff([out[0], *out]) / 0.01
+    assert min(out) >= -2.0
+    assert max(out) <= 3.0
+    assert np.abs(speeds).max() <= rate * (1 + 1e-6)
+    assert np.abs(np.diff(speeds)).max() <= acceleration * 0.01 * (1 + 1e-6) + 1e-6
+
+
+@given(st.lists(st.floats(-1, 1), min_size=2, max_size=80))
+def test_a_feasible_motion_passes_unchanged(pushes: list[float]) -> None:
+    """Any motion whose own differences keep the limits gets through to the last bit, and nothing is counted."""
+    acceleration, rate, dt = 5.0, 1.0, 0.01
+    x = v = 0.0
+    values = [x]
+    for push in pushes:
+        v = max(-rate, min(rate, v + push * acceleration * dt))
+        x += v * dt
+        values.append(x)
+    out, guard = guarded(Bounds(-10, 10, rate, acceleration), values)
+    assert out == values
+    assert guard.clips == {}
+
+
+def test_a_motion_that_stops_at_its_limit_passes() -> None:
+    """Braking as hard as allowed, to rest exactly at the limit of position, is feasible."""
+    speeds = np.array([*range(1, 11), *range(9, -1, -1)]) * 0.05
+    values = [0.0, *np.cumsum(speeds * 0.01).tolist()]
+    out, guard = guarded(Bounds(-1, values[-1] + 1e-12, 10, 5.0), values)
+    assert out == values
+    assert guard.clips == {}
+
+
+def test_a_step_is_reached_without_overshoot() -> None:
+    """As quickly as the limits allow: v/a + d/v seconds for a distance d, and never beyond."""
+    out, guard = guarded(Bounds(-9, 9, rate=1.0, acceleration=4.0), [0.0] + [1.0] * 200)
+    assert max(out) <= 1.0 + 1e-12
+    assert out[-1] == pytest.approx(1.0)
+    arrived = next(n for n, value in enumerate(out) if value > 1 - 1e-6)
+    assert arrived * 0.01 == pytest.approx(1.25, abs=0.03)
+    assert guard.clipped("A").rate + guard.clipped("A").acceleration > 20
+
+
+def test_a_motion_that_is_too_fast_is_followed_and_met() -> None:
+    """A sine beyond the rate comes out slower, and agrees again where it is slow enough."""
+    values = [math.sin(3 * n * 0.01) if n < 420 else math.sin(3 * 4.2) for n in range(700)]
+    out, _ = guarded(Bounds(-2, 2, rate=2.0, acceleration=50.0), values)
+    assert np.abs(np.diff(out)).max() <= 0.02 + 1e-9
+    assert out[-1] == pytest.approx(values[-1])
+    assert max(out) <= 1.0 + 0.05
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "text", None])
+def test_what_is_not_finite_never_gets_through(value: Any) -> None:
+    """It is dropped and counted, the others go on, and whoever listens is told once a second."""
+    heard: list[ControlEvent] = []
+    guard = Guard({"A": Bounds(), "B": Bounds()}, period_s=0.01)
+    guard.listeners.add(heard.append)
+    for n in range(50):
+        assert guard.apply(n * 10 * MS, {"A": value, "B": 1.0}) == {"B": 1.0}
+    assert guard.clipped("A").not_finite == 50
+    assert [event.kind for event in heard] == ["not finite"]
+    assert "A" in heard[0].detail
+
+
+def test_unlisted_states_are_refused_or_passed() -> None:
+    """A name without bounds is refused and counted; with `pass` it only has to be finite."""
+    guard = Guard({"A": Bounds()}, period_s=0.01)
+    assert guard.apply(0, {"A": 1.0, "LPK": 2.0}) == {"A": 1.0}
+    assert guard.refused == {"LPK": 1}
+    guard = Guard({}, period_s=0.01, unlisted="pass")
+    assert guard.apply(0, {"LPK": 2.0, "Q": math.nan}) == {"LPK": 2.0}
+
+
+def test_the_first_set_point_starts_from_the_present_position() -> None:
+    """With the state bound it is limited from there; without, it is believed, and counted as unanchored."""
+    guard = Guard({"A": Bounds(rate=1.0)}, period_s=0.01)
+    guard.bind(fakes(A=0.5))
+    assert guard.apply(0, {"A": 2.0})["A"] == pytest.approx(0.51)
+    other = Guard({"A": Bounds(rate=1.0)}, period_s=0.01)
+    assert other.apply(0, {"A": 2.0}) == {"A": 2.0}
+    assert (guard.unanchored, other.unanchored) == (0, 1)
+
+
+def test_a_pause_earns_no_jump() -> None:
+    """After seconds without set-points the next step is no larger than two periods allow."""
+    guard = Guard({"A": Bounds(rate=1.0)}, period_s=0.01, dead_man_s=None)
+    guard.apply(0, {"A": 0.0})
+    assert guard.apply(5_000 * MS, {"A": 9.0})["A"] == pytest.approx(0.02)
+    assert guard.apply(5_000 * MS, {"A": 9.0})["A"] < 0.0201
+    assert guard.apply(4_000 * MS, {"A": 9.0})["A"] < 0.0202
+
+
+def test_the_dead_man_holds_within_the_limits_and_lets_go() -> None:
+    """After 100 ms without set-points it comes to a stand by its acceleration, stays, and follows again when they come."""
+    heard: list[ControlEvent] = []
+    guard = Guard({"A": Bounds(rate=2.0, acceleration=5.0)}, period_s=0.01, dead_man_s=0.1)
+    guard.listeners.add(heard.append)
+    now, x = 0, 0.0
+    for n in range(50):
+        now, x = n * 10 * MS, n * n * 0.00025
+        assert guard.apply(now, {"A": x}) == {"A": pytest.approx(x)}
+    assert [guard.tick(now + n * 10 * MS) for n in range(1, 11)] == [{}] * 10
+    held = [guard.tick(now + n * 10 * MS)["A"] for n in range(11, 80)]
+    assert guard.tripped is not None
+    assert (guard.tripped.action, guard.tripped.latched) == ("hold", False)
+    assert np.abs(np.diff(held, 2)).max() <= 5.0 * 1e-4 + 1e-9
+    assert held[-1] == held[-2] > x
+    out = guard.apply(now + 800 * MS, {"A": x})
+    assert guard.tripped is None
+    assert abs(out["A"] - held[-1]) <= 5.0 * 2e-4
+    assert [event.kind for event in heard] == ["trip", "late"]
+
+
+@pytest.mark.parametrize("action", ["zero duty", "disable"])
+def test_the_other_actions_are_latched(action: Literal["zero duty", "disable"]) -> None:
+    """Nothing goes down any more until `release`, and then from the present position."""
+    states = fakes(A=0.0)
+    guard = Guard({"A": Bounds(rate=1.0)}, period_s=0.01, action=action)
+    guard.bind(states)
+    guard.apply(0, {"A": 0.0})
+    assert guard.tick(500 * MS) == {}
+    assert guard.tripped is not None
+    assert (guard.tripped.action, guard.tripped.instant) == (action, 500 * MS)
+    assert guard.apply(510 * MS, {"A": 0.0}) == {}
+    assert guard.swallowed == 1
+    states["A"].value = -0.7
+    guard.release()
+    assert guard.apply(520 * MS, {"A": 0.0})["A"] == pytest.approx(-0.69)
+
+
+def test_a_trip_stops_at_once_and_the_strictest_wins() -> None:
+    """Several at a time: the strictest action and its reason; a milder one later changes nothing."""
+    guard = Guard({"A": Bounds()}, period_s=0.01)
+    guard.apply(0, {"A": 1.0})
+    guard.trip("first")
+    assert guard.apply(10 * MS, {"A": 5.0}) == {"A": 1.0}
+    assert guard.apply(20 * MS, {"A": 5.0}) == {"A": 1.0}
+    guard.trip("second", "zero duty")
+    guard.trip("third", "disable")
+    assert guard.tick(30 * MS) == {}
+    assert guard.tripped is not None
+    assert (guard.tripped.reason, guard.tripped.action) == ("third", "disable")
+    guard.trip("fourth", "hold")
+    assert guard.tick(40 * MS) == {}
+    assert guard.tripped.reason == "third"
+    assert guard.trips == 2
+
+
+def test_a_hold_by_hand_is_released_from_where_it_stands() -> None:
+    """It takes `release`, and then there is no jump."""
+    guard = Guard({"A": Bounds(rate=1.0)}, period_s=0.01)
+    guard.apply(0, {"A": 1.0})
+    guard.trip("by hand")
+    guard.apply(10 * MS, {"A": 5.0})
+    guard.release()
+    assert guard.apply(20 * MS, {"A": 5.0})["A"] == pytest.approx(1.01)
+
+
+def test_the_dead_man_waits_for_the_first_set_points() -> None:
+    """A controller that has not begun yet is not dead."""
+    guard = Guard({"A": Bounds()}, period_s=0.01)
+    assert [guard.tick(n * 1_000 * MS) for n in range(3)] == [{}] * 3
+    assert guard.tripped is None
+
+
+@given(wild, st.lists(st.integers(-5, 60), min_size=61, max_size=61))
+def test_odd_instants_do_no_harm(values: list[float], gaps: list[int]) -> None:
+    """Clocks that jump, stand or run back: still within position, and finite."""
+    guard, now = Guard({"A": Bounds(-2, 3, 1.0, 5.0)}, period_s=0.01, dead_man_s=None), 0
+    for value, gap in zip(values, gaps, strict=False):
+        now += gap * MS
+        assert -2 <= guard.apply(now, {"A": value})["A"] <= 3
+
+
+def test_bounds_of_a_robot() -> None:
+    """Limits as the file states them; what it does not state is not limited."""
+    robot = load_robot("hubo2plus")
+    bounds = bounds_of(robot)
+    knee = robot.joint("LKP")
+    assert set(bounds) == {joint.name for joint in robot.joints.values() if joint.active}
+    assert (bounds[knee.name].lower, bounds[knee.name].upper) == (knee.lower, knee.upper)
+    assert all(one.rate > 0 for one in bounds.values())
+    assert bounds_of(load_robot("minihubo_1"))["LKP"] == Bounds()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"period_s": 0.0}, "not a period"),
+        ({"dead_man_s": 0.005}, "more than the period"),
+        ({"action": "explode"}, "hold, zero duty, disable"),
+    ],
+)
+def test_wrong_settings_are_refused(options: dict[str, Any], message: str) -> None:
+    """Period, dead-man, action and bounds."""
+    with pytest.raises(CallerError, match=message):
+        Guard({}, **{"period_s": 0.01, **options})
+    with pytest.raises(CallerError, match="must not be above upper"):
+        Bounds(1.0, 0.0)

@@ -1,0 +1,329 @@
+"""Look for a stream that breaks a protocol: nine laws on what nobody thought of.
+
+  aces fuzz robotis
+  aces fuzz my_spec.py --minutes 10 --jobs 2
+  aces fuzz hubo --law oracle --law 3 --seed 7 --examples 100000
+  aces fuzz my_spec.py --corpus fuzz/ --json
+
+Each example is a scene: valid packets, damaged ones, garbage, silences, requests
+of ours, cut into chunks; all laws (docs/fuzzing.md) are asked of it. A scene that
+breaks one is made as small as it can be, drawn, and saved as a capture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from aces_bus.errors import CallerError
+
+from .console import say, terminal_width
+
+if TYPE_CHECKING:
+    from aces_bus.testing._coverage import Coverage
+
+    from .fuzzing.work import Done, Found, Job, Task
+
+#: Examples when neither a number nor a time is given.
+EXAMPLES = 20_000
+#: Examples in one task: a worker reports several times a second.
+TASK = 128
+#: Seconds between two looks at the progress on a terminal, and in a log.
+STEP_S, LOG_S = 0.25, 30.0
+
+EPILOG = """\
+laws (--law takes a number or a name, several times):
+  1 round trip         what is built is read again, bit for bit
+  2 oracle             the generated scanner, the columns and construct agree
+  3 chunking           records do not depend on how the words were cut
+  4 resynchronisation  no whole packet is overlooked, whatever stands before it
+  5 no false accept    every record satisfies its template and its check
+  6 accounting         every byte and frame ends in exactly one bin
+  7 bounded            memory and work stay within their limits
+  8 calm               nothing raises
+  9 unambiguous        no two messages accept the same packet
+
+A NAME alone is fuzzed in all its dialects, configurations and directions;
+hubo:D08 and hubo@drc_hubo only there. Several NAMEs take turns.
+
+again:
+  Every example follows from the seed and its number: --seed 7:4130 is example
+  4130 of seed 7, alone. --replay FILE asks the laws of a scene that was saved
+  (.json), or of any capture. A corpus keeps scenes that reached something new
+  and those that failed; they are judged first the next time.
+
+exit status:
+  0    the laws hold
+  1    a law does not
+  2    a wrong call, or a protocol that cannot be loaded
+  130  after Ctrl-C, when no law had failed
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = EPILOG
+    add = parser.add_argument
+    add("names", nargs="+", metavar="NAME", help="a protocol as -p takes it: installed, my_spec.py, car.dbc")
+    add("--law", action="append", default=[], metavar="LAW", help="only this law; may be given several times")
+    many = parser.add_mutually_exclusive_group()
+    many.add_argument(
+        "--examples",
+        type=int,
+        metavar="N",
+        help=f"how many scenes (default: {EXAMPLES:,}; 0: the corpus only)",
+    )
+    many.add_argument("--minutes", type=float, metavar="M", help="for so long instead")
+    add(
+        "--seed",
+        metavar="S[:N]",
+        help="begin with this seed (default: another each time); :N that example alone",
+    )
+    add("--corpus", metavar="DIR", help="judge what is there first, and keep what is new there")
+    add(
+        "--replay",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="judge this scene or capture, nothing else",
+    )
+    add(
+        "--failures",
+        metavar="DIR",
+        default=os.path.join(".aces", "failures"),
+        help="where to save what fails (default: %(default)s)",
+    )
+    add(
+        "--most",
+        type=int,
+        default=3,
+        metavar="N",
+        help="stop after so many failures (default: %(default)s); each law of a wire fails once",
+    )
+    add("--jobs", type=int, default=1, metavar="N", help="so many processes (default: 1; 0: one a processor)")
+    add("--json", action="store_true", help="one JSON object on standard output")
+    add("-q", "--quiet", action="store_true", help="no progress, no table; failures and the summary")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from .fuzzing.report import as_json, failure_text, table
+    from .fuzzing.work import Job, chosen_laws
+
+    seed, only = _seed(arguments.seed)
+    job = Job(tuple(arguments.names), chosen_laws(arguments.law), seed, arguments.failures, arguments.corpus)
+    if arguments.jobs < 0 or arguments.most < 1:
+        raise CallerError("--jobs is 0 or more, --most 1 or more")
+    jobs = arguments.jobs or os.cpu_count() or 1
+    budget = _Budget(arguments, only)
+    tally = Tally(arguments, job)
+    is_over = False
+    try:
+        for done in _all(job, budget, jobs):
+            for found in tally.add(done):
+                if not arguments.json:
+                    tally.clear()
+                    print(failure_text(found), flush=True)
+            if len(tally.found) >= arguments.most:
+                break
+            tally.show(budget)
+    except KeyboardInterrupt:
+        is_over = True
+    tally.clear()
+    numbers = tally.numbers(is_over)
+    if arguments.json:
+        print(as_json(job.names, numbers, tally.found, tally.coverage()))
+    elif not arguments.quiet and not budget.is_single:
+        print(table(tally.coverage(), terminal_width()))
+    say(tally.summary(is_over), who="")
+    return 1 if tally.found else 130 if is_over else 0
+
+
+def _seed(text: str | None) -> tuple[int, int | None]:
+    if text is None:
+        return time.time_ns() // 1_000_000 % 1_000_000, None
+    seed, colon, number = text.partition(":")
+    try:
+        found = int(seed), int(number) if colon else None
+    except ValueError:
+        raise CallerError(f"--seed {text}: a number, or SEED:EXAMPLE as a failure names it") from None
+    if found[1] is not None and found[1] < 0:
+        raise CallerError(f"--seed {text}: examples count from 0")
+    return found
+
+
+class _Budget:
+    """What there is to do: tasks, until the examples or the minutes are used up."""
+
+    def __init__(self, arguments: argparse.Namespace, only: int | None) -> None:
+        if arguments.examples is not None and arguments.examples < 0:
+            raise CallerError("--examples is 0 or more")
+        if arguments.minutes is not None and not 0 < arguments.minutes < math.inf:
+            raise CallerError("--minutes is more than 0")
+        self.only = only
+        self.files = tuple(arguments.replay)
+        self.is_single = only is not None or bool(self.files)
+        self.minutes: float | None = arguments.minutes
+        self.examples = EXAMPLES if arguments.examples is None else int(arguments.examples)
+        self.began = time.monotonic()
+
+    def tasks(self) -> Iterator[Task]:
+        """The tasks, for as long as there is something to do."""
+        from .fuzzing.work import Task
+
+        if self.only is not None:
+            yield Task(self.only, 1)
+            return
+        if self.files or not self.examples:
+            yield Task(files=self.files)
+            return
+        at = 0
+        while self.minutes is not None or at < self.examples:
+            if self.minutes is not None and time.monotonic() - self.began > 60 * self.minutes:
+                return
+            count = TASK if self.minutes is not None else min(TASK, self.examples - at)
+            yield Task(at, count)
+            at += count
+
+    def part(self, examples: int) -> float:
+        """How much of it is done."""
+        if self.minutes is not None:
+            return min(1.0, (time.monotonic() - self.began) / (60 * self.minutes))
+        return min(1.0, examples / max(1, self.examples))
+
+
+def _all(job: Job, budget: _Budget, jobs: int) -> Generator[Done, None, None]:
+    """What each task did, as they finish."""
+    from .fuzzing.work import ignore_interrupts, places, work, worker_of
+
+    for name in job.names:
+        places(name)  # complains here, and not in another process
+    if jobs == 1 or budget.is_single:
+        worker_of.cache_clear()
+        for task in budget.tasks():
+            yield work(job, task)
+        return
+    with _pool(jobs, ignore_interrupts) as pool:
+        waiting: set[Future[Done]] = set()
+        tasks = budget.tasks()
+        while True:
+            while len(waiting) < 2 * jobs and (task := next(tasks, None)) is not None:
+                waiting.add(pool.submit(work, job, task))
+            if not waiting:
+                return
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+
+
+@contextmanager
+def _pool(jobs: int, begin: object) -> Generator[ProcessPoolExecutor, None, None]:
+    """Processes that end with us: what waits is dropped, what runs is a fraction of a second."""
+    pool = ProcessPoolExecutor(jobs, initializer=begin)  # type: ignore[arg-type]
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+class Tally:
+    """What all processes did so far, and how it is shown while it goes on."""
+
+    def __init__(self, arguments: argparse.Namespace, job: Job) -> None:
+        self.job = job
+        self.began = time.monotonic()
+        self.examples = self.checks = self.words = 0
+        self.found: list[Found] = []
+        self._kept: dict[int, int] = {}
+        self._reached: dict[int, Done] = {}
+        self._is_shown = not arguments.quiet and not arguments.json
+        self._is_terminal = sys.stderr is not None and sys.stderr.isatty()
+        self._next = self.began + (STEP_S if self._is_terminal else LOG_S)
+        self._width = 0
+
+    def add(self, done: Done) -> list[Found]:
+        """Count what a task did; gives the failures that are new."""
+        self.examples += done.examples
+        self.checks += done.checks
+        self.words += done.words
+        self._kept[done.process] = done.kept
+        self._reached[done.process] = done
+        known = {(f.law, f.label, f.direction) for f in self.found}
+        fresh = [f for f in done.found if (f.law, f.label, f.direction) not in known]
+        self.found += fresh
+        return fresh
+
+    @property
+    def seconds(self) -> float:
+        return max(1e-3, time.monotonic() - self.began)
+
+    @property
+    def rate(self) -> float:
+        """Examples a minute."""
+        return 60 * self.examples / self.seconds
+
+    def coverage(self) -> Coverage:
+        """What was reached, by all processes."""
+        from aces_bus.testing._coverage import Coverage
+
+        whole = Coverage()
+        for done in self._reached.values():
+            whole.reached += Counter(done.reached)
+            whole.expected |= done.expected
+        return whole
+
+    def show(self, budget: _Budget) -> None:
+        """Say how far we are, when it is time."""
+        now = time.monotonic()
+        if not self._is_shown or now < self._next:
+            return
+        coverage = self.coverage()
+        reached = len(coverage.expected & coverage.reached.keys()) / max(1, len(coverage.expected))
+        line = (
+            f"{budget.part(self.examples):4.0%}  {self.examples:,} examples  {self.rate:,.0f}/min  "
+            f"{reached:.0%} reached  {len(self.found)} failed"
+        )
+        if self._is_terminal:
+            line = line[: max(20, terminal_width() - 1)]
+            print(f"\r{line:<{self._width}}", end="", file=sys.stderr, flush=True)
+            self._width = len(line)
+            self._next = now + STEP_S
+        else:
+            say(line, who="")
+            self._next = now + LOG_S
+
+    def clear(self) -> None:
+        """Take the line of progress away."""
+        if self._width:
+            print(f"\r{'':<{self._width}}\r", end="", file=sys.stderr, flush=True)
+            self._width = 0
+
+    def numbers(self, is_over: bool) -> dict[str, object]:
+        """The run in numbers."""
+        return {
+            "seed": self.job.seed,
+            "laws": list(self.job.laws),
+            "examples": self.examples,
+            "checks": self.checks,
+            "words": self.words,
+            "seconds": round(self.seconds, 3),
+            "examples_per_minute": round(self.rate),
+            "interrupted": is_over,
+        }
+
+    def summary(self, is_over: bool) -> str:
+        """The run in one line."""
+        failed = f"{len(self.found)} failed" if self.found else "no failure"
+        kept = sum(self._kept.values())
+        return (
+            f"{'interrupted: ' if is_over else ''}examples={self.examples} checks={self.checks} words={self.words} "
+            f"seconds={self.seconds:.1f} rate={self.rate:.0f}/min seed={self.job.seed}"
+            + (f" kept={kept}" if self.job.corpus is not None else "")
+            + f": {failed}"
+        )
