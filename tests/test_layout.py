@@ -40,7 +40,7 @@ FLOORS: dict[str, set[str]] = {
     "state": {"runtime", "device"},
     "kinematics": set(),  # bodies as chains; numbers only
     "controller": {"runtime", "device", "state", "capture", "kinematics"},  # touches no frame and no byte
-    "assembly": {"runtime", "protocol", "hardware", "device"},  # floors put together
+    "assembly": {"runtime", "protocol", "hardware", "device", "state", "controller", "capture"},  # floors put together
     "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
 }
 EVERYONE = {"errors", "frame", "frame_table"}

@@ -1,4 +1,4 @@
-"""Floors put together: a robot's file becomes hosts and twins on virtual wires or real buses."""
+"""Floors put together: a robot's file becomes hosts, twins, states and controllers, in virtual time or on real buses."""
 
 from __future__ import annotations
 
@@ -8,18 +8,45 @@ if TYPE_CHECKING:
     from .buses import gate_of as gate_of
     from .buses import open_gates as open_gates
     from .buses import port_for as port_for
+    from .replay import Replay as Replay
+    from .runner import Ended as Ended
+    from .runner import Runner as Runner
+    from .states import States as States
     from .virtual import VirtualRobot as VirtualRobot
     from .virtual import wire_of as wire_of
+    from .worlds import run_real as run_real
+    from .worlds import run_replay as run_replay
+    from .worlds import run_virtual as run_virtual
 
 _PLACES = {
+    "Ended": "runner",
+    "Replay": "replay",
+    "Runner": "runner",
+    "States": "states",
     "VirtualRobot": "virtual",
     "gate_of": "buses",
     "open_gates": "buses",
     "port_for": "buses",
+    "run_real": "worlds",
+    "run_replay": "worlds",
+    "run_virtual": "worlds",
     "wire_of": "virtual",
 }
 
-__all__ = ["VirtualRobot", "gate_of", "open_gates", "port_for", "wire_of"]
+__all__ = [
+    "Ended",
+    "Replay",
+    "Runner",
+    "States",
+    "VirtualRobot",
+    "gate_of",
+    "open_gates",
+    "port_for",
+    "run_real",
+    "run_replay",
+    "run_virtual",
+    "wire_of",
+]
 
 
 def __getattr__(name: str) -> Any:

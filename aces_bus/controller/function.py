@@ -26,7 +26,13 @@ class FunctionController(Controller):
     """What `@controller` makes of a function; calling it calls the function."""
 
     def __init__(
-        self, law: Law, *, rate_hz: float, states: Iterable[str] | None = None, name: str = ""
+        self,
+        law: Law,
+        *,
+        rate_hz: float,
+        states: Iterable[str] | None = None,
+        writes: Iterable[str] = (),
+        name: str = "",
     ) -> None:
         name = name or getattr(law, "__name__", "controller")
         given = None if states is None else tuple(dict.fromkeys(states))
@@ -51,7 +57,7 @@ class FunctionController(Controller):
                     )
                 self._names.append(parameter.name)
         inferred = tuple(one for one in self._names if one not in SPECIAL)
-        super().__init__(name, rate_hz=rate_hz, states=inferred if given is None else given)
+        super().__init__(name, rate_hz=rate_hz, states=inferred if given is None else given, writes=writes)
         self.law = law
         self.memory = SimpleNamespace()
         self._arguments: list[Any] = []
@@ -116,12 +122,12 @@ class FunctionController(Controller):
 
 
 def controller(
-    *, rate_hz: float, states: Iterable[str] | None = None, name: str = ""
+    *, rate_hz: float, states: Iterable[str] | None = None, writes: Iterable[str] = (), name: str = ""
 ) -> Callable[[Law], FunctionController]:
     """Make a controller of a function.
 
     Its positional parameters are the states it reads, by name; `states=[…]` says them where a name is no identifier, and
-    the function then takes them as the mapping `states`. Keyword-only parameters are gains, which `set` changes.
+    the function then takes them as the mapping `states`; `writes` those it gives set-points for. Keyword-only parameters are gains, which `set` changes.
 
     >>> @controller(rate_hz=200)
     ... def hold(LKP, *, kp=0.5, goal=1.0):
@@ -137,6 +143,6 @@ def controller(
     """
 
     def make(law: Law) -> FunctionController:
-        return FunctionController(law, rate_hz=rate_hz, states=states, name=name)
+        return FunctionController(law, rate_hz=rate_hz, states=states, writes=writes, name=name)
 
     return make

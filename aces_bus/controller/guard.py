@@ -114,35 +114,36 @@ class _Line:
 
     def pass_on(self, wanted: float, dt: float) -> float:
         """The set-point that leaves, `dt` seconds after the last."""
-        goal = self.lower if wanted < self.lower else self.upper if wanted > self.upper else wanted
         before = self.given
+        # Nearly every set-point: as asked, far enough from the limits to stop.
+        if before is not None and self.lower <= wanted <= self.upper:
+            if wanted == before and not self.step:
+                self.asked = wanted
+                return wanted
+            speed = (wanted - before) / dt
+            if -self.utmost <= speed <= self.utmost:
+                acceleration = self.acceleration
+                if acceleration == _INFINITY:
+                    self.step, self.given, self.asked = speed, wanted, wanted
+                    return wanted
+                size = speed if speed > 0.0 else -speed
+                # A hair more is rounding of the differences.
+                most = acceleration * dt * (1 + 1e-9) + 1e-9 * size
+                # Who is behind must arrive slowly enough to stay with the set-points.
+                if -most <= speed - self.step <= most and (before == self.asked or size <= acceleration * dt):
+                    room = self.upper - before if speed > 0.0 else before - self.lower
+                    if size * (size / (2.0 * acceleration) + dt) <= room or (
+                        size * dt <= _reach(room, acceleration * dt * dt) * (1 + 1e-9)
+                    ):
+                        self.step, self.given, self.asked = speed, wanted, wanted
+                        return wanted
+        goal = self.lower if wanted < self.lower else self.upper if wanted > self.upper else wanted
+        if goal != wanted:
+            self.clipped.position += 1
         if before is None:
-            if goal != wanted:
-                self.clipped.position += 1
             self.given = self.asked = goal
             return goal
-        clipped = self.clipped
-        if goal != wanted:
-            clipped.position += 1
-        speed = (goal - before) / dt
-        acceleration, rate = self.acceleration, self.utmost
-        if -rate <= speed <= rate:
-            change = speed - self.step
-            # The least feasible case, and nearly every one: as asked, and far enough from the limits to stop.
-            if acceleration == _INFINITY:
-                self.step, self.given, self.asked = speed, goal, goal
-                return goal
-            # Here, too: rounding of the differences.
-            most = acceleration * dt * (1 + 1e-9) + 1e-9 * abs(speed)
-            if -most <= change <= most:
-                room = self.upper - before if speed > 0 else before - self.lower
-                size = abs(speed)
-                if size * (size / (2 * acceleration) + dt) <= room or size * dt <= _reach(
-                    room, acceleration * dt * dt
-                ) * (1 + 1e-9):
-                    self.step, self.given, self.asked = speed, goal, goal
-                    return goal
-        return self._limited(goal, before, speed, dt)
+        return self._limited(goal, before, (goal - before) / dt, dt)
 
     def _limited(self, goal: float, before: float, speed: float, dt: float) -> float:
         acceleration, rate = self.acceleration, self.rate
@@ -156,14 +157,15 @@ class _Line:
             quantum = acceleration * dt * dt
             behind = goal - before - own * dt
             catch_up = math.copysign(_reach(abs(behind), quantum) / dt, behind) + own
-            if abs(catch_up) < abs(new) or catch_up * new < 0:
-                new = max(-rate, min(rate, catch_up))
+            bounded = (
+                max(-rate, min(rate, catch_up)) if abs(catch_up) < abs(new) or catch_up * new < 0 else new
+            )
             most = acceleration * dt
             low, high = self.step - most, self.step + most
-            bounded = low if new < low else high if new > high else new
-            if bounded != new:
+            bounded = low if bounded < low else high if bounded > high else bounded
+            if abs(bounded - new) * dt > 1e-12 * (1 + abs(goal)):
                 self.clipped.acceleration += 1
-                new = bounded
+            new = bounded
             # Whatever the rest says, it must be able to stop before the limits of position.
             up = _reach(self.upper - before, quantum) / dt if self.upper < _INFINITY else _INFINITY
             down = _reach(before - self.lower, quantum) / dt if self.lower > -_INFINITY else _INFINITY
@@ -171,6 +173,8 @@ class _Line:
             new = rate if new > rate else -rate if new < -rate else new
         given = before + new * dt
         given = self.lower if given < self.lower else self.upper if given > self.upper else given
+        if abs(given - goal) <= 1e-12 * (1 + abs(goal)):
+            given = goal  # met again, to the last bit
         self.step, self.given = (given - before) / dt, given
         return given
 
@@ -295,18 +299,17 @@ class Guard:
                 if line is None:
                     continue
             try:
-                difference = wanted - wanted
+                is_finite = -_INFINITY < wanted < _INFINITY
             except TypeError:
-                difference = 1.0
-            if difference != 0.0:
+                is_finite = False
+            if not is_finite:
                 line.clipped.not_finite += 1
                 self._tell(line, now, "not finite")
                 continue
             if line.given is None:
                 self._anchor(line)
-            before = line.clipped.total
             out[name] = given = line.pass_on(wanted, dt)
-            if given != wanted and line.clipped.total != before:
+            if given != wanted:
                 self._tell(line, now, "clipped")
         return out
 

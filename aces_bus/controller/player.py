@@ -109,6 +109,7 @@ class Player(Controller):
         self._base_s, self._base_ns = 0.0, 0
         self._ramp = 0  # +1: getting faster, -1: coming to a stand, 0: neither
         self._offsets: list[float] | None = None
+        self._fade_s = 0.0
 
     # ---- operations -------------------------------------------------------------------------------------------------
 
@@ -165,7 +166,7 @@ class Player(Controller):
             self._obey(now_ns)
         mode = self.mode
         if mode == "running":
-            values = self._play(now_ns)
+            values = self._faded(now_ns, self._play(now_ns))
         elif mode == "waiting" or mode == "approaching":
             waited = self._wait(now_ns) if mode == "waiting" else self._go(now_ns)
             if waited is None:
@@ -218,7 +219,7 @@ class Player(Controller):
                 return None
             present = [one for one in found if one is not None]
         self._began, self._base_s, self._base_ns, self._ramp = now, 0.0, now, 0
-        self._offsets, self._fresh, self._at_s = None, False, 0.0
+        self._offsets, self._fade_s, self._fresh, self._at_s = None, 0.0, False, 0.0
         if present is not None and self.approach is not None:
             self._from = present
             most = max((abs(a - b) for a, b in zip(present, first, strict=True)), default=0.0)
@@ -235,7 +236,7 @@ class Player(Controller):
                     return self._go(now)
                 self._offsets = [a - b for a, b in zip(present, first, strict=True)]
         self.mode = "running"
-        return self._play(now)
+        return self._faded(now, self._play(now))
 
     def _go(self, now: int) -> list[float]:
         """On the way to the first row."""
@@ -273,9 +274,14 @@ class Player(Controller):
         if self._at_s >= duration - 1e-9:
             self._at_s = duration
             self._finish(now)
-        values = self.motion.at(self._at_s)
+        return self.motion.at(self._at_s)
+
+    def _faded(self, now: int, values: list[float]) -> list[float]:
+        """With what is left of the offset that blending began with; it fades while it plays, not while it is halted."""
         if self._offsets is not None:
-            fade = 1.0 - smooth_step((now - self._began) / 1e9 / self._approach_s)
+            self._fade_s += min(max(now - self._began, 0) / 1e9, 2.0 / self.rate_hz)
+            self._began = now
+            fade = 1.0 - smooth_step(self._fade_s / self._approach_s)
             if fade > 0.0:
                 return [a + b * fade for a, b in zip(values, self._offsets, strict=True)]
             self._offsets = None

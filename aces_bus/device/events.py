@@ -23,6 +23,20 @@ Kind = Literal[
     "not sent",  # the bus does not take words
     "overrun",  # a tick's words did not fit into the tick
     "bug",  # a driver's own code raised
+    # of the bus, as gates and wires tell them
+    "opened",
+    "lost",
+    "reopened",
+    "closed",
+    "error-active",
+    "error-passive",
+    "bus-off",
+    "recovered",
+    "dropped",
+    "send failed",
+    "bad input",
+    "clock",
+    "listener",
 ]
 
 

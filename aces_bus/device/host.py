@@ -32,13 +32,18 @@ from .ticket import Ticket
 #: Events of one kind and device are told this often at most (ns); all are counted.
 TELL_EVERY = 1_000_000_000
 #: What tells of a change, and therefore is told each time.
-TOLD_ALWAYS = ("silent", "answers", "alarm", "alarm over", "rebooted")
+TOLD_ALWAYS = frozenset(
+    (
+        *("silent", "answers", "alarm", "alarm over", "rebooted"),
+        *("opened", "lost", "reopened", "closed", "error-active", "error-passive", "bus-off", "recovered"),
+    )
+)
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
 #: The robot of a probe.
 NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
-SILENT_SHARE = 10
+SILENT_SHARE = 5
 #: The share of a tick that polls may fill when nobody says otherwise.
 BUDGET = 0.9
 
@@ -137,10 +142,13 @@ class Host(Station[Device]):
         self._tick_at = 0
         #: Half duplex: when the next tick is due, and after what instant no poll may end.
         self._tick_end, self._polls_end = 0, 1 << 62
+        #: Whether this tick has had a poll: the first one goes out whatever it costs, or it never would.
+        self._has_polled = False
         self._next_tick: Timer | None = None
         self._woken = False
         #: Half duplex: what is to be sent, and the request that has the line (None: free).
         self._half = port.half_duplex
+        port.on_event(self._bus_event)
         self._line: deque[Ticket] = deque()
         self._speaking: Ticket | None = None
 
@@ -243,6 +251,7 @@ class Host(Station[Device]):
         counts.ticks += 1
         self._tick_end = now + self._period
         self._polls_end = now + round(self._period * self.budget) if self._period else 1 << 62
+        self._has_polled = False
         if self._half and not self._period:
             for turn in self._turns:
                 turn.due = turn.due if turn.every_ns else now
@@ -280,6 +289,7 @@ class Host(Station[Device]):
         else:
             turn.due = now
         turn.asked_at = now
+        self._has_polled = True
         ticket = Ticket(
             self.clock, turn.device, turn.poll.message, turn.word, turn.replies, turn.timeout_ns, 0, turn
         )
@@ -410,7 +420,10 @@ class Host(Station[Device]):
             self.tell("silent", device.name, f"{device.misses} requests without an answer, {age}")
         if self._half and device.is_silent and ticket.poll is not None:
             # Its time-outs hold up all others: it is asked less often until it answers.
-            ticket.poll.due = max(ticket.poll.due, now + SILENT_SHARE * ticket.timeout_ns)
+            due = now + (SILENT_SHARE - 1) * ticket.timeout_ns
+            for turn in self._turns:
+                if turn.device is device:
+                    turn.due = max(turn.due, due)
         if ticket.poll is None:
             tries = f"{ticket.tries} tries" if ticket.tries > 1 else "one try"
             error = NoReplyError(
@@ -497,7 +510,7 @@ class Host(Station[Device]):
         for _ in range(len(turns)):
             turn = turns[0]
             if turn.due <= now and turn.waiting is None:
-                if now + turn.cost_ns > self._polls_end:
+                if self._has_polled and now + turn.cost_ns > self._polls_end:
                     self.counts.polls_carried += 1
                     return  # its answer would come after the budget's end
                 turns.rotate(-1)
@@ -547,6 +560,10 @@ class Host(Station[Device]):
                     ):
                         return device
         return None
+
+    def _bus_event(self, kind: Any, detail: str) -> None:
+        """Something happened to the bus itself."""
+        self.tell(kind, "", detail)
 
     def _nobodys(self, record: Any, instant: int) -> None:
         kind = type(record)

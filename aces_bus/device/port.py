@@ -35,6 +35,10 @@ class Port(Protocol):
         """Begin to hear: `received(word, instant)`."""
         ...
 
+    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+        """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
+        ...
+
     def send(self, word: Any) -> bool:
         """Send a word; False when the bus does not take it."""
         ...

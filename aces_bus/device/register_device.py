@@ -124,7 +124,8 @@ class RegisterDevice(Device):
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, Span] = {}
-        self._goals: dict[str, int] = {}
+        #: Set-points that were given: register → raw number.
+        self.goals: dict[str, int] = {}
         self._fresh: dict[str, None] = {}
         #: What was written and read back; what was sent and not read back yet, with how often.
         self._kept: dict[str, int] = {}
@@ -180,6 +181,7 @@ class RegisterDevice(Device):
             value_of = codec.value
             to_si = value_of if scale == 1 else lambda raw: value_of(raw) * scale
         self._watches.setdefault(of, []).append((to_si, signal))
+        self.readable.add(signal.name)
         return signal
 
     # ------------------------------------------------------------------ by name
@@ -252,8 +254,8 @@ class RegisterDevice(Device):
         """A register has been written, and the device said so."""
         self.known[name] = (number, self.clock.now())
         self._sent.pop(name, None)
-        if name in self._goals:
-            self._goals[name] = number
+        if name in self.goals:
+            self.goals[name] = number
         if name in self.remembers:
             self._kept[name] = number
         for to_si, signal in self._watches.get(name, ()):
@@ -321,7 +323,7 @@ class RegisterDevice(Device):
                 self._kept[name] = number
         elif tries < AGAIN:
             self._sent[name] = (wanted, tries + 1)
-            self._goals[name] = wanted
+            self.goals[name] = wanted
             self._fresh[name] = None
             self.host.wake()
         else:
@@ -332,7 +334,7 @@ class RegisterDevice(Device):
         super().forget()
         eeprom = self.eeprom
         self.known = {k: v for k, v in self.known.items() if self.codecs[k].address in eeprom}
-        for kept in (self._goals, self._fresh, self._kept, self._sent):
+        for kept in (self.goals, self._fresh, self._kept, self._sent):
             kept.clear()
 
     # ------------------------------------------------------------------ down
@@ -342,7 +344,7 @@ class RegisterDevice(Device):
         if message != self._sync_message:
             super().want(message, path, value)
             return
-        self._goals[path] = value
+        self.goals[path] = value
         self._fresh[path] = None
         if path not in self.streamed:
             self._sent[path] = (value, 0)
@@ -353,15 +355,15 @@ class RegisterDevice(Device):
     def drop(self, message: str) -> None:
         """Forget set-points: of a message, or of a register by its name."""
         if message == self._sync_message:
-            self._goals.clear()
+            self.goals.clear()
             self._fresh.clear()
-        elif self._goals.pop(message, None) is None:
+        elif self.goals.pop(message, None) is None:
             super().drop(message)
 
     def wants(self, now: int) -> list[Want]:
         """What is to be sent in this tick."""
         out = super().wants(now) if self._given else []
-        goals = self._goals
+        goals = self.goals
         if not goals:
             return out
         message = self._sync_message

@@ -17,12 +17,17 @@ from ..runtime import EventClock, Loop
 from .can import CanGate, Received
 from .datagram import Datagram, DatagramGate
 from .datagram_wire import DatagramWire
+from .events import BusEvent
 from .frame_time import INTERMISSION, frame_bits
 from .serial import Heard, SerialGate
 from .serial_wire import BITS, SerialWire
 from .wire import Wire, WireEvent
 
 Handler = Callable[[Any, int], Any]
+#: Told of what happens to a bus: kind ("bus-off", "lost", "reopened" …) and details.
+BusHandler = Callable[[str, str], Any]
+#: What of a simulated node is told; the others ("bit error", "no acknowledge") come by thousands, and are counted.
+STATES = ("error-active", "error-passive", "bus-off", "recovered")
 #: How long after bus-off a simulated station comes back (ns): SocketCAN's usual restart-ms, and what boards do.
 RESTART = 100_000_000
 
@@ -40,10 +45,9 @@ class CanPort:
         *,
         name: str = "",
         bitrate: int | None = None,
-        happened: Callable[[WireEvent], None] | None = None,
     ) -> None:
         self._bus = bus
-        self._happened = happened
+        self._handler: BusHandler | None = None
         if isinstance(bus, Wire):
             self.clock: EventClock = bus.clock
             self.bitrate = bus.bitrate
@@ -75,6 +79,16 @@ class CanPort:
         self._send = self._bus.send
         self._bus.__enter__()
         self._inbox = self._bus.listen(heard)
+
+    def on_event(self, handler: BusHandler) -> None:
+        """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
+        self._handler = handler
+        if isinstance(self._bus, CanGate):
+            _forward(self._bus, self.clock, handler)
+
+    def _happened(self, event: WireEvent) -> None:
+        if self._handler is not None and event.kind in STATES:
+            self._handler(event.kind, "")
 
     def send(self, word: Frame) -> bool:
         """Send a frame; False when it cannot be (mailboxes full, bus-off)."""
@@ -142,6 +156,11 @@ class SerialPort:
         self._line.__enter__()
         self._inbox = self._line.listen(heard)
 
+    def on_event(self, handler: BusHandler) -> None:
+        """Call `handler(kind, detail)` on the clock's thread with what happens to the line."""
+        if isinstance(self._line, SerialGate):
+            _forward(self._line, self.clock, handler)
+
     def send(self, word: bytes) -> bool:
         """Send bytes."""
         self._send(word)
@@ -196,6 +215,11 @@ class DatagramPort:
         self._network.__enter__()
         self._inbox = self._network.listen(heard)
 
+    def on_event(self, handler: BusHandler) -> None:
+        """Call `handler(kind, detail)` on the clock's thread with what happens to the socket."""
+        if isinstance(self._network, DatagramGate):
+            _forward(self._network, self.clock, handler)
+
     def send(self, word: bytes) -> bool:
         """Send a datagram: to the peer, or to whom was heard last; False when there is neither."""
         if isinstance(self._network, DatagramWire):
@@ -231,6 +255,15 @@ def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
     if isinstance(bus, (DatagramWire, DatagramGate)):
         return DatagramPort(bus, loop, **options)
     raise CallerError(f"a {type(bus).__name__} is neither a wire nor a gate")
+
+
+def _forward(gate: Any, clock: EventClock, handler: BusHandler) -> None:
+    """A gate's events, from its threads to the loop."""
+
+    def told(event: BusEvent) -> None:
+        clock.call_soon(lambda: handler(event.kind, event.detail))
+
+    gate.on_event(told)
 
 
 def _loop_of(loop: Loop | None) -> Loop:

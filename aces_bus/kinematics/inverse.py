@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CallerError, UnknownNameError
-from .body import Angles, Body, Floats, Pose, Slide, Turn
+from .body import Angles, Body, Floats, Slide, Turn
 
 Mask = npt.NDArray[np.bool_]
 
@@ -82,6 +82,22 @@ def level_error(now: Floats) -> Floats:
     return np.array((y * factor, -x * factor))
 
 
+@dataclass(frozen=True)
+class _Look:
+    """Where angles lead: the weighed errors, their Jacobian and squared sum, the largest errors (m, rad)."""
+
+    q: Floats
+    error: Floats
+    jacobian: Floats
+    square: float
+    position_error: float
+    rotation_error: float
+
+    def is_within(self, position: float, rotation: float) -> bool:
+        """Whether every goal is met."""
+        return self.position_error <= position and self.rotation_error <= rotation
+
+
 class _Task:
     """The goals as one error vector and its Jacobian."""
 
@@ -109,47 +125,36 @@ class _Task:
         joints = {step.joint for chain in chains for step in chain.steps if isinstance(step, (Turn, Slide))}
         self.moving: Mask = np.array([joint in joints for joint in body.joints])
 
-    def _error(self, pose: Pose, goal: tuple[str, Floats | None, Floats | None, bool]) -> list[Floats]:
-        _, position, rotation, level = goal
-        parts: list[Floats] = []
-        if position is not None:
-            parts.append(position - pose.position)
-        if rotation is not None:
-            parts.append(self.weight * rotation_error(rotation, pose.rotation))
-        elif level:
-            parts.append(self.weight * level_error(pose.rotation))
-        return parts
-
-    def error(self, q: Floats) -> Floats:
-        poses = self.body.forward(q, [goal[0] for goal in self.goals])
-        return np.concatenate([part for goal in self.goals for part in self._error(poses[goal[0]], goal)])
-
-    def error_and_jacobian(self, q: Floats) -> tuple[Floats, Floats]:
+    def look(self, q: Floats) -> _Look:
+        """Errors and Jacobian for angles."""
         errors: list[Floats] = []
         rows: list[Floats] = []
-        for goal in self.goals:
-            pose, jacobian = self.body.pose_and_jacobian(q, goal[0])
-            errors += self._error(pose, goal)
-            if goal[1] is not None:
+        far = turned = 0.0
+        for tip, position, rotation, level in self.goals:
+            pose, jacobian = self.body.pose_and_jacobian(q, tip)
+            if position is not None:
+                error = position - pose.position
+                far = max(far, float(error @ error))
+                errors.append(error)
                 rows.append(jacobian[:3])
-            if goal[2] is not None:
-                rows.append(self.weight * jacobian[3:])
-            elif goal[3]:
-                rows.append(self.weight * jacobian[3:5])
-        return np.concatenate(errors), np.concatenate(rows)
-
-    def worst(self, q: Floats) -> tuple[float, float]:
-        """The largest position error (m) and rotation error (rad) of any goal."""
-        poses = self.body.forward(q, [goal[0] for goal in self.goals])
-        position = rotation = 0.0
-        for tip, where, turned, level in self.goals:
-            if where is not None:
-                position = max(position, float(np.linalg.norm(where - poses[tip].position)))
-            if turned is not None:
-                rotation = max(rotation, float(np.linalg.norm(rotation_error(turned, poses[tip].rotation))))
-            elif level:
-                rotation = max(rotation, float(np.linalg.norm(level_error(poses[tip].rotation))))
-        return position, rotation
+            if rotation is not None or level:
+                error = (
+                    level_error(pose.rotation)
+                    if rotation is None
+                    else rotation_error(rotation, pose.rotation)
+                )
+                turned = max(turned, float(error @ error))
+                errors.append(self.weight * error)
+                rows.append(self.weight * (jacobian[3:5] if rotation is None else jacobian[3:]))
+        all_errors = np.concatenate(errors)
+        return _Look(
+            q,
+            all_errors,
+            np.concatenate(rows),
+            float(all_errors @ all_errors),
+            math.sqrt(far),
+            math.sqrt(turned),
+        )
 
 
 def solve(
@@ -178,36 +183,38 @@ def solve(
     if not np.isfinite(q).all():
         raise CallerError(f"{body.name}: the start must be finite angles")
     q = np.where(free, np.clip(q, body.lower, body.upper), q)
-    best, best_norm = q, math.inf
+    best, least = q, math.inf
     steps = nudges = 0
-    if body.posture is not None and _is_singular(task, q, free, (tolerance_m, tolerance_rad)):
+    here = task.look(q)
+    if body.posture is not None and _is_singular(here, free, (tolerance_m, tolerance_rad)):
         # Which way a straight knee bends would be left to rounding.
         nudges, steps = 1, 1
-        q = np.where(free, _nudged(body, q, 0.15, task.moving), q)
+        here = task.look(np.where(free, _nudged(body, q, 0.15, task.moving), q))
     reason = "too many steps"
     converged = False
-    while steps < most_steps:
-        q, taken, converged = _descend(task, q, free, (tolerance_m, tolerance_rad), most_steps - steps)
+    while True:
+        here, taken = _descend(task, here, free, (tolerance_m, tolerance_rad), most_steps - steps)
         steps += taken
-        norm = float(np.linalg.norm(task.error(q)))
-        if norm < best_norm:
-            best, best_norm = q, norm
-        if converged:
+        if here.square < least:
+            best, least = here.q, here.square
+        converged = here.is_within(tolerance_m, tolerance_rad)
+        if converged or steps >= most_steps:
+            best = here.q if converged else best
             break
         if nudges >= most_nudges:
             reason = "stuck: out of reach, or held back by limits"
             break
         nudges += 1
-        q = np.where(free, _nudged(body, best, 0.15 * nudges, task.moving), best)
         steps += 1
-    position, rotation = task.worst(best)
+        here = task.look(np.where(free, _nudged(body, best, 0.15 * nudges, task.moving), best))
+    look = here if best is here.q else task.look(best)
     at = (best <= body.lower) | (best >= body.upper)
     return Solution(
         dict(zip(body.joints, best.tolist(), strict=True)),
         best,
         converged,
-        position,
-        rotation,
+        look.position_error,
+        look.rotation_error,
         steps,
         nudges,
         tuple(joint for joint, here in zip(body.joints, at.tolist(), strict=True) if here),
@@ -215,12 +222,11 @@ def solve(
     )
 
 
-def _is_singular(task: _Task, q: Floats, free: Mask, tolerances: tuple[float, float]) -> bool:
+def _is_singular(here: _Look, free: Mask, tolerances: tuple[float, float]) -> bool:
     """Whether the start is away from its goals and cannot move in every direction that they ask for."""
-    position, rotation = task.worst(q)
-    if position <= tolerances[0] and rotation <= tolerances[1]:
+    if here.is_within(*tolerances):
         return False
-    jacobian = task.error_and_jacobian(q)[1] * free
+    jacobian = here.jacobian * free
     values = np.linalg.eigvalsh(jacobian @ jacobian.T)
     return bool(values[0] < 1e-6 * values[-1])
 
@@ -239,44 +245,39 @@ def _nudged(body: Body, q: Floats, part: float, moving: Mask) -> Floats:
 
 
 def _descend(
-    task: _Task, q: Floats, free: Mask, tolerances: tuple[float, float], most: int
-) -> tuple[Floats, int, bool]:
-    """Steps until it converges or nothing helps: angles, number of steps, whether it converged."""
+    task: _Task, here: _Look, free: Mask, tolerances: tuple[float, float], most: int
+) -> tuple[_Look, int]:
+    """Steps until every goal is met or nothing helps: where it got, and the number of steps."""
     body, damping = task.body, 1e-4
-    error, jacobian = task.error_and_jacobian(q)
-    square = float(error @ error)
     for step in range(most):
-        # A weighed error below both tolerances is enough to look closer.
-        if square < (tolerances[0] + task.weight * tolerances[1]) ** 2 * len(error):
-            position, rotation = task.worst(q)
-            if position <= tolerances[0] and rotation <= tolerances[1]:
-                return q, step, True
-        push = jacobian.T @ error
+        if here.is_within(*tolerances):
+            return here, step
+        q, error = here.q, here.error
+        push = here.jacobian.T @ error
         blocked = ((q >= body.upper) & (push > 0)) | ((q <= body.lower) & (push < 0))
-        j = jacobian * (free & ~blocked)
-        if float(np.abs(j.T @ error).max()) < 1e-12 * max(1.0, math.sqrt(square)) or square == 0.0:
-            return q, step, False
+        moving = free & ~blocked
+        if float(np.abs(push * moving).max()) < 1e-12 * max(1.0, math.sqrt(here.square)):
+            return here, step
+        j = here.jacobian * moving
         gram = j @ j.T
-        trial, fine = q, False
         for _ in range(12):
-            delta = j.T @ np.linalg.solve(gram + damping * damping * np.eye(len(error)), error)
+            damped = gram.copy()
+            damped.flat[:: len(error) + 1] += damping * damping
+            delta = j.T @ np.linalg.solve(damped, error)
             largest = float(np.abs(delta).max())
             if largest > 0.5:  # further than the Jacobian can be believed
                 delta *= 0.5 / largest
-            trial = np.where(free, np.clip(q + delta, body.lower, body.upper), q)
-            new = task.error(trial)
-            if float(new @ new) < square:
-                fine = True
+            # `delta` of a joint that is not free is 0, but its angle may lie outside of the limits.
+            inside = np.minimum(np.maximum(q + delta, body.lower), body.upper)
+            trial = task.look(np.where(free, inside, q))
+            if trial.square < here.square:
                 break
             damping = max(damping, 1e-6) * 8
-        if not fine:
-            return q, step, False
+        else:
+            return here, step
         damping = max(damping * 0.2, 1e-9)
-        q = trial
-        error, jacobian = task.error_and_jacobian(q)
-        now = float(error @ error)
-        if now > square * (1 - 1e-6) and now > 1e-20:
-            return q, step + 1, False  # crawling
-        square = now
-    position, rotation = task.worst(q)
-    return q, most, position <= tolerances[0] and rotation <= tolerances[1]
+        crawls = trial.square > here.square * (1 - 1e-6) and trial.square > 1e-20
+        here = trial
+        if crawls:
+            return here, step + 1
+    return here, most

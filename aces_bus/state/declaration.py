@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 from .errors import StateError
 
@@ -16,6 +16,15 @@ MOST_ORDER = 9
 
 Interpolation = Literal["hold", "linear", "cubic"] | int
 ORDERS = {"hold": 0, "linear": 1, "cubic": 3}
+
+
+def checked_name(name: Any, unit: Any) -> str:
+    """The name, if it is one, and the unit is a text."""
+    if not isinstance(name, str) or not name:
+        raise StateError(f"a state needs a name, not {name!r}")
+    if not (unit is None or isinstance(unit, str)):
+        raise StateError(f'state {name!r}: a unit is a text like "rad/s", "" or None, not {unit!r}')
+    return name
 
 
 def checked_seconds(name: str, what: str, seconds: float | None) -> float | None:
@@ -34,18 +43,18 @@ def checked_history(name: str, history: int | None, history_s: float | None, per
             raise StateError(f"state {name!r}: history_s needs period_s; or give history in samples")
         checked_seconds(name, "history_s", history_s)
         history = math.ceil(history_s / period_s - 1e-9) + 1
-    history = HISTORY if history is None else history
-    if not 1 <= history <= MOST_HISTORY:
-        raise StateError(f"state {name!r}: a history of {history} samples (1 … {MOST_HISTORY})")
-    return history
+    kept: Any = HISTORY if history is None else history
+    if not hasattr(kept, "__index__") or not 1 <= kept <= MOST_HISTORY:
+        raise StateError(f"state {name!r}: a history of {kept!r} samples (1 … {MOST_HISTORY})")
+    return int(kept)
 
 
 def checked_order(name: str, interpolation: Interpolation | None, *, is_real: bool) -> int:
     """The order of the interpolating polynomial; by default 1, and for whole numbers 0: the last one is held."""
     if interpolation is None:
         return 1 if is_real else 0
-    order = ORDERS.get(interpolation) if isinstance(interpolation, str) else interpolation
-    if order is None or isinstance(order, bool) or not 0 <= order <= MOST_ORDER:
+    order: Any = ORDERS.get(interpolation) if isinstance(interpolation, str) else interpolation
+    if not isinstance(order, int) or isinstance(order, bool) or not 0 <= order <= MOST_ORDER:
         raise StateError(
             f"state {name!r}: interpolation {interpolation!r}; there are 'hold', 'linear', 'cubic' "
             f"and orders 0 … {MOST_ORDER}"

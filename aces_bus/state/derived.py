@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -40,6 +41,7 @@ class Derived(Quantity):
         )
         self._listeners: list[Listener] = []
         self._told, self._told_epoch = _NEVER, 0
+        self._lock = threading.RLock()  # a listener may set an input
         #: Samples that listeners did not get, as an input's history had gone by then.
         self.skipped = 0
         #: What the function raised last, when a sample was made for listeners: they got `UNKNOWN`.
@@ -151,26 +153,30 @@ class Derived(Quantity):
         self._listeners.append(listener)
 
     def _advanced(self, _value: Any, _instant: int) -> None:
-        newest = self.instant
-        if newest is None:
-            return
-        if newest <= self._told:
-            if self.epoch == self._told_epoch:
+        with self._lock:  # inputs of two buses come on two threads
+            newest = self.instant
+            if newest is None:
                 return
-            self._told = _NEVER
-        self._told_epoch = self.epoch
-        since, self._told = self._told, newest
-        for instant in sorted({at for one in self._sources for at in one.samples_between(since + 1, newest)}):
-            try:
-                value = self.at(instant)
-            except StateError:
-                self.skipped += 1
-                continue
-            except Exception as error:  # a function of the user's own: its inputs must go on
-                self.failure = error
-                value = UNKNOWN
-            for listener in self._listeners:
-                listener(value, instant)
+            if newest <= self._told:
+                if self.epoch == self._told_epoch:
+                    return
+                self._told = _NEVER
+            self._told_epoch = self.epoch
+            since, self._told = self._told, newest
+            for instant in self.samples_between(since + 1, newest):
+                self._tell(instant)
+
+    def _tell(self, instant: int) -> None:
+        try:
+            value = self.at(instant)
+        except StateError:
+            self.skipped += 1
+            return
+        except Exception as error:  # a function of the user's own: its inputs must go on
+            self.failure = error
+            value = UNKNOWN
+        for listener in self._listeners:
+            listener(value, instant)
 
 
 def derived(name: str, function: Callable[..., Any], *inputs: Quantity, unit: str | None = None) -> Derived:
@@ -188,7 +194,8 @@ def derived(name: str, function: Callable[..., Any], *inputs: Quantity, unit: st
     >>> heading[0]
     0.0
     """
-    if not inputs:
+    given: tuple[Any, ...] = inputs
+    if not given or not all(isinstance(one, Quantity) for one in given):
         raise StateError(f"state {name!r}: give the quantities that it is computed from")
     return Derived(name, function, inputs, unit)
 

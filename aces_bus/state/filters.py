@@ -16,7 +16,7 @@ from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from .errors import StateError
 
@@ -40,8 +40,18 @@ class Filter(Protocol):
         ...
 
 
+class AnyRate:
+    """What a filter is that takes samples as they come."""
+
+    rate_hz: float | None = None
+
+
+def _is_length(length: Any) -> bool:
+    return isinstance(length, int) and 1 <= length <= MOST_LENGTH
+
+
 @dataclass(frozen=True)
-class MovingAverage:
+class MovingAverage(AnyRate):
     """Moving averages in cascade, by count of samples. Behind averages of n, m and l samples velocity, acceleration
     and jerk of a step are limited to 1/n, 1/(n·m) and 1/(n·m·l) of it per sample; it settles within n + m + l - 2 samples.
 
@@ -52,11 +62,10 @@ class MovingAverage:
 
     lengths: int | tuple[int, ...]
     initial: Initial = "steady"
-    rate_hz = None
 
     def __post_init__(self) -> None:
         lengths = self.lengths if isinstance(self.lengths, tuple) else (self.lengths,)
-        if not lengths or any(not 1 <= one <= MOST_LENGTH for one in lengths):
+        if not lengths or not all(_is_length(one) for one in lengths):
             raise StateError(f"{self}: give one or more lengths of 1 … {MOST_LENGTH} samples")
 
     def start_filter(self, first: float) -> Step:
@@ -90,14 +99,13 @@ def _average(length: int, filled: float) -> Callable[[float], float]:
 
 
 @dataclass(frozen=True)
-class Median:
+class Median(AnyRate):
     """The median of the last `length` samples: takes out spikes of up to half of them. Fewer at the beginning."""
 
     length: int
-    rate_hz = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.length <= MOST_LENGTH:
+        if not _is_length(self.length):
             raise StateError(f"{self}: a length of 1 … {MOST_LENGTH} samples")
 
     def start_filter(self, first: float) -> Step:
@@ -116,12 +124,11 @@ class Median:
 
 
 @dataclass(frozen=True)
-class RateLimit:
+class RateLimit(AnyRate):
     """Follows its input by at most `rising_per_s` upwards and `falling_per_s` (default: the same) downwards; real time."""
 
     rising_per_s: float
     falling_per_s: float | None = None
-    rate_hz = None
 
     def __post_init__(self) -> None:
         if not self.rising_per_s > 0 or not (self.falling_per_s is None or self.falling_per_s > 0):
@@ -151,13 +158,12 @@ class RateLimit:
 
 
 @dataclass(frozen=True)
-class LowPass:
+class LowPass(AnyRate):
     """First order, by real time: what is left of a step after t seconds is exp(-t / `time_constant_s`), however it
     is sampled.
     """
 
     time_constant_s: float
-    rate_hz = None
 
     def __post_init__(self) -> None:
         if not 0 < self.time_constant_s < math.inf:

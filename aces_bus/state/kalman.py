@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..device.signals import UNKNOWN
 from .errors import StateError
 from .estimators import Estimation
+from .filters import AnyRate
 from .units import multiplied
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ PAST_SAMPLES = 64
 
 
 @dataclass(frozen=True)
-class Kalman:
+class Kalman(AnyRate):
     """A Kalman filter, as the estimator of a state or, in `state.filtered(Kalman(…))`, as a filter of it.
 
     `measurement_std` is the standard deviation of a sample (in the state's unit), `process_density` the spectral density of
@@ -40,8 +41,6 @@ class Kalman:
     process_density: float
     model: Literal["velocity", "acceleration"] = "velocity"
     derivative: int = 0
-
-    rate_hz = None
 
     def __post_init__(self) -> None:
         if not (0 < self.measurement_std < math.inf and 0 <= self.process_density < math.inf):

@@ -23,7 +23,7 @@ class Rate(Quantity):
     """The derivative over time, per second."""
 
     def __init__(self, source: Quantity, order: int = 1) -> None:
-        if not 1 <= order <= MOST_ORDER:
+        if order not in range(1, MOST_ORDER + 1):
             raise StateError(f"state {source.name!r}: derivatives of order 1 … {MOST_ORDER}, not {order!r}")
         super().__init__(f"d({source.name})/dt", units.multiplied(source.unit, "s", -1), source.clock)
         self.source, self.order = source, order

@@ -138,6 +138,10 @@ class Filtered(Running):
             raise StateError(
                 f"state {source.name!r}: uneven={uneven!r}; there are 'resample', 'refuse', 'accept'"
             )
+        if isinstance(kind, type) or not (callable(kind) or hasattr(kind, "start_filter")):
+            raise StateError(
+                f"state {source.name!r}: {kind!r} is not a filter; give one like LowPass(0.1), or a function of a value"
+            )
         label = getattr(kind, "__name__", None) or type(kind).__name__
         rate = getattr(kind, "rate_hz", None)
         unit_of = getattr(kind, "unit_of", None)

@@ -23,7 +23,7 @@ from typing import Any
 
 from ..device.signals import UNKNOWN
 from ..runtime import Clock, RealClock
-from .declaration import Interpolation, checked_history, checked_order, checked_seconds
+from .declaration import Interpolation, checked_history, checked_name, checked_order, checked_seconds
 from .errors import StateError
 from .estimators import Estimate, Estimator, Observe, started
 from .polynomial import value_at
@@ -75,7 +75,7 @@ class State(Quantity):
         estimator: Estimator | Estimate | None = None,
         stale_after_s: float | None = None,
     ) -> None:
-        super().__init__(name, unit, RealClock() if clock is None else clock)
+        super().__init__(checked_name(name, unit), unit, RealClock() if clock is None else clock)
         if type not in (float, int, bool):
             raise StateError(f"state {name!r}: a quantity is float, int or bool, not {type!r}")
         self.node, self.type = node, type
@@ -156,6 +156,7 @@ class State(Quantity):
             values[at] = values[at + size] = value
             instants[at] = instants[at + size] = instant
             newest = values[at] if self._cast is None else self._cast(value)
+            instant = instants[at]  # NumPy's numbers end here
         except (TypeError, ValueError, OverflowError):
             self._push_unknown(instant)
             return

@@ -36,7 +36,16 @@ def draw_scene(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (
     if cuts:
         cut_up = _asked(lambda: as_heard(play(bench.scanner(), scene, cuts), bench.is_can))
         lanes.append(("cut", cut_up))
-    lines = _frames(scene, lanes) if bench.is_can else _bytes(scene, cuts, lanes)
+    # What says the same as another is not drawn twice.
+    kept: list[Lane] = []
+    same: list[str] = []
+    for name, items in lanes:
+        twin = next((k for k, other in kept if other == items), None)
+        if twin is None:
+            kept.append((name, items))
+        else:
+            same.append(f"{name:>4}  {TITLES[name]}: the same as {twin!r}")
+    lines = [*(_frames(scene, kept) if bench.is_can else _bytes(scene, cuts, kept)), *same]
     for offset, word in scene.sent_at:
         lines.append(f"      we sent, before {offset}: {frame_text(word)}")
     if not bench.is_can:

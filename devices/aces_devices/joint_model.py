@@ -36,7 +36,7 @@ class Motor:
     speed: float = 6.0
     time_constant: float = 0.035
     stall_current: float = 8.0
-    friction: float = 0.02
+    friction: float = 0.01
     heating: float = 0.05
     cooling: float = 300.0
 

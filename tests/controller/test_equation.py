@@ -13,11 +13,17 @@ from aces_bus.controller import EquationError, Equations
 from aces_bus.errors import UnknownNameError
 from aces_bus.runtime import VirtualClock
 from aces_bus.state import State
-
 from tests.controller.fakes import Fake, close, fakes
 
 MS = 1_000_000
 value = st.floats(-1e3, 1e3)
+
+
+class Bare:
+    """A state with a value and nothing else."""
+
+    def __getitem__(self, when: float) -> float:
+        return 0.0
 
 
 def made(text: str, **options: Any) -> Equations:
@@ -175,7 +181,7 @@ def test_real_states_wait_until_they_can_be_read() -> None:
 def test_a_state_without_a_rate_is_named() -> None:
     """Who asks for a derivative of what has none is told at binding."""
     with pytest.raises(EquationError, match="'LKP' has no rate"):
-        made("X[0] = d(LKP)").bind({"LKP": [0.0]})
+        made("X[0] = d(LKP)").bind({"LKP": Bare()})
 
 
 def test_the_printed_python_shows_in_tracebacks() -> None:

@@ -41,7 +41,9 @@ def crouching() -> StateMachine:
     )
 
 
-def run(machine: StateMachine, states: Mapping[str, Fake], start: int, steps: int) -> list[Mapping[str, float]]:
+def run(
+    machine: StateMachine, states: Mapping[str, Fake], start: int, steps: int
+) -> list[Mapping[str, float]]:
     """Steps at 15 Hz; what is set is there at the next step."""
     out: list[Mapping[str, float]] = []
     for n in range(start, start + steps):
@@ -150,7 +152,9 @@ def test_at_most_one_transition_a_step() -> None:
 
 def test_pause_single_resume_stop() -> None:
     """Paused it gives nothing, but for single steps; stopped it stands still."""
-    machine = StateMachine("one", rate_hz=10, memory={"n": 0}, phases=[Phase("a", each="n += 1\nX[0] = n")], table=[])
+    machine = StateMachine(
+        "one", rate_hz=10, memory={"n": 0}, phases=[Phase("a", each="n += 1\nX[0] = n")], table=[]
+    )
     machine.start(0)
     assert machine.step(0) == {"X": 1.0}
     machine.pause()
@@ -166,7 +170,10 @@ def test_pause_single_resume_stop() -> None:
 def test_it_waits_for_its_states() -> None:
     """Nothing is evaluated while a state is unknown; the phase begins when all are known."""
     machine = StateMachine(
-        "w", rate_hz=10, phases=[Phase("a", each="X[0] = Y[0]"), Phase("b", final=True)], table=[Row("a", "b", after_s=1)]
+        "w",
+        rate_hz=10,
+        phases=[Phase("a", each="X[0] = Y[0]"), Phase("b", final=True)],
+        table=[Row("a", "b", after_s=1)],
     )
     y = Fake(float("nan"))
     machine.bind({"Y": y})
@@ -190,14 +197,22 @@ def test_it_waits_for_its_states() -> None:
         (["a", "b"], [("a", "c", "true")], r"row 1 \('a' → 'c'\): there is no phase 'c' \(there are: a, b\)"),
         (["a", "b"], [("c", "a", "true")], "there is no phase 'c'"),
         (["a", "b"], [("a", "b", "")], "neither when, on nor after_s"),
-        (["a", "b", "c"], [("a", "b", "true"), ("b", "a", "true"), ("c", "a", "true")], "no way leads from 'a' to 'c'"),
+        (
+            ["a", "b", "c"],
+            [("a", "b", "true"), ("b", "a", "true"), ("c", "a", "true")],
+            "no way leads from 'a' to 'c'",
+        ),
         (["a", "b"], [("a", "b", "true")], "no way leads out of 'b'; say final=True"),
     ],
 )
-def test_a_wrong_table_is_refused(phases: Sequence[str], table: Sequence[tuple[str, str, str]], message: str) -> None:
+def test_a_wrong_table_is_refused(
+    phases: Sequence[str], table: Sequence[tuple[str, str, str]], message: str
+) -> None:
     """Missing and unreachable phases, dead ends and empty conditions, by name."""
     with pytest.raises(MachineError, match=message):
-        StateMachine("m", rate_hz=10, phases=[Phase(one) for one in phases], table=[Row(*row) for row in table])
+        StateMachine(
+            "m", rate_hz=10, phases=[Phase(one) for one in phases], table=[Row(*row) for row in table]
+        )
 
 
 def test_what_is_final_has_no_way_out_and_times_are_times() -> None:
@@ -241,7 +256,10 @@ def test_the_table_draws_itself() -> None:
     assert crouching().mermaid().count("--> over") == 6
 
 
-@given(st.lists(st.tuples(st.sampled_from("abcd"), st.sampled_from("abcd"), st.integers(0, 3)), max_size=8), st.data())
+@given(
+    st.lists(st.tuples(st.sampled_from("abcd"), st.sampled_from("abcd"), st.integers(0, 3)), max_size=8),
+    st.data(),
+)
 def test_the_interpreter_equals_the_rule(rows: list[tuple[str, str, int]], data: Any) -> None:
     """For random tables and inputs the phase is what reading the table row by row gives."""
     phases = [Phase(name, final=False) for name in "abcd"]

@@ -29,7 +29,8 @@ tables = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=12)
 def read(text: str | bytes, **options: Any) -> Trajectory:
     """From memory, at 10 Hz unless said otherwise."""
     data = text.encode() if isinstance(text, str) else text
-    return read_trajectory(io.BytesIO(data), **{"rate_hz": 10, **options})
+    merged: dict[str, Any] = {"rate_hz": 10, **options}
+    return read_trajectory(io.BytesIO(data), **merged)
 
 
 # ---- files ------------------------------------------------------------------------------------------------------------
@@ -41,7 +42,9 @@ def test_every_recorded_file_gives_what_is_in_it(shared_captures: Path, name: st
     """Names, rows, first and last row, extremes and sums of every column, whatever line ends and blanks."""
     known = json.loads((shared_captures / "expected.json").read_text(encoding="utf-8"))[name]["table"]
     path = shared_captures / name
-    table = read_trajectory(path, rate_hz=50, columns=None if known["header"] else lambda n: [f"c{i}" for i in range(n)])
+    table = read_trajectory(
+        path, rate_hz=50, columns=None if known["header"] else lambda n: [f"c{i}" for i in range(n)]
+    )
     assert table.rows.shape == (known["rows"], known["columns"])
     if known["header"]:
         assert list(table.names) == known["header"]
@@ -80,7 +83,13 @@ def test_degrees_and_rates_in_names(shared_captures: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["A B\n1 2\n3 4\n", "A B \r\n1 2 \r\n3 4 \r\n", "\n\nA\tB\n\n 1  2\n3 4", "\ufeffA B\n1.0 2e0\n+3. 4", "A B\n1 2\n3 4\n\n\n"],
+    [
+        "A B\n1 2\n3 4\n",
+        "A B \r\n1 2 \r\n3 4 \r\n",
+        "\n\nA\tB\n\n 1  2\n3 4",
+        "\ufeffA B\n1.0 2e0\n+3. 4",
+        "A B\n1 2\n3 4\n\n\n",
+    ],
 )
 def test_line_ends_blanks_and_a_last_row_without_an_end(text: str) -> None:
     """All the same table."""
@@ -197,7 +206,11 @@ def test_tables_of_a_table() -> None:
     assert table.resampled(20).rows[:, 0].tolist() == [0, 0.5, 1]
     assert sampled(table, 40).rows[:, 0].tolist() == [0, 0.25, 0.5, 0.75, 1]
     assert table.rates()[0].tolist() == [10, 20, 20]
-    for change in (lambda: table.only(["X"]), lambda: table.scaled({"X": 1}), lambda: table.shifted({"X": 1})):
+    for change in (
+        lambda: table.only(["X"]),
+        lambda: table.scaled({"X": 1}),
+        lambda: table.shifted({"X": 1}),
+    ):
         with pytest.raises(UnknownNameError, match="there are: HY, LKP, RKP"):
             change()
     with pytest.raises(ValueError, match="read-only"):

@@ -44,7 +44,13 @@ def test_the_integral_does_not_wind_up(way: Literal["clamp", "back-calculation"]
     assert pid.output < 0.9
 
 
-@given(gains, gains, gains, st.lists(st.floats(-5, 5), min_size=1, max_size=30), st.sampled_from(["clamp", "back-calculation"]))
+@given(
+    gains,
+    gains,
+    gains,
+    st.lists(st.floats(-5, 5), min_size=1, max_size=30),
+    st.sampled_from(["clamp", "back-calculation"]),
+)
 def test_the_output_never_leaves_its_limits(
     kp: float, ki: float, kd: float, values: list[float], way: Literal["clamp", "back-calculation"]
 ) -> None:
@@ -73,6 +79,7 @@ def test_the_derivative_sees_the_measurement_only() -> None:
     pid.update(0.0, 0.01)
     pid.setpoint = 10.0
     assert pid.update(0.0, 0.01) == 0.0
+    outputs: list[float] = []
     for filter_s in (0.0, 0.05):
         pid = PID(0.0, 0.0, 2.0, derivative_filter_s=filter_s)
         outputs = [pid.update(0.5 * n * 0.01, 0.01) for n in range(101)]

@@ -38,6 +38,7 @@ def test_it_plays_once_and_stays() -> None:
 def test_a_walk_at_its_own_rate_is_its_rows(shared_captures: Path, name: str) -> None:
     """At 50 Hz each step gives a row, to the last bit; at 200 Hz every fourth one does."""
     walk = read_walk(shared_captures / "walk22" / f"{name}.txt")
+    setpoints: Mapping[str, float] = {}
     for rate in (50, 200):
         player = Player("walk", walk, rate_hz=rate, approach=None)
         player.start(7)

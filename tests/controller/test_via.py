@@ -29,7 +29,9 @@ def differences(path: ViaPath, n: int = 2_000) -> Any:
     return np.abs(velocity).max(axis=0), np.abs(acceleration).max(axis=0)
 
 
-@given(points, st.lists(limit, min_size=3, max_size=3), st.sampled_from(["trapezoidal", "quintic", "through"]))
+@given(
+    points, st.lists(limit, min_size=3, max_size=3), st.sampled_from(["trapezoidal", "quintic", "through"])
+)
 def test_limits_hold_everywhere(where: list[tuple[float, ...]], limits: list[Limits], shape: Shape) -> None:
     """Velocity and acceleration of every joint, by differences; and every point is met at its time."""
     if shape == "trapezoidal":
@@ -85,7 +87,9 @@ def test_times_may_be_given(shape: Shape) -> None:
     velocity, acceleration = differences(path)
     assert velocity.max() <= 1.0
     assert acceleration.max() <= 2.0 * 1.001
-    message = "3 times|as long would do" if shape == "through" else r"segment 2 \(8 … 8\.5 s\) is too short for B"
+    message = (
+        "3 times|as long would do" if shape == "through" else r"segment 2 \(8 … 8\.5 s\) is too short for B"
+    )
     with pytest.raises(CallerError, match=message):
         ViaPath(["A", "B"], [[0, 0], [1, 2], [1, 0]], Limits(1.0, 2.0), shape=shape, times=[0, 8, 8.5])
 
@@ -115,6 +119,7 @@ def test_a_pause_is_a_point_twice() -> None:
 def test_a_wrong_path_is_refused(points: Any, options: dict[str, Any], message: str) -> None:
     """Each with what is wrong."""
     with pytest.raises(CallerError, match=message):
-        ViaPath(["A"], points, **{"limits": Limits(1.0, 2.0), **options})
+        merged: dict[str, Any] = {"limits": Limits(1.0, 2.0), **options}
+        ViaPath(["A"], points, **merged)
     with pytest.raises(CallerError, match="above 0"):
         Limits(0.0)

@@ -15,7 +15,10 @@ from aces_bus.kinematics import Body, Chain, Fixed, Move, Slide, Turn
 ARM = Body(
     "arm",
     [
-        Chain("hand", (Turn("z", "S"), Move(0.3), Turn("y", "E", -1), Slide("x", "R"), Turn("x", "W"), Move(0.2, 0.1))),
+        Chain(
+            "hand",
+            (Turn("z", "S"), Move(0.3), Turn("y", "E", -1), Slide("x", "R"), Turn("x", "W"), Move(0.2, 0.1)),
+        ),
         Chain("elbow", (Turn("z", "S"), Move(0.3))),
         Chain("eye", (Fixed("y", 0.4), Turn("z", "S"), Move(0, 0, 0.1), Turn("z", "S", 0.5))),
     ],

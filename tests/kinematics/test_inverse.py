@@ -24,7 +24,14 @@ SIX = Body(
         Chain(
             "tool",
             (
-                *(Turn("z", "a"), Move(0, 0, 0.3), Turn("y", "b"), Move(0, 0, 0.4), Turn("y", "c"), Move(0, 0, 0.3)),
+                *(
+                    Turn("z", "a"),
+                    Move(0, 0, 0.3),
+                    Turn("y", "b"),
+                    Move(0, 0, 0.4),
+                    Turn("y", "c"),
+                    Move(0, 0, 0.3),
+                ),
                 *(Turn("z", "d"), Turn("y", "e"), Turn("z", "f"), Move(0, 0, 0.1)),
             ),
         )
@@ -104,7 +111,9 @@ def test_locked_joints_stay() -> None:
 
 def test_a_level_tip_keeps_its_heading_free() -> None:
     """`level` turns the tip's z up and leaves the rest alone."""
-    found = solve(SIX, [Goal("tool", [0.3, 0.1, 0.5], level=True)], [0.1, 0.5, 1.8, 0.0, 0.6, 0.3], most_steps=400)
+    found = solve(
+        SIX, [Goal("tool", [0.3, 0.1, 0.5], level=True)], [0.1, 0.5, 1.8, 0.0, 0.6, 0.3], most_steps=400
+    )
     assert found.converged, found
     assert np.allclose(SIX.forward(found.angles)["tool"].rotation[:, 2], [0, 0, 1], atol=1e-5)
 

@@ -14,8 +14,8 @@ from aces_bus.kinematics import Goal, solve
 from aces_devices.kinematics.minihubo import (
     JOINTS,
     MINIHUBO,
-    mirrored,
     minihubo,
+    mirrored,
     read_walk,
     walk_columns,
 )

@@ -33,7 +33,10 @@ from tests.tools.test_spec_import import run_source
 cantools = pytest.importorskip("cantools")
 
 VARIANTS = [hubo.variant("D12", "hubo2plus"), hubo.variant("D08", "hubo2")]
-VARIANTS += [SPECS[name].variants()[-1] for name in ("automotive", "database_like", "odrive_like", "mit_motor", "j1939_like")]
+VARIANTS += [
+    SPECS[name].variants()[-1]
+    for name in ("automotive", "database_like", "odrive_like", "mit_motor", "j1939_like")
+]
 
 
 def check(variant: Variant, seeds: Iterable[int]) -> tuple[int, list[Loss]]:
@@ -47,7 +50,12 @@ def check(variant: Variant, seeds: Iterable[int]) -> tuple[int, list[Loss]]:
     records = make_scanner([variant], everything=True, raw=True).feed(frames)
     compared = 0
     for frame, record in zip(frames, records, strict=True):
-        if isinstance(record, Unknown) or record.meta.message in shared or (record.meta.message, "") in lost and _is_left_out(losses, record):
+        if (
+            isinstance(record, Unknown)
+            or record.meta.message in shared
+            or (record.meta.message, "") in lost
+            and _is_left_out(losses, record)
+        ):
             continue
         message = by_id.get((frame.arbitration_id, frame.is_extended_id))
         if message is None and frame.is_extended_id:  # a J1939 group stands for all its sources
@@ -61,7 +69,9 @@ def check(variant: Variant, seeds: Iterable[int]) -> tuple[int, list[Loss]]:
 
 
 def _is_left_out(losses: list[Loss], record: Any) -> bool:
-    return any(loss.message == record.meta.message and "left out" in loss.reason for loss in losses if not loss.field)
+    return any(
+        loss.message == record.meta.message and "left out" in loss.reason for loss in losses if not loss.field
+    )
 
 
 def _compare(leaf: Leaf, record: Any, found: dict[str, Any], lost: set[tuple[str, str]]) -> int:
@@ -72,8 +82,16 @@ def _compare(leaf: Leaf, record: Any, found: dict[str, Any], lost: set[tuple[str
     if raw is None:
         return 0
     own = next((n for n in (f"{name}_{leaf.identifier}", leaf.identifier) if n in found), None)
-    if own is None and isinstance(node, p.Scalar) and any(isinstance(step, p.FlagBits) for step in node.steps):
-        bits = {n: v for n, v in found.items() if n.startswith((f"{name}_{leaf.identifier}_", f"{leaf.identifier}_"))}
+    if (
+        own is None
+        and isinstance(node, p.Scalar)
+        and any(isinstance(step, p.FlagBits) for step in node.steps)
+    ):
+        bits = {
+            n: v
+            for n, v in found.items()
+            if n.startswith((f"{name}_{leaf.identifier}_", f"{leaf.identifier}_"))
+        }
         assert sum(bits.values()) > 0 or not int(raw), (leaf, raw, bits)
         return 1
     if own is None:
@@ -87,7 +105,11 @@ def _compare(leaf: Leaf, record: Any, found: dict[str, Any], lost: set[tuple[str
         return 0
     scale = scale_of(node)
     meant = raw * scale.scale + scale.offset if scale is not None else raw
-    assert math.isclose(found[own], meant, rel_tol=1e-9, abs_tol=1e-300) or math.isnan(meant), (leaf, found[own], meant)
+    assert math.isclose(found[own], meant, rel_tol=1e-9, abs_tol=1e-300) or math.isnan(meant), (
+        leaf,
+        found[own],
+        meant,
+    )
     return 1
 
 
@@ -142,7 +164,9 @@ def test_hostile_text_stays_text() -> None:
 
     nasty = 'a"b\\"; BO_ 5 x: 8 y\n\\'
     protocol = Protocol("nasty", link="can", doc=nasty)
-    payload = Struct("mode" / Enumeration(Byte, {nasty: 1, "\\": 2}), "x" / Quantity(Byte, unit=nasty, doc=nasty))
+    payload = Struct(
+        "mode" / Enumeration(Byte, {nasty: 1, "\\": 2}), "x" / Quantity(Byte, unit=nasty, doc=nasty)
+    )
     protocol.message("Only", id=1, payload=payload, doc=nasty, source=nasty)
     text, _ = print_dbc(protocol.variant())
     database = cantools.database.load_string(text, "dbc", strict=True)

@@ -39,7 +39,11 @@ needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installe
 
 #: In the long profile all protocols, variants and directions; each run of tshark takes half a second.
 IS_LONG = settings().max_examples > 100
-CAN = [n for n, one in catalogue.SPECS.items() if one.link == "can"] if IS_LONG else ["automotive", "j1939_like"]
+CAN = (
+    [n for n, one in catalogue.SPECS.items() if one.link == "can"]
+    if IS_LONG
+    else ["automotive", "j1939_like"]
+)
 STREAMS = ["robotis", "nmea0183", "dynamixel2"]
 if IS_LONG:
     STREAMS = ["robotis", *(n for n, one in catalogue.SPECS.items() if one.link != "can")]
@@ -94,7 +98,9 @@ def packets(folder: Path, words: Sequence[bytes], link: int = 147) -> Path:
     with path.open("wb") as file:
         file.write(struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, link))
         for number, word in enumerate(words):
-            file.write(struct.pack("<IIII", number // 1000, number % 1000 * 1000, len(word), len(word)) + word)
+            file.write(
+                struct.pack("<IIII", number // 1000, number % 1000 * 1000, len(word), len(word)) + word
+            )
     return path
 
 
@@ -139,7 +145,10 @@ def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
         elif isinstance(node, p.Scalar) and len(node.bits) > 64:
             continue
         elif isinstance(node, p.Scalar) and node.kind == "float":
-            assert _near(float(shown[key + ".raw" if key + ".raw" in shown else key][0]), value), (leaf, value)
+            assert _near(float(shown[key + ".raw" if key + ".raw" in shown else key][0]), value), (
+                leaf,
+                value,
+            )
         else:
             scale = scale_of(node) if isinstance(node, (p.Scalar, p.FromIdentifier)) else None
             is_scaled = scale is not None and (scale.scale != 1 or bool(scale.offset))
@@ -222,7 +231,9 @@ def test_every_message_of_other_protocols_on_can(name: str, tmp_path: Path) -> N
 
 def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence[bytes]) -> set[str]:
     """As `check_can`, for words in packets of their own."""
-    scanners = [StreamScanner([variant], direction=direction, everything=True, raw=raw) for raw in (True, False)]
+    scanners = [
+        StreamScanner([variant], direction=direction, everything=True, raw=raw) for raw in (True, False)
+    ]
     wanted: list[list[Any]] = []
     for word in words:
         raw, physical = (scanner.datagram(word) for scanner in scanners)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
 from typing import Any
 
 import pytest
@@ -87,6 +89,8 @@ def test_what_does_not_add_up_is_refused() -> None:
         _ = torque + "1"  # type: ignore[operator]
     with pytest.raises(StateError, match="give the quantities"):
         derived("nothing", math.sin)
+    with pytest.raises(StateError, match="give the quantities"):
+        derived("nothing", math.sin, 3)  # type: ignore[arg-type]
     assert (State("a", clock=RealClock()) * State("b", clock=RealClock())).unit == ""
 
 
@@ -134,6 +138,35 @@ def test_listeners_of_a_derived_state_hear_each_instant_once(one: list[int], oth
     start, end = max(one[0], other[0]), min(one[-1], other[-1])
     assert [instant for _, instant in heard] == sorted(i for i in {*one, *other} if start <= i <= end)
     assert all(value == pytest.approx(2 * instant / S) for value, instant in heard)
+
+
+def test_inputs_may_come_on_two_threads() -> None:
+    """Two buses push at once: what is told is in order, each instant once, and an integral of it is whole."""
+    torque, omega = pair(history=8000)
+    both = torque * omega
+    heard: list[int] = []
+    both.subscribe(lambda _, instant: heard.append(instant))
+    energy = both.integral()
+    torque.push(1.0, 0)
+    omega.push(1.0, 0)
+
+    def push(state: State) -> None:
+        for i in range(1, 4000):
+            state.push(1.0, i * MS)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    threads = [threading.Thread(target=push, args=(one,)) for one in (torque, omega)]
+    try:
+        for one in threads:
+            one.start()
+        for one in threads:
+            one.join()
+    finally:
+        sys.setswitchinterval(interval)
+    assert heard == [i * MS for i in range(4000)]
+    assert energy[0] == pytest.approx(3.999)
+    assert energy.counts.late == 0
 
 
 def test_a_product_with_itself_is_told_once() -> None:

@@ -315,6 +315,10 @@ def test_a_loop_that_makes_filters_each_cycle_is_told() -> None:
     [
         lambda: MovingAverage(()),
         lambda: MovingAverage(0),
+        lambda: MovingAverage((1.5,)),  # type: ignore[arg-type]
+        lambda: made().filtered(3),  # type: ignore[arg-type]
+        lambda: made().filtered(Median),  # type: ignore[arg-type]
+        lambda: made().rate(1.5),  # type: ignore[arg-type]
         lambda: Median(0),
         lambda: RateLimit(0.0),
         lambda: RateLimit(1.0, -1.0),

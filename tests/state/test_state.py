@@ -290,6 +290,10 @@ def test_refresh_asks_the_device() -> None:
         ({"stale_after_s": math.nan}, "stale_after_s = nan"),
         ({"interpolation": "quintic"}, "'quintic'; there are"),
         ({"interpolation": 99}, "orders 0 … 9"),
+        ({"interpolation": 2.5}, "orders 0 … 9"),
+        ({"history": 2.5}, r"history of 2\.5 samples"),
+        ({"unit": 3}, "a unit is a text"),
+        ({"name": ""}, "needs a name"),
         ({"estimator": 5}, "not an estimator"),
     ],
 )

@@ -167,14 +167,22 @@ Sig=speed 0
 def test_the_source_declares_what_the_file_declares(name: str, tmp_path: Path, aces: Aces) -> None:
     """Same plans, identifiers and lengths; the source is formatted; -o writes what stdout shows."""
     path = tmp_path / name
-    texts = {"car.dbc": HEAD + CAR, "truck.dbc": HEAD + TRUCK, "drive.eds": EDS, "car.kcd": KCD, "car.sym": SYM}
+    texts = {
+        "car.dbc": HEAD + CAR,
+        "truck.dbc": HEAD + TRUCK,
+        "drive.eds": EDS,
+        "car.kcd": KCD,
+        "car.sym": SYM,
+    }
     path.write_text(texts[name], encoding="utf-8")
     result = aces("spec", "import", path)
     assert (result.status, result.err) == (0, "")
     protocol = load_database(path).protocol
     same(run_source(result.out), protocol)
     is_formatted(result.out)
-    assert aces("spec", "import", path, "-o", tmp_path / "made.py").messages == [f"wrote {tmp_path / 'made.py'}"]
+    assert aces("spec", "import", path, "-o", tmp_path / "made.py").messages == [
+        f"wrote {tmp_path / 'made.py'}"
+    ]
     assert (tmp_path / "made.py").read_text(encoding="utf-8") == result.out
     again = aces("spec", "import", path, "-o", tmp_path / "made.py")
     assert again.status == 2
@@ -188,7 +196,7 @@ def test_it_reads_like_a_spec(tmp_path: Path, aces: Aces) -> None:
     source = aces("spec", "import", path).out
     for line in (
         'car = Protocol("car", link="can", source="car.dbc")',
-        '    id=0x064,',
+        "    id=0x064,",
         "        / Enumeration(bits(3, signed=True), reverse=-1, neutral=0)",
         '        * "of the gear box",',
         '        "first" / Multiplexed("page", 0, bits(8, 8)),',
@@ -222,10 +230,17 @@ def test_drawn_databases(text: str, seed: int, tmp_path_factory: pytest.TempPath
     is_formatted(source)
     rng = random.Random(seed)
     frames = [
-        Frame(m.identifier.constant, rng.randbytes(list(m.lengths or [0])[0]), is_extended_id=m.extended, is_fd=m.fd)
+        Frame(
+            m.identifier.constant,
+            rng.randbytes(list(m.lengths or [0])[0]),
+            is_extended_id=m.extended,
+            is_fd=m.fd,
+        )
         for m in imported.protocol.declared
     ]
-    one, other = (make_scanner([p.variant()], everything=True).feed(frames) for p in (made, imported.protocol))
+    one, other = (
+        make_scanner([p.variant()], everything=True).feed(frames) for p in (made, imported.protocol)
+    )
     assert list(map(str, one)) == list(map(str, other))
 
 
@@ -234,7 +249,9 @@ def test_drawn_databases(text: str, seed: int, tmp_path_factory: pytest.TempPath
 
 def test_faults_have_line_and_column(tmp_path: Path, aces: Aces) -> None:
     """Of a damaged DBC each fault is named where it is, on stderr and in the source; the rest loads."""
-    body = CAR.replace("(0.01,-10) [0", "(0.01,-10 [0").replace("SG_MUL_VAL_ 300 f", "FOO_ 1;\nSG_MUL_VAL_ 300 f")
+    body = CAR.replace("(0.01,-10) [0", "(0.01,-10 [0").replace(
+        "SG_MUL_VAL_ 300 f", "FOO_ 1;\nSG_MUL_VAL_ 300 f"
+    )
     path = tmp_path / "car.dbc"
     path.write_text(HEAD + body, encoding="utf-8")
     result = aces("spec", "import", path)
@@ -268,7 +285,7 @@ HOSTILE = (
 @pytest.mark.parametrize("text", HOSTILE)
 def test_text_of_a_file_is_never_code(text: str, tmp_path: Path) -> None:
     """Comments, units, names of values and of the file itself are strings, whatever they hold."""
-    dbc = text.replace('"', '\\"').replace("\\\\\"", '\\"')
+    dbc = text.replace('"', '\\"').replace('\\\\"', '\\"')
     body = f"""BO_ 100 Speed: 8 ECU
  SG_ speed : 0|16@1+ (1,0) [0|0] "{dbc}" Gate
  SG_ mode : 16|8@1+ (1,0) [0|0] "" Gate
@@ -286,7 +303,11 @@ VAL_ 100 mode 1 "{dbc}" 2 "b" ;
         return
     source = print_source(imported.protocol, imported.problems)
     tree = ast.parse(source)
-    calls = {node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    calls = {
+        node.func.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
     assert calls <= {"BitLayout", "Enumeration", "Multiplexed", "Protocol", "Quantity", "bits", "float_bits"}
     assert len(tree.body) == 3 + 1 + len(imported.protocol.declared)
     assert all(line.isprintable() for line in source.split("\n"))

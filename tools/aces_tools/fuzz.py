@@ -105,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=3,
         metavar="N",
-        help="stop after so many failures (default: %(default)s); each law of a wire fails once",
+        help="stop after so many failures (default: %(default)s); each law of a protocol fails once",
     )
     add("--jobs", type=int, default=1, metavar="N", help="so many processes (default: 1; 0: one a processor)")
     add("--json", action="store_true", help="one JSON object on standard output")
@@ -117,7 +117,14 @@ def run(arguments: argparse.Namespace) -> int:
     from .fuzzing.work import Job, chosen_laws
 
     seed, only = _seed(arguments.seed)
-    job = Job(tuple(arguments.names), chosen_laws(arguments.law), seed, arguments.failures, arguments.corpus)
+    job = Job(
+        names=tuple(arguments.names),
+        laws=chosen_laws(arguments.law),
+        seed=seed,
+        failures=arguments.failures,
+        most=arguments.most,
+        corpus=arguments.corpus,
+    )
     if arguments.jobs < 0 or arguments.most < 1:
         raise CallerError("--jobs is 0 or more, --most 1 or more")
     jobs = arguments.jobs or os.cpu_count() or 1
@@ -130,7 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
                 if not arguments.json:
                     tally.clear()
                     print(failure_text(found), flush=True)
-            if len(tally.found) >= arguments.most:
+            # A law that has failed on a protocol is not asked there again: in the end there is none left to ask.
+            if len(tally.found) >= min(arguments.most, len(job.laws) * len(job.names)):
                 break
             tally.show(budget)
     except KeyboardInterrupt:
@@ -254,8 +262,8 @@ class Tally:
         self.words += done.words
         self._kept[done.process] = done.kept
         self._reached[done.process] = done
-        known = {(f.law, f.label, f.direction) for f in self.found}
-        fresh = [f for f in done.found if (f.law, f.label, f.direction) not in known]
+        known = {(f.law, f.protocol) for f in self.found}
+        fresh = [f for f in done.found if (f.law, f.protocol) not in known]
         self.found += fresh
         return fresh
 

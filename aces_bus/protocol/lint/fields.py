@@ -133,9 +133,8 @@ def _enumeration(field: Written, enumeration: Enumeration) -> Iterator[Finding]:
 
 def _holes(values: list[int]) -> list[int]:
     """The numbers missing in a run of names; none where names are no run."""
-    if len(values) < 3 or values[-1] - values[0] >= 2 * len(values):
-        return []
-    return sorted(set(range(values[0], values[-1])) - set(values))
+    missing = set(range(values[0], values[-1])) - set(values) if len(values) > 2 else set[int]()
+    return sorted(missing) if 2 * len(missing) <= len(values) else []
 
 
 def _captures(protocol: Protocol) -> Iterator[Finding]:

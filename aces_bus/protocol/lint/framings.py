@@ -199,10 +199,13 @@ def _framing_check(framing: Framing, check: Check, messages: list[Message]) -> I
 
 
 def _likely_sizes(framing: Framing, messages: list[Message]) -> list[int]:
-    found = {framing.min_size, min(framing.min_size + 8, framing.max_size), framing.max_size}
+    if framing.fixed_size is not None:
+        return [framing.fixed_size]
+    found = {framing.max_size}
     for message in messages:
-        found |= set(flatten(message).lengths or ())
-    return sorted(size for size in found if size >= framing.min_size)
+        plan = flatten(message)
+        found |= set(plan.lengths or (plan.least, plan.least + 8))
+    return sorted(size for size in found if framing.min_size <= size <= framing.max_size)
 
 
 def _is_constant(message: Message, spans: dict[int, list[int]], start: int, tail: int) -> bool:

@@ -22,12 +22,13 @@ WALKED = 4096
 def check_templates(protocol: Protocol) -> Iterator[Finding]:
     """What is wrong or doubtful about the templates of a protocol."""
     variants = protocol.variants()
+    hanging = {variant: needing_context(list(variant.messages.values())) for variant in variants}
     for message in protocol.declared:
         yield from _possible(message)
         yield from _somewhere(message, variants)
         yield from _order(message)
-        yield from _requests(message, variants)
-    yield from _shadows(variants)
+        yield from _requests(message, hanging)
+    yield from _shadows(hanging)
     yield from _directions(variants)
     used = {name for message in protocol.declared for name in message.dialects or ()}
     for name in protocol.dialects:
@@ -115,7 +116,7 @@ def _order(message: Message) -> Iterator[Finding]:
 # ---------------------------------------------------------------------- requests
 
 
-def _requests(message: Message, variants: list[Variant]) -> Iterator[Finding]:
+def _requests(message: Message, hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
     if message.within is not None and message.within <= 0:
         yield _finding("error", "request", message, f"within={message.within:g} s: no request is that young")
     every = [("reply_to", r) for r in message.reply_to] + [("after", r) for r in message.after]
@@ -123,13 +124,13 @@ def _requests(message: Message, variants: list[Variant]) -> Iterator[Finding]:
         yield from _request(message, what, request)
     if not every:
         return
-    for variant in variants:
+    for variant, names_hanging in hanging.items():
         here = _here(variant, message)
         if here is None:
             continue
         if not any(_fits(variant, here, request) for _, request in every):
             names = ", ".join(str(request) for _, request in every)
-            if message.name in needing_context(list(variant.messages.values())):
+            if message.name in names_hanging:
                 yield _finding(
                     "error",
                     "unreachable",
@@ -214,16 +215,19 @@ def _is_outer(message: Message, name: str) -> bool:
 # ---------------------------------------------------------------------- messages that others take
 
 
-def _shadows(variants: list[Variant]) -> Iterator[Finding]:
+def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
     """Messages whose every frame is another's, which is tried first."""
     seen: set[tuple[str, str]] = set()
-    for variant in variants:
-        messages = list(variant.messages.values())
-        hanging = needing_context(messages)
-        for first in messages:
+    for variant, names_hanging in hanging.items():
+        for first in variant.messages.values():
             for name in first.over:
                 other = variant.messages.get(name)
-                if other is None or (first.name, name) in seen or first.name in hanging or name in hanging:
+                if (
+                    other is None
+                    or (first.name, name) in seen
+                    or first.name in names_hanging
+                    or name in names_hanging
+                ):
                     continue
                 if {first.direction, other.direction} == {"to device", "from device"}:
                     continue

@@ -125,9 +125,8 @@ def names_of(node: p.Scalar | p.FromIdentifier) -> dict[int, str]:
 
 def flags_of(node: p.Scalar) -> dict[int, str]:
     """The names of single bits."""
-    return {
-        bit: name for step in node.steps if isinstance(step, p.FlagBits) for name, bit in sorted(step.bits)
-    }
+    found = [(bit, name) for step in node.steps if isinstance(step, p.FlagBits) for name, bit in step.bits]
+    return dict(sorted(found))
 
 
 def is_magnitude(node: p.Scalar) -> bool:

@@ -9,10 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
+import construct as c
+
 from .. import draw
 from ..codegen import plan as p
 from ..codegen.flatten import flatten
 from ..foreign.problems import clean
+from ..spec.bits import BitLayout
+from ..spec.fields import Quantity
 from ..spec.framing import Framing
 from ..spec.message import Message
 from ..spec.pattern import describe_values
@@ -76,9 +80,9 @@ class _Page:
                 name = self._link(message)
                 rows.append(
                     (
-                        " ".join([f"`{self._identifier(message)}`", *kinds]),
+                        " ".join([_code(self._identifier(message), is_cell=True), *kinds]),
                         name,
-                        _code(_told_by(message)),
+                        _code(_told_by(message), is_cell=True),
                         _WAYS[message.direction],
                         _lengths(message),
                         _escaped(_first_line(message.doc)),
@@ -89,7 +93,7 @@ class _Page:
             rows.append(
                 (
                     self._link(message),
-                    _code(_told_by(message)),
+                    _code(_told_by(message), is_cell=True),
                     _WAYS[message.direction],
                     _lengths(message),
                     _escaped(_first_line(message.doc)),
@@ -113,6 +117,7 @@ class _Page:
         picture = draw.picture(message)
         fence = "`" * max([3, *(len(run) + 1 for run in re.findall(r"`+", "\n".join(picture)))])
         lines += ["", f"{fence}text", *picture, fence]
+        sources = _sources(message)
         rows = [
             (
                 f"`{row.name}`",
@@ -122,12 +127,15 @@ class _Page:
                 row.scale,
                 row.offset,
                 _escaped(row.range),
-                _escaped(" ".join(row.doc.split())),
+                _escaped(_joined(row.doc, sources.get(row.name.partition(".")[0], ""))),
             )
             for row in draw.table(plan, draw.captured_values(message))
         ]
         if rows:
-            lines += ["", *_table(("field", "place", "type", "unit", "scale", "offset", "range", "meaning"), rows)]
+            lines += [
+                "",
+                *_table(("field", "place", "type", "unit", "scale", "offset", "range", "meaning"), rows),
+            ]
         for names, values in _values(leaves(plan)):
             shown = ", ".join(f"`{name}`" for name in names)
             lines += ["", f"Values of {shown}:", "", *_table(("value", "name"), values)]
@@ -140,7 +148,11 @@ class _Page:
             ranges = [f"`{c.name}` {values[c.name]}" for c in message.identifier.captures]
             kinds = [
                 kind
-                for kind, given in (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
+                for kind, given in (
+                    ("29 bits", message.extended),
+                    ("remote", message.remote),
+                    ("CAN FD", message.fd),
+                )
                 if given
             ]
             facts.append(", ".join([f"identifier `{self._identifier(message)}`", *ranges, *kinds]))
@@ -173,7 +185,14 @@ class _Page:
         table = self.variant.protocol.register_map
         assert table is not None
         rows = [
-            (f"`{one.address:#04x}`", f"`{one.name}`", str(one.size), one.access, _escaped(one.unit), _escaped(one.doc))
+            (
+                f"`{one.address:#04x}`",
+                f"`{one.name}`",
+                str(one.size),
+                one.access,
+                _escaped(one.unit),
+                _escaped(one.doc),
+            )
             for one in sorted(table.values(), key=lambda register: register.address)
         ]
         return _table(("address", "register", "bytes", "access", "unit", "meaning"), rows)
@@ -225,6 +244,25 @@ def _framing(framing: Framing) -> str:
     return ", ".join(parts)
 
 
+def _sources(message: Message) -> dict[str, str]:
+    """Where the facts of single fields come from, by the field's name."""
+    payload = message.payload
+    items = [(slot.name, slot.field) for slot in payload.slots] if isinstance(payload, BitLayout) else []
+    if isinstance(payload, c.Struct):
+        items = [(str(item.name), item) for item in payload.subcons if item.name]
+    found: dict[str, str] = {}
+    for name, field in items:
+        while field is not None:
+            if isinstance(field, Quantity) and field.source:
+                found[name] = field.source
+            field = getattr(field, "subcon", None)
+    return found
+
+
+def _joined(doc: str, source: str) -> str:
+    return " ".join(filter(None, [*doc.split(), f"(source: {source})" if source else ""]))
+
+
 def _values(found: Iterable[Leaf]) -> list[tuple[list[str], list[tuple[str, str]]]]:
     """The named values of fields; fields that have the same share a table."""
     tables: dict[tuple[tuple[str, str], ...], list[str]] = {}
@@ -240,7 +278,7 @@ def _values(found: Iterable[Leaf]) -> list[tuple[list[str], list[tuple[str, str]
         if isinstance(leaf.node, p.Scalar):
             rows += [(f"bit {bit}", _escaped(name)) for bit, name in flags_of(leaf.node).items()]
         if isinstance(leaf.node, p.Cell):
-            rows += [(_code(text), _escaped(name)) for text, name in leaf.node.names]
+            rows += [(_code(text, is_cell=True), _escaped(name)) for text, name in leaf.node.names]
         if rows:
             tables.setdefault(tuple(rows), []).append(leaf.path)
     return [(names, list(rows)) for rows, names in tables.items()]
@@ -261,13 +299,17 @@ def _escaped(text: str) -> str:
     """Text as Markdown that shows it, on one line."""
     flat = " ".join(clean(text).split())
     flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    flat = re.sub(r"([\\`*_\[\]|~$#])", r"\\\1", flat)
+    # What a spec's author writes as `code` stays that.
+    parts = re.split(r"(`[\w.:@-]+`)", flat)
+    parts[::2] = [re.sub(r"([\\`*_\[\]|~$#])", r"\\\1", part) for part in parts[::2]]
+    flat = "".join(parts)
     return re.sub(r"(?<=\w):(?=//)|(?<=www)\.|@(?=\w)", lambda m: f"&#{ord(m[0])};", flat)
 
 
-def _code(text: str) -> str:
-    """Text as code, fit for a cell of a table."""
-    flat = " ".join(clean(text).split()).replace("|", "\\|").replace("`", "'")
+def _code(text: str, *, is_cell: bool = False) -> str:
+    """Text as code; in a cell of a table a bar is escaped even there."""
+    flat = " ".join(clean(text).split()).replace("`", "'")
+    flat = flat.replace("|", "\\|") if is_cell else flat
     return f"`{flat}`" if flat else ""
 
 

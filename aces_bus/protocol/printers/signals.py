@@ -134,7 +134,9 @@ class _Decider:
         else:
             name = f"{self.variant.name}_{identifier:0{8 if first.extended else 3}X}"
         ways = {message.direction for message in messages}
-        sender = {"to device": "Host", "from device": "Device"}.get(str(ways.pop()), "") if len(ways) == 1 else ""
+        sender = (
+            {"to device": "Host", "from device": "Device"}.get(str(ways.pop()), "") if len(ways) == 1 else ""
+        )
         facts = [f"{key} {value}" for key, value in captures.items()]
         facts += [_said(message, is_named=len(messages) > 1) for message in messages]
         return Identified(
@@ -242,7 +244,10 @@ class _Group:
     def _is_taken(self, offset: int, when: tuple[str, tuple[int, ...]] | None) -> bool:
         byte = range(8 * offset, 8 * offset + 8)
         return any(
-            signal.when != when and not signal.is_big and signal.start < byte.stop and signal.start + signal.width > byte[0]
+            signal.when != when
+            and not signal.is_big
+            and signal.start < byte.stop
+            and signal.start + signal.width > byte[0]
             for signal in self.found
             if signal.when is None or when is None
         )
@@ -269,7 +274,9 @@ class _Group:
             and all((leaf.path, leaf.node) in other for other in others)
         ]
 
-    def _selector(self, names: Sequence[str], offset: int, when: tuple[str, tuple[int, ...]] | None) -> Signal:
+    def _selector(
+        self, names: Sequence[str], offset: int, when: tuple[str, tuple[int, ...]] | None
+    ) -> Signal:
         """The signal of the byte in which messages differ."""
         byte = tuple(range(8 * offset, 8 * offset + 8))
         own = ""
@@ -282,11 +289,15 @@ class _Group:
                     meant |= names_of(node)
                 elif isinstance(node, p.FromIdentifier) and node.number and bits_of(node.number) == byte:
                     head = self._head(name, offset)
-                    self._lose(name, leaf.path, f"part of the multiplexer {head}: only there, not as a signal")
+                    self._lose(
+                        name, leaf.path, f"part of the multiplexer {head}: only there, not as a signal"
+                    )
                     self.named[name, leaf.path] = ""
                     own = own or head
         own = own or next(filter(None, (self._head(name, offset) for name in names)), f"byte_{offset}")
-        known = next((s for s in self.found if s.start == 8 * offset and s.width == 8 and s.when in (None, when)), None)
+        known = next(
+            (s for s in self.found if s.start == 8 * offset and s.width == 8 and s.when in (None, when)), None
+        )
         if known is None:
             known = Signal(dbc_name(own, self.taken), 8 * offset, 8, when=when)
             self.found.append(known)
@@ -338,7 +349,9 @@ class _Group:
                 self._lose(name, leaf.path, f"multiplexed by {path}, which is no plain signal: left out")
                 return
             if min(values) < 0:
-                self._lose(name, leaf.path, f"there while {path} is negative, which no multiplexer is: left out")
+                self._lose(
+                    name, leaf.path, f"there while {path} is negative, which no multiplexer is: left out"
+                )
                 return
             owner.is_selector, when = True, (selector, values)
         base = Signal("", 0, 0, comment=clean(leaf.doc), when=when)
@@ -370,7 +383,11 @@ class _Group:
         self._place(leaf.identifier, part, base, name)
 
     def _scalar(self, leaf: Leaf, node: p.Scalar, base: Signal, name: str, is_shared: bool) -> None:
-        own = leaf.identifier if is_shared or base.when is None or len(self.plans) == 1 else f"{name}_{leaf.identifier}"
+        own = (
+            leaf.identifier
+            if is_shared or base.when is None or len(self.plans) == 1
+            else f"{name}_{leaf.identifier}"
+        )
         if node.size is None:
             self._lose(name, leaf.path, "bytes of open size: left out")
             return

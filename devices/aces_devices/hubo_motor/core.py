@@ -413,7 +413,7 @@ class BoardCore(Device):
             return
         if self.is_compliant:
             return
-        if axis.duty is not None:
+        if axis.duty is not None and message == self.shape.pwm:
             axis.duty.update(self._duty_of(axis, value), self.clock.now())
         if self.is_triggered:
             self._awaited[path] = value

@@ -181,8 +181,7 @@ class RobotisRX(RegisterDevice):
             "enabled",
             "torque_enable",
             to_si=bool,
-            setter=lambda on: self.enable() if on else self.disable(),
-            doc="Whether the motor is driven.",
+            doc="Whether the motor is driven; see the actions enable and disable.",
             **rest,
         )
         self.register_signal("moving", "moving", to_si=bool, doc="Whether it is on its way.", **rest)
@@ -202,10 +201,9 @@ class RobotisRX(RegisterDevice):
             doc="The greatest torque, as a share.",
             **own,
         )
-        self.register_signal(
-            "led", "led", to_si=bool, set="led", to_raw=int, lower=0, upper=1, doc="The lamp.", **own
-        )
+        self.register_signal("led", "led", to_si=bool, doc="The lamp (set it as the register `led`).", **own)
         self._errors = self.add_signal("errors", doc="Names of the error bits of its last status.", **own)
+        self.readable.add(self._errors.name)
 
     # ------------------------------------------------------------------ units
 
@@ -302,14 +300,21 @@ class RobotisRX(RegisterDevice):
             self.position.upper = min(self.span[1], ends[1])
 
     def enable(self) -> Job:
-        """Torque on, where the joint stands: the goal is set to the present position first."""
+        """Torque on, where the joint stands: the goal is set to the present position first.
+
+        A set-point that is given meanwhile stays. Where the torque is on already, nothing moves.
+        """
+        is_on = self.cached("torque_enable", raw=True) == 1 and not self.is_silent
+        if not is_on:
+            self.drop("goal_position")
 
         def steps(job: Job) -> Steps:
-            if self.turns:
+            if self.turns and not is_on:
                 yield self.write("moving_speed", 0, raw=True)
-            elif self.answers:
+            elif self.answers and not is_on:
                 here = yield self.read("present_position", raw=True)
-                yield self.write("goal_position", min(here, TOP), raw=True)
+                if "goal_position" not in self.goals:
+                    yield self.write("goal_position", min(here, TOP), raw=True)
             yield self.write("torque_enable", "on")
 
         return self.job("enable", steps)

@@ -32,10 +32,11 @@ from ..console import say
 from ..protocols_arg import named
 
 
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "protocol", metavar="NAME|FILE", help="as -p takes it: NAME, NAME:DIALECT@CONFIGURATION, my_spec.py, car.dbc"
+        "protocol",
+        metavar="NAME|FILE",
+        help="as -p takes it: NAME, NAME:DIALECT@CONFIGURATION, my_spec.py, car.dbc",
     )
     parser.add_argument("--to", required=True, choices=sorted(PRINTERS), help="the form")
     parser.add_argument("-o", "--output", metavar="FILE", help="write there instead of on stdout")
@@ -43,7 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="exit 1 when anything could not be said")
     dbc = parser.add_argument_group("dbc")
     dbc.add_argument(
-        "-m", "--message", action="append", default=[], metavar="NAME", help="only this message; may be repeated"
+        "-m",
+        "--message",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this message; may be repeated",
     )
     dbc.add_argument(
         "--expand",
@@ -53,9 +59,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="at most so many identifiers of a message become messages (default: %(default)s)",
     )
     wireshark = parser.add_argument_group("wireshark, for streams")
-    wireshark.add_argument("--port", type=_number, default=0, metavar="N", help="the TCP and UDP port of a serial server")
     wireshark.add_argument(
-        "--direction", choices=("to", "from", "both"), help="who speaks (default: what comes from the port is from the device)"
+        "--port", type=_number, default=0, metavar="N", help="the TCP and UDP port of a serial server"
+    )
+    wireshark.add_argument(
+        "--direction",
+        choices=("to", "from", "both"),
+        help="who speaks (default: what comes from the port is from the device)",
     )
 
 
@@ -91,7 +101,9 @@ def _tell(variant: Variant, losses: Sequence[Loss], form: str) -> None:
         say(f"{variant.name}: {loss}" if not loss.message else f"{variant.name}.{loss}", who="")
     if losses:
         things = "1 thing" if len(losses) == 1 else f"{len(losses)} things"
-        say(f"{variant.label}: {things} that {_FORMS[form]} cannot say as the spec does (above, and as comments)")
+        say(
+            f"{variant.label}: {things} that {_FORMS[form]} cannot say as the spec does (above, and as comments)"
+        )
 
 
 _FORMS = {"dbc": "a DBC", "wireshark": "the dissector", "markdown": "a page"}

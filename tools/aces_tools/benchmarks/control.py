@@ -153,7 +153,7 @@ def samples() -> tuple[str, str, int | None, Contenders]:
 def filters() -> tuple[str, str, int | None, Contenders]:
     """One sample through a filter; the last row is all that a filtered state costs, beside the first push."""
     instants = count(1 << 61, PERIOD_NS)
-    kinds: dict[str, Filter] = {
+    kinds: Mapping[str, Filter] = {
         "second order": Sos((SECTION,), 200),
         "eighth order": Sos((SECTION,) * 4, 200),
         "three moving averages": MovingAverage((10, 5, 2)),

@@ -35,6 +35,7 @@ class Job:
     laws: tuple[int, ...]
     seed: int
     failures: str
+    most: int = 3
     corpus: str | None = None
 
 
@@ -53,6 +54,7 @@ class Found:
 
     law: int
     name: str
+    protocol: str
     label: str
     direction: str | None
     text: str
@@ -120,7 +122,7 @@ class Worker:
             _replayed(fuzzer, name)
         fuzzer.kept = [] if self.todo else fuzzer.kept
         self.todo = ()
-        fuzzer.run(task.count, task.first)
+        fuzzer.run(task.count, task.first, most=self.job.most)
         for bench, scene, cuts in fuzzer.kept if self.job.corpus is not None else ():
             if self._kept < MOST_KEPT:
                 save(Path(self.job.corpus or ""), bench.wire, bench.direction, scene, cuts)
@@ -228,6 +230,7 @@ def told(job: Job, failure: Failure) -> Found:
     return Found(
         law.number,
         law.name,
+        laws.variants_of(wire)[0].name,
         failure.label,
         direction,
         failure.text,

@@ -1,0 +1,80 @@
+"""A robot's signals as states, made when they are asked for.
+
+1. A joint's name alone ("RHY", or an alias) is its main quantity: what its set-points are. The rest is `RHY.velocity`.
+2. A state is made once; what nobody reads costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ..device import Rig
+from ..errors import UnknownNameError
+from ..state import State
+
+#: What a joint's name alone means, by the joint's `command`.
+MAIN = {"position": "position", "speed": "velocity", "current": "current", "duty": "duty"}
+#: The suffix of what was set, as a state.
+SETPOINT = ".setpoint"
+
+
+class States(Mapping[str, State]):
+    """The states of a rig by name. `history` counts the samples that each keeps."""
+
+    def __init__(self, rig: Rig, *, history: int = 512) -> None:
+        self.rig, self.history = rig, history
+        self._made: dict[str, State] = {}
+        self._names: dict[str, str] = {}
+
+    def whole(self, name: str) -> str:
+        """The signal's full name; raises `UnknownNameError` with those that exist."""
+        found = self._names.get(name)
+        if found is not None:
+            return found
+        rig = self.rig
+        if name.endswith(SETPOINT):
+            found = self.whole(name.removesuffix(SETPOINT)) + SETPOINT
+        else:
+            owner, _, rest = name.partition(".")
+            owner = rig.aliases.get(owner, owner)
+            if not rest and owner in rig.robot.joints:
+                joint = rig.robot.joints[owner]
+                first = f"{owner}.{MAIN[joint.command]}"
+                found = first if first in rig.signals else f"{owner}.position"
+            else:
+                found = f"{owner}.{rest}"
+            if found not in rig.signals:
+                raise UnknownNameError(f"state of {rig.robot.name}", name, rig.signals)
+        self._names[name] = found
+        return found
+
+    def __getitem__(self, name: str) -> State:
+        state = self._made.get(name)
+        if state is None:
+            whole = self.whole(name)
+            if whole.endswith(SETPOINT):
+                made = self[whole.removesuffix(SETPOINT)].setpoint
+            else:
+                made = self._made.get(whole) or self._state(whole)
+            state = self._made[whole] = self._made[name] = made
+        return state
+
+    def _state(self, whole: str) -> State:
+        source: Any = self.rig.signals[whole]
+        return State.of(source, history=self.history, sampled=source.name in self._readable())
+
+    def _readable(self) -> set[str]:
+        return {name for device in self.rig.devices.values() for name in device.readable}
+
+    def __contains__(self, name: object) -> bool:
+        try:
+            return isinstance(name, str) and bool(self.whole(name))
+        except UnknownNameError:
+            return False
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.rig.signals)
+
+    def __len__(self) -> int:
+        return len(self.rig.signals)

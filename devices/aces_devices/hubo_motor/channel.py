@@ -1,0 +1,459 @@
+"""One motor channel of a simulated board: joint, encoder, controller, home search, errors.
+
+1. The joint is where it is; the encoder counts from wherever it was when the power came. A home search finds the true zero.
+2. All that happens, happens at whole milliseconds: nothing depends on when somebody looks.
+
+The home switch and the index are placed so that a search with the robot file's offset and direction ends at the joint's true
+zero: index = −offset in raw counts, the switch half a motor turn before it, active on the side that the search goes to. Where
+the file has none (D12: they live in the board), they are 0.2 rad from zero, or half way to a nearer stop, searched clockwise.
+Raw counts grow counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from aces_bus.device import Joint
+
+from ..joint_model import STEP_NS, Motor, MotorJoint
+
+#: How far the stops are beyond the soft limits, and where they are without (rad).
+BEYOND, RANGE = 0.1, 3.0
+#: rad/s of a home search for each unit of the board's velocities, whose unit is not known.
+HOMING_SPEED = 0.05
+#: Home flags that tell how far a search is; 6 is in the facts, the others are this twin's.
+SEARCHING, INDEXING, RETURNING, HOMED = 1, 4, 5, 6
+
+
+@dataclass
+class Stored:
+    """What a board keeps of a motor without power. Units: see `storage.ChannelParameters`."""
+
+    kp: int = 200
+    ki: int = 0
+    kd: int = 500
+    resolution: int = 4000
+    auto_scale: int = 0
+    direction: str = "ccw"
+    dead_zone: int = 0
+    search_direction: str = "cw"
+    search_mode: str = "switch_and_index"
+    search_limit: int = 60
+    home_offset: int = 0
+    lower_limit: int = 0
+    lower_limit_enabled: int = 0
+    upper_limit: int = 0
+    upper_limit_enabled: int = 0
+    max_acceleration: int = 0
+    max_velocity: int = 0
+    max_pwm: int = 100
+    max_current: int = 1000
+    kpt: int = 10
+    kdt: int = 10
+    kft: int = 10
+    homing_duty: int = 30
+
+
+@dataclass
+class BoardStored:
+    """What a board keeps of itself without power. 0 in an error bound: no bound."""
+
+    period: int = 5
+    homing_acceleration: float = 1.5
+    velocity_to_switch: int = 10
+    velocity_to_offset: int = 10
+    jam_time: int = 1000
+    saturation_time: int = 500
+    limit_duty: int = 50
+    jam_duty: int = 20
+    max_step: int = 0
+    max_error: int = 0
+    max_encoder_error: int = 10
+    temperature: int = 80
+
+
+@dataclass
+class Search:
+    """A home search under way: `phase` and which way (raw counts), `index` where the zero is counted from."""
+
+    phase: str
+    way: int
+    offset: float
+    most: float
+    uses_index: bool = True
+    index: float = 0.0
+    gone: float = 0.0
+    since_switch: float = 0.0
+    stuck_since: int = field(default=-1)
+
+
+class Channel:
+    """A motor of a board. `q` of its `joint` is the joint's true angle (rad)."""
+
+    def __init__(self, number: int, own: Joint | None, kind: int | str, now: int, start: float) -> None:
+        self.number, self.own, self.kind = number, own, kind
+        known = own.counts_per_unit if own is not None else None
+        self.counts = known if known is not None else 2000.0
+        self.direction = own.direction if own is not None else 1
+        self.zero = (own.zero or 0.0) if own is not None else 0.0
+        self.turn = float(own.encoder or 4000) if own is not None else 4000.0
+        self.stored = self.defaults()
+        self._place_switch()
+        ratio = self.counts * math.tau / self.turn
+        stall = {1: 8.0, 2: 8.0, 5: 0.25}.get(kind if isinstance(kind, int) else 0, 1.0)
+        motor = Motor(speed=5.0) if kind == "neck" else Motor.of_ratio(ratio, stall_current=stall)
+        lower, upper = self._stops()
+        self.joint = MotorJoint(
+            motor, now, position=min(max(start, lower), upper), lower=lower, upper=upper
+        )
+        self._gains = (self.joint.stiffness, self.joint.damping)
+        self.powered(now)
+
+    # ------------------------------------------------------------------ geometry
+
+    def defaults(self) -> Stored:
+        """What the board comes with: the robot file's gains and home."""
+        made, own = Stored(resolution=min(16383, int(self.turn))), self.own
+        if own is None:
+            return made
+        if own.gains is not None:
+            made.kp, made.ki = int(own.gains.kp or 0), int(own.gains.ki or 0)
+            made.kd = int(own.gains.kd or 0)
+        home = own.home
+        if home is not None:
+            made.search_direction = home.direction or made.search_direction
+            made.search_limit = home.search_turns or made.search_limit
+            made.lower_limit, made.upper_limit = home.lower or 0, home.upper or 0
+        if self.kind == 5:
+            made.search_mode = "mechanical_stop"
+        if home is not None and home.offset is not None:
+            made.home_offset = home.offset
+            if self.kind == 3:  # 16 bits without sign go to such a board
+                made.home_offset = -self._sign(made) * (abs(home.offset) & 0xFFFF)
+        else:
+            lower, upper = self._soft()
+            # Toward clockwise, which is down in raw counts.
+            room = abs((lower if self.direction > 0 else upper) + (-BEYOND if self.direction > 0 else BEYOND))
+            made.home_offset = -self._sign(made) * int(min(0.2, room / 2) * self.counts)
+            if self.kind == 5:
+                made.home_offset = -self._sign(made) * int(room * self.counts)
+        return made
+
+    @staticmethod
+    def _sign(stored: Stored) -> int:
+        return 1 if stored.search_direction == "ccw" else -1
+
+    def _soft(self) -> tuple[float, float]:
+        own = self.own
+        lower = own.lower if own is not None and own.lower is not None else -RANGE
+        upper = own.upper if own is not None and own.upper is not None else RANGE
+        return lower, upper
+
+    def _place_switch(self) -> None:
+        #: Raw counts of the index that the search counts from, and of the switch's edge; which way it is passed last.
+        self.index = -float(self.stored.home_offset)
+        self.side = self._sign(self.stored)
+        self.way = self.side if self.index * self.side >= 0 else -self.side
+        self.edge = self.index - self.way * self.turn / 2
+
+    def _stops(self) -> tuple[float, float]:
+        lower, upper = self._soft()
+        at = [self.angle(self.edge + away * self.turn) for away in (-1, 1)]
+        if self.kind in ("neck", 5):
+            return lower - BEYOND, upper + BEYOND
+        return min(lower - BEYOND, *at), max(upper + BEYOND, *at)
+
+    def raw(self, angle: float) -> float:
+        """Raw counts of an angle, from the true zero."""
+        return (self.direction * angle + self.zero) * self.counts
+
+    def angle(self, raw: float) -> float:
+        """The angle at raw counts."""
+        return self.direction * (raw / self.counts - self.zero)
+
+    # ------------------------------------------------------------------ power and switches
+
+    def powered(self, now: int) -> None:
+        """As after power-up: the encoder counts from here, nothing is on, nothing is known."""
+        joint = self.joint
+        joint.free(now)
+        self.offset = 0.0 if self.kind == "neck" else float(round(self.raw(joint.q)))
+        self.home = 0
+        self.found = {"origin": "none", "limit_switch": "none", "encoder": "none"}
+        self.errors: set[str] = set()
+        self.mode = "position"
+        self.driver_on = self.control_on = False
+        self.reference: float = 0
+        self.step = 0.0
+        self.pwm: float | None = None
+        self.search: Search | None = None
+        self.pressing_since = -1
+        self.apply_gains()
+
+    def apply_gains(self) -> None:
+        """Gains of the board scale those of the model: what the board came with is what the model was made for."""
+        usual = self.defaults()
+        stiffness, damping = self._gains
+        self.joint.stiffness = stiffness * self.stored.kp / (usual.kp or 1)
+        self.joint.damping = damping * self.stored.kd / (usual.kd or 1)
+
+    def apply(self, now: int) -> None:
+        """Make the joint do what switches, mode and set-points say."""
+        joint = self.joint
+        if self.search is not None:
+            joint.free(now)
+        elif not self.driver_on:
+            joint.free(now)
+        elif self.pwm is not None:
+            most = self.stored.max_pwm / 100
+            joint.drive(now, max(-most, min(most, self.pwm)) * self.direction)
+        elif not self.control_on:
+            joint.free(now)
+        elif self.mode == "current":
+            joint.push(now, self.reference * self.direction)
+        else:
+            joint.follow(now, self.angle(self.reference + self.offset))
+
+    def sync(self, now: int) -> None:
+        """Catch up."""
+        joint = self.joint
+        while self.search is not None and joint.at + STEP_NS <= now:
+            self._search_step(joint.at + STEP_NS)
+        joint.sync(now)
+
+    def count(self, now: int) -> int:
+        """What the encoder says."""
+        self.sync(now)
+        return int(self.raw(self.joint.q) - self.offset + (1e-6 if self.raw(self.joint.q) >= self.offset else -1e-6))
+
+    def zero_here(self, now: int) -> None:
+        """The encoder counts from here."""
+        self.sync(now)
+        self.offset = float(round(self.raw(self.joint.q)))
+        self.reference = 0
+        self.errors.clear()
+        self.apply(now)
+
+    # ------------------------------------------------------------------ set-points
+
+    def refer(self, now: int, count: float, board: BoardStored) -> None:
+        """A reference (counts; A in current mode)."""
+        self.sync(now)
+        if count == self.reference and self.pwm is None and self.joint.mode == "position":
+            self.step = 0.0
+            return
+        stored = self.stored
+        if self.mode == "position":
+            step = count - self.reference
+            if self.control_on:
+                if board.max_step and abs(step) > board.max_step:
+                    self.errors.add("big_error")
+                if stored.max_acceleration and abs(step - self.step) > stored.max_acceleration:
+                    self.errors.add("acceleration_error")
+            self.step = step
+            if stored.lower_limit_enabled and count < stored.lower_limit:
+                self.errors.add("below_minimum")
+                count = stored.lower_limit
+            if stored.upper_limit_enabled and count > stored.upper_limit:
+                self.errors.add("above_maximum")
+                count = stored.upper_limit
+        self.reference = count
+        self.pwm = None
+        self.apply(now)
+
+    def drive(self, now: int, duty: float | None) -> None:
+        """Open-loop PWM, −1…1 toward counter-clockwise raw counts; None: off."""
+        self.sync(now)
+        self.pwm = duty
+        self.apply(now)
+
+    def switch(self, now: int, *, driver: bool | None = None, control: bool | None = None) -> None:
+        """Drivers and control on or off. Control begins where the joint is."""
+        here = self.count(now)
+        if driver is not None:
+            self.driver_on = driver
+            if not driver:
+                self.pwm = None
+        if control is not None:
+            if control and not self.control_on and self.mode == "position":
+                self.reference = here
+            self.control_on = control
+            self.pwm = None
+            if not control:
+                self.search = None
+        self.apply(now)
+
+    # ------------------------------------------------------------------ home search
+
+    def begin_search(self, now: int, *, offset: float | None = None, side: int | None = None, index: bool = True) -> None:
+        """Search home; `offset` and `side` (±1) are the stored ones where None."""
+        self.sync(now)
+        stored = self.stored
+        self.home = SEARCHING
+        self.found = {"origin": "none", "limit_switch": "none", "encoder": "none"}
+        way = self.way if side is None or side == self.side else -self.way
+        stops = stored.search_mode == "mechanical_stop"
+        limit = math.inf if self.kind == 3 else (stored.search_limit + 4) * self.turn
+        self.search = Search(
+            phase="stop" if stops else "away",
+            way=self._sign(stored) if stops else way,
+            offset=stored.home_offset if offset is None else offset,
+            most=limit if not stops else math.inf,
+            uses_index=index and stored.search_mode == "switch_and_index",
+        )
+        self.pwm = None
+        self.apply(now)
+
+    def _search_step(self, at: int) -> None:
+        """A millisecond of a home search, which is a movement of constant speed."""
+        search, joint, board = self.search, self.joint, self.board
+        assert search is not None
+        before = self.raw(joint.q)
+        to_offset = search.phase == "offset"
+        unit = board.velocity_to_offset if to_offset else board.velocity_to_switch
+        stride = max(1, unit) * HOMING_SPEED * self.counts * 1e-3
+        if to_offset:
+            goal = search.index + search.offset
+            way = 1 if goal > before else -1
+            wanted = goal if abs(goal - before) <= stride else before + way * stride
+        else:
+            wanted = before + (-search.way if search.phase == "away" else search.way) * stride
+        joint.place(at, self.angle(wanted))
+        after = self.raw(joint.q)
+        search.gone += abs(after - before)
+        search.since_switch += abs(after - before)
+        stuck = abs(after - before) < 1e-9 and abs(wanted - before) > 1e-9
+        if not stuck:
+            search.stuck_since = -1
+        elif search.stuck_since < 0:
+            search.stuck_since = at
+        is_jammed = stuck and at - search.stuck_since >= board.jam_time * 1_000_000
+        self._go_on(at, search, after, is_jammed)
+
+    def _go_on(self, at: int, search: Search, raw: float, is_jammed: bool) -> None:
+        """The next phase, when this one is over."""
+        phase, way = search.phase, search.way
+        if phase == "stop":
+            if is_jammed:
+                search.index, search.phase, search.stuck_since = raw, "offset", -1
+                self.home = RETURNING
+            return
+        if is_jammed:
+            self.errors.add("jam")
+            self._end_search(at, failed=True)
+        elif phase == "away":
+            before_edge = (self.edge - raw) * way
+            if "no_switch" in self.faults or before_edge >= self.turn / 8:
+                search.phase = "switch"
+            elif search.gone > search.most:
+                self._end_search(at, failed=True)
+        elif phase == "switch":
+            if "no_switch" not in self.faults and (raw - self.edge) * way >= 0:
+                self.found["limit_switch"] = "ok"
+                search.index = self.edge
+                search.phase = "index" if search.uses_index else "offset"
+                search.since_switch = 0.0
+                self.home = INDEXING if search.uses_index else RETURNING
+            elif search.gone > search.most:
+                self._end_search(at, failed=True)
+        elif phase == "index":
+            if "no_index" not in self.faults and (raw - self.index) * way >= 0:
+                self.found["encoder"] = "ok"
+                search.index, search.phase = self.index, "offset"
+                self.home = RETURNING
+            elif search.since_switch > 2 * self.turn:
+                self.found["encoder"] = "fail"
+                self._end_search(at, failed=True)
+        elif abs(raw - search.index - search.offset) < 1e-6:
+            self.offset = search.index + search.offset
+            self._end_search(at, failed=False)
+
+    def _end_search(self, at: int, *, failed: bool) -> None:
+        self.search = None
+        self.home = 0 if failed else HOMED
+        self.found["origin"] = "fail" if failed else "ok"
+        self.found["limit_switch"] = "fail" if failed else "ok"
+        if not failed:
+            self.reference = 0
+        else:
+            self.reference = int(self.raw(self.joint.q) - self.offset)
+        self.apply(at)
+
+    # ------------------------------------------------------------------ what is wrong
+
+    #: Names of faults that are on for this motor, and the board's own settings; the twin's.
+    faults: frozenset[str] = frozenset()
+    board: BoardStored = BoardStored()
+
+    def look(self, now: int, board: BoardStored) -> set[str]:
+        """The error bits as they are now: what happened since they were cleared, and what lasts."""
+        self.sync(now)
+        joint, stored, faults = self.joint, self.stored, self.faults
+        errors = self.errors
+        duty = abs(joint.duty)
+        if duty * 100 < board.jam_duty or self.search is not None:
+            self.pressing_since = -1
+        elif self.pressing_since < 0:
+            self.pressing_since = joint.at
+        else:
+            since = max(self.pressing_since, joint.moved_at)
+            if joint.at - since >= board.jam_time * 1_000_000:
+                errors.add("jam")
+        if "saturated" in faults or (
+            joint.saturated_since >= 0
+            and joint.at - joint.saturated_since >= board.saturation_time * 1_000_000
+        ):
+            errors.add("saturated")
+        if self.control_on and self.mode == "position" and self.search is None and board.max_error:
+            away = abs(self.raw(joint.q) - self.offset - self.reference)
+            if away > board.max_error:
+                errors.add("big_error")
+        if stored.max_velocity and abs(joint.v) * self.counts * 1e-3 > stored.max_velocity:
+            errors.add("velocity_error")
+        count = self.raw(joint.q) - self.offset
+        if stored.lower_limit_enabled and count < stored.lower_limit - 1:
+            errors.add("below_minimum")
+        if stored.upper_limit_enabled and count > stored.upper_limit + 1:
+            errors.add("above_maximum")
+        for fault, bit in FAULT_BITS.items():
+            if fault in faults:
+                errors.add(bit)
+        if joint.temperature >= board.temperature:
+            errors.add("temperature_error")
+        return errors
+
+    @property
+    def at_switch(self) -> bool:
+        """Whether the limit switch is active."""
+        return "no_switch" not in self.faults and (self.raw(self.joint.q) - self.edge) * self.side > 0
+
+    def drive_flags(self) -> list[str]:
+        """The switches of the status."""
+        names: list[str] = []
+        if self.driver_on:
+            names.append("driver_on")
+        if self.control_on:
+            names.append("control_on")
+        if self.mode == "current":
+            names.append("current_mode")
+        if self.at_switch:
+            names.append("limit_switch")
+        return names
+
+    def known(self) -> dict[str, Any]:
+        """What is stored, by name."""
+        return dict(vars(self.stored))
+
+
+#: Faults that set an error bit as long as they last, beside what else they do.
+FAULT_BITS = {
+    "encoder_fail": "encoder_error",
+    "fet_fault": "driver_fault",
+    "motor_fail_0": "motor_fail_0",
+    "motor_fail_1": "motor_fail_1",
+    "overspeed": "velocity_error",
+    "over_acceleration": "acceleration_error",
+    "hot": "temperature_error",
+}

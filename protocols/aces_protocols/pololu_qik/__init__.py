@@ -1,0 +1,1 @@
+"""Pololu qik dual motor drivers, several on one serial line."""

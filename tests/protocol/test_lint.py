@@ -1,0 +1,329 @@
+"""Each rule of `aces spec check` finds what it is for, with its line, and leaves sound specs alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from construct import Byte, Const, GreedyBytes, Int8ul, Int16sb, Int16sl, Int16ul, Int24ul, Struct, this
+
+from aces_bus.protocol import (
+    BitLayout,
+    Capture,
+    Crc,
+    Enumeration,
+    IdBytes,
+    Protocol,
+    Quantity,
+    SignMagnitude,
+    Sum,
+    Xor,
+    bits,
+)
+from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire
+from aces_bus.protocol.lint.units import is_unit, suggest
+from aces_bus.protocol.spec.examples import parse_word
+from tests.laws.wires import PROTOCOLS, REGISTERED
+
+
+def found(protocol: Protocol, rule: str) -> list[Finding]:
+    """What a rule says of a protocol."""
+    return [one for one in check_protocol(protocol) if one.rule == rule]
+
+
+def only(protocol: Protocol, rule: str) -> Finding:
+    (one,) = found(protocol, rule)
+    assert Path(one.place.file).name == "test_lint.py"
+    return one
+
+
+def can() -> Protocol:
+    return Protocol("probe", link="can")
+
+
+def serial() -> Protocol:
+    return Protocol("probe", link="serial")
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_sound_specs_have_notes_at_most(name: str) -> None:
+    """Nothing that ships, and no spec of the tests, has an error or a warning, but for those that are meant to."""
+    meant = {"over"} if name in ("can_corners", "stream_corners") else set[str]()
+    bad = [str(f) for f in check_protocol(PROTOCOLS[name]) if f.level != "note" and f.rule not in meant]
+    if name in REGISTERED:
+        assert not bad
+    else:
+        assert not [text for text in bad if ": error:" in text]
+
+
+# ---------------------------------------------------------------------- fields
+
+
+def test_units_are_units() -> None:
+    """SI with prefixes and exponents, and what sheets write; everything else is a slip of the pen."""
+    good = (
+        "N·m, 0.1 mA, rad/s², m/s^2, count, turn/s, °C, %, kg·m2, rad s-1, 1/min, µs, Nm, km/h, mgauss, 2 µs"
+    )
+    bad = "bogus, mm/, kcount, meterz/s, N··, raad, °X, (m/s"
+    assert [text for text in good.split(", ") if not is_unit(text)] == []
+    assert [text for text in bad.split(", ") if is_unit(text)] == []
+    assert suggest("raad") == "rad"
+
+
+def test_a_unit_that_is_none_is_found_where_it_is_written() -> None:
+    """The finding has the line of the field and proposes a unit."""
+    p = can()
+    p.message("State", id=5, payload=Struct("speed" / Quantity(Int16sl, unit="raad")))
+    one = only(p, "unit")
+    assert one.level == "warning"
+    assert "is it 'rad'?" in one.text
+    assert one.place.line == p["State"].place.line
+
+
+def test_a_range_beyond_the_bits() -> None:
+    """A range that the raw number cannot reach is a warning, one that it never meets an error; half a step is neither."""
+    p = can()
+    p.message(
+        "State",
+        id=5,
+        payload=Struct(
+            "wide" / Quantity(Byte, unit="V", scale=0.1, range=(0, 30)),
+            "off" / Quantity(Byte, range=(300, 400)),
+            "low" / Quantity(SignMagnitude(8), raw_range=(-128, 127)),
+            "fits" / Quantity.span(Int16ul, -12.5, 12.5, bits=16),
+            "never" / Quantity(Byte, unknown=[0xFFFF]),
+        ),
+    )
+    levels = {one.text.partition(":")[0]: one.level for one in found(p, "range")}
+    assert levels == {
+        "State.wide": "warning",
+        "State.off": "error",
+        "State.low": "warning",
+        "State.never": "error",
+    }
+
+
+def test_names_that_cannot_occur_and_names_with_holes() -> None:
+    """A name beyond the bits is an error; a hole in a run of names is worth knowing; scattered names are no run."""
+    p = can()
+    p.message(
+        "State",
+        id=5,
+        payload=BitLayout(
+            2,
+            "mode" / Enumeration(bits(2), a=0, b=1, c=5),
+            "kind" / Enumeration(bits(6), a=0, b=1, d=3),
+            "code" / Enumeration(bits(8), a=1, b=50, c=200),
+        ),
+    )
+    error, hole = sorted(found(p, "enumeration"), key=lambda one: LEVELS.index(one.level))
+    assert (error.level, "c=5 cannot occur: raw numbers are 0…3" in error.text) == ("error", True)
+    assert (hole.level, "names 0…3, but not 2" in hole.text) == ("note", True)
+
+
+def test_one_number_the_other_way_round() -> None:
+    """Among many little-endian numbers one big-endian one is doubtful; a mixed protocol is left alone."""
+    p = can()
+    for number in range(5):
+        p.message(f"M{number}", id=number, payload=Struct("a" / Int16ul, "b" / Int16sl))
+    assert not found(p, "byte-order")
+    p.message("Odd", id=9, payload=Struct("a" / Int16sb))
+    one = only(p, "byte-order")
+    assert "Odd.a: is big-endian, 10 other numbers" in one.text
+
+
+def test_bits_that_belong_to_nobody_are_noted() -> None:
+    """The bits of a layout without a field are named by byte and bit."""
+    p = can()
+    p.message("State", id=5, payload=BitLayout(2, "a" / bits(4), "b" / bits(4, 12)))
+    assert "byte 0 bits 7…4 + byte 1 bits 3…0" in only(p, "gap").text
+
+
+def test_what_a_comment_allows_is_left_out() -> None:
+    """`# aces: allow RULE` on the line, or above it, says that it is meant; errors cannot be allowed."""
+    p = can()
+    p.message("A", id=1, payload=Struct("x" / Quantity(Byte, unit="bogus")))  # aces: allow unit
+    # aces: allow unit, gap
+    p.message("B", id=2, payload=Struct("x" / Quantity(Byte, unit="bogus")))
+    p.message("C", id=3, payload=Struct("x" / Quantity(Byte, unit="bogus")))
+    p.message("D", id=4, payload=Struct("x" / Enumeration(Byte, a=256)))  # aces: allow enumeration
+    assert [one.message for one in found(p, "unit")] == ["C"]
+    assert len(found(p, "enumeration")) == 1
+
+
+# ---------------------------------------------------------------------- checks
+
+
+@pytest.mark.parametrize(
+    ("check", "level", "says"),
+    [
+        (lambda: Xor(over=slice(4, 4)), "error", "covers nothing"),
+        (lambda: Xor(over=slice(1, None)), "error", "covers its own bytes (the last byte"),
+        (lambda: Sum(over=slice(1, -2)), "warning", "leaves out byte"),
+        (lambda: Sum(over=slice(2, -1)), "note", "leaves out byte 1"),
+        (lambda: Sum(over=[slice(1, -1), slice(1, 2)]), "warning", "covers some bytes twice"),
+        (lambda: Sum(), None, ""),
+    ],
+)
+def test_what_a_check_covers(check: object, level: str | None, says: str) -> None:
+    """A check over nothing, over itself, or with a hole is found; the usual one is not."""
+    p = serial()
+    assert callable(check)
+    framing = p.framing(
+        sync=b"\xa5", header=Struct("length" / Byte), size=this.length + 3, max_size=258, gap=1, check=check()
+    )
+    framing("Data", payload=Struct("kind" / Byte, "data" / GreedyBytes))
+    assert [one.level for one in found(p, "check-range")] == ([level] if level else [])
+    assert all(says in one.text for one in found(p, "check-range"))
+
+
+def test_a_check_over_what_never_changes() -> None:
+    """A check that covers only constants cannot fail."""
+    p = serial()
+    framing = p.framing(sync=b"\xa5", size=4, check=Sum(over=slice(1, 2)))
+    framing("Beat", payload=Struct(Const(7, Byte), "count" / Byte))
+    assert found(p, "check-constant")
+
+
+def test_a_check_of_a_message() -> None:
+    """On CAN too: over its own byte, over too little; over the identifier and all other bytes it is sound."""
+    payload = Struct("crc" / Byte, "a" / Int16ul)
+    p = can()
+    p.message("Own", id=1, payload=payload, check=Crc("CRC8-SAE-J1850", field="crc", over=slice(0, None)))
+    p.message("Few", id=2, payload=payload, check=Crc("CRC8-SAE-J1850", field="crc", over=slice(1, 2)))
+    over = [IdBytes(2), slice(1, None)]
+    p.message("Right", id=3, payload=payload, check=Crc("CRC8-SAE-J1850", field="crc", over=over))
+    assert {one.message: one.level for one in found(p, "check-range")} == {"Own": "error", "Few": "warning"}
+
+
+# ---------------------------------------------------------------------- framings, sizes
+
+
+def test_sizes_that_cannot_be() -> None:
+    """Fields that make packets of another size than the framing's, or than any length says, are errors."""
+    p = serial()
+    fixed = p.framing(sync=b"\xaa", size=4)
+    fixed("Right", payload=Struct(Const(1, Byte), "a" / Int16ul))
+    fixed("Long", payload=Struct(Const(2, Byte), "a" / Int24ul))
+    pairs = p.framing(
+        sync=b"\xbb", header=Struct("words" / Byte), size=2 * this.words + 2, max_size=512, gap=1
+    )
+    pairs("Even", payload=Struct(Const(1, Byte), "a" / Int8ul))
+    pairs("Odd", payload=Struct(Const(2, Byte), "a" / Int16ul))
+    errors = [one.message for one in found(p, "size") if one.level == "error"]
+    assert errors == ["Long", "Odd"]
+
+
+def test_a_length_that_counts_otherwise() -> None:
+    """A `max_size` that the length cannot say, and a shortest packet far above head and check, are doubtful."""
+    p = serial()
+    p.framing(sync=b"\xaa", header=Struct("length" / Byte), size=this.length + 9, max_size=300, gap=1)(
+        "M", payload=Struct("data" / GreedyBytes)
+    )
+    texts = [one.text for one in found(p, "size")]
+    assert any("max_size=300, but 'length' says at most 264 bytes" in text for text in texts)
+    assert any("with length = 0 a packet has 9 bytes, 7 more" in text for text in texts)
+
+
+def test_notes_on_framings() -> None:
+    """No gap and no check are worth knowing."""
+    p = serial()
+    p.framing(sync=b"\xaa", header=Struct("length" / Byte), size=this.length + 2, max_size=100)(
+        "M", payload=Struct("data" / GreedyBytes)
+    )
+    assert only(p, "gap").level == "note"
+    assert only(p, "unchecked").level == "note"
+
+
+# ---------------------------------------------------------------------- templates
+
+
+def test_messages_that_nothing_can_be() -> None:
+    """What `not_next` rules out, and what no configuration has, is unreachable."""
+    p = serial()
+    framing = p.framing(
+        sync=b"\xff\xff", not_next=b"\xff", header=Struct("id" / Byte, "length" / Byte), size=this.length + 4,
+        max_size=259, gap=1,
+    )  # fmt: skip
+    framing("Never", match={"id": 0xFF}, payload=Struct("data" / GreedyBytes))
+    assert (only(p, "unreachable").message, only(p, "unreachable").level) == ("Never", "error")
+    q = Protocol("probe", link="can", configurations={"small": {"kinds": {0: "a", 1: "b"}}})
+    kinds = q.configured("kinds", by="node")
+    q.message("Nowhere", id=0x100 + Capture("node", range(4)), when=kinds("c"), payload=Struct("a" / Byte))
+    assert "no shipped dialect and configuration" in only(q, "unreachable").text
+
+
+def test_messages_that_others_always_take() -> None:
+    """With `over=`, a message whose every frame is another's is never reached; one that has more is."""
+    p = can()
+    p.message("Special", id=5, payload=Struct(Const(1, Byte), "a" / Byte))
+    p.message("General", id=5, over="Special", payload=Struct("kind" / Byte, "a" / Byte))
+    one = only(p, "unreachable")
+    assert (one.message, one.level) == ("Special", "error")
+    assert one.others == (p["General"].place,)
+    q = can()
+    q.message("General", id=5, payload=Struct("kind" / Byte, "a" / Byte))
+    q.message("Special", id=5, over="General", payload=Struct(Const(1, Byte), "a" / Byte))
+    assert not found(q, "unreachable")
+
+
+def test_precedence_that_settles_nothing() -> None:
+    """`over=` of a message that shares no packet is doubtful, of none at all wrong."""
+    p = can()
+    p.message("A", id=5, payload=Struct("a" / Byte))
+    p.message("B", id=6, over="A", payload=Struct("a" / Byte))
+    p.message("C", id=7, over="Nobody", payload=Struct("a" / Byte))
+    assert [(one.message, one.level) for one in found(p, "over")] == [("B", "warning"), ("C", "error")]
+
+
+def test_requests_that_cannot_have_been() -> None:
+    """A value that the request's field never has, the same direction, an age below 0."""
+    p = can()
+    ask = p.message(
+        "Ask", id=1, direction="to device", payload=BitLayout(1, "what" / bits(2), "rest" / bits(6))
+    )
+    p.message("Answer", id=2, direction="from device", reply_to=ask.where(what=7), payload=Struct("a" / Byte))
+    p.message("Echo", id=3, direction="to device", reply_to=ask, payload=Struct("a" / Byte))
+    p.message("Late", id=4, direction="from device", reply_to=ask, within=-1, payload=Struct("a" / Byte))
+    assert {one.message for one in found(p, "request") if one.level == "error"} == {"Answer", "Late"}
+    assert only(p, "direction").message == "Echo"
+
+
+def test_a_reply_that_is_never_recognised() -> None:
+    """A reply that only its request tells, in a dialect that has no such request, cannot be."""
+    p = Protocol("probe", link="can", dialects={"old": "", "new": ""})
+    ask = p.message("Ask", id=1, dialect="old", direction="to device", payload=Struct("what" / Byte))
+    p.message("A", id=2, direction="from device", reply_to=ask.where(what=1), payload=Struct("a" / Byte))
+    p.message("B", id=2, direction="from device", reply_to=ask.where(what=2), payload=Struct("b" / Byte))
+    errors = {one.message for one in found(p, "unreachable") if one.level == "error"}
+    assert errors == {"A", "B"}
+
+
+# ---------------------------------------------------------------------- several protocols
+
+
+def test_protocols_on_one_bus_collide_with_a_witness() -> None:
+    """Two protocols that claim a frame are found, exactly, and the witness is a frame of both."""
+    one = Protocol("one", link="can")
+    one.message("State", id=0x100 + Capture("node", range(8)), payload=Struct("a" / Int16ul))
+    other = Protocol("other", link="can")
+    other.message("Apart", id=0x110, payload=Struct("b" / Int16ul))
+    other.message("Alike", id=0x105, payload=Struct(Const(3, Byte), "c" / Byte))
+    variants = [one.variant(), other.variant()]
+    (clash,) = check_wire(variants)
+    assert (clash.rule, clash.level, clash.message) == ("collision", "error", "Alike")
+    assert clash.witness is not None
+    image = parse_word(clash.witness, is_can=True).image
+    assert one["State"].struct.parse(image, raw=True)["node"] == 5
+    assert other["Alike"].struct.parse(image, raw=True)["c"] is not None
+    apart = [one.variant().on("can0"), other.variant().on("can1")]
+    assert not list(check_wire(apart))
+
+
+def test_streams_on_one_line_collide_once() -> None:
+    """Of two protocols with one sync the clearest pair is shown, the others are counted; other links never collide."""
+    robotis, adc, hubo = (REGISTERED[name].variant() for name in ("robotis", "minihubo_adc", "hubo"))
+    (clash,) = check_wire([robotis, adc, hubo])
+    assert clash.witness is not None
+    assert clash.witness.startswith("hex:FFFF")
+    assert "more pairs of messages" in clash.text

@@ -1,0 +1,175 @@
+"""Worked examples: how they are written, and that a spec which contradicts one is found out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from construct import Array, Byte, Int16sb, Int16sl, Int16ul, Struct, this
+
+from aces_bus.errors import SpecError
+from aces_bus.protocol import Capture, Enumeration, Flags, Protocol, Quantity, Sum, as_dict, make_scanner
+from aces_bus.protocol.lint import check_protocol
+from aces_bus.protocol.lint.examples import agree, failure, frame_of
+from aces_bus.protocol.spec.examples import Example, parse_word
+from tests.laws.wires import PROTOCOLS, REGISTERED
+
+
+def spoken(**changed: Any) -> Protocol:
+    """A small protocol with a worked example; keywords are what a slip of the pen changes."""
+    p = Protocol("probe", link="can")
+    p.message(
+        "State",
+        id=changed.get("id", 0x100 + Capture("node", range(8))),
+        payload=Struct(
+            "mode" / Enumeration(Byte, changed.get("names", {"off": 0, "on": 1})),
+            "error" / Flags(Byte, changed.get("flags", {"hot": 0, "cold": 3})),
+            "speed"
+            / Quantity(changed.get("number", Int16sl), unit="rad/s", scale=changed.get("scale", 0.01)),
+            "raw" / Array(2, Byte),
+        ),
+        examples=[
+            ("103#01 09 2E FB 05 06", {"node": 3, "mode": "on", "error": ["hot", "cold"], "speed": -12.34})
+        ],
+    )
+    return p
+
+
+def said(protocol: Protocol) -> str:
+    (text,) = (one.text for one in check_protocol(protocol) if one.rule == "example" and one.level == "error")
+    return text
+
+
+def test_a_right_example_says_nothing() -> None:
+    """Bytes that give the fields, fields that give the bytes; fields left out are not compared."""
+    assert not [one for one in check_protocol(spoken()) if one.rule == "example"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"number": Int16sb}, "speed is read as 120.27, and should be -12.34"),
+        ({"scale": 0.1}, "speed is read as -123.4"),
+        ({"number": Byte}, "its length does not go with"),
+        ({"id": 0x110 + Capture("node", range(8))}, "it is not State: another identifier"),
+        ({"id": 0x0FF + Capture("node", range(8))}, "node is read as 4, and should be 3"),
+        ({"names": {"off": 1, "on": 2}}, "mode is read as 'off', and should be 'on'"),
+        ({"flags": {"hot": 0, "cold": 2}}, "error is read as"),
+    ],
+)
+def test_a_slip_of_the_pen_is_found(changed: dict[str, Any], says: str) -> None:
+    """Byte order, scale, width, identifier, names and bits: each contradicts the example."""
+    assert says in said(spoken(**changed))
+
+
+def test_a_field_that_does_not_exist() -> None:
+    """An example that names no field says which there are."""
+    p = Protocol("probe", link="can")
+    p.message("A", id=1, payload=Struct("x" / Byte), examples=[("001#05", {"y": 5})])
+    assert "there is no field 'y' (there are: x)" in said(p)
+
+
+def test_an_example_of_a_stream() -> None:
+    """A packet with a wrong check is not this message; the right one holds."""
+    for text, holds in (("A5 01 07 08", True), ("A5 01 07 09", False)):
+        p = Protocol("probe", link="serial")
+        framing = p.framing(
+            sync=b"\xa5", header=Struct("length" / Byte), size=this.length + 3, max_size=258, check=Sum()
+        )
+        made = framing("A", payload=Struct("x" / Byte), examples=[(text, {"x": 7})])
+        assert (failure(made, made.examples[0]) is None) is holds
+
+
+def test_an_example_with_its_request() -> None:
+    """A reply that hangs on a request is recognised with it; a request that is none, or the wrong one, is said."""
+    p = Protocol("probe", link="can")
+    ask = p.message("Ask", id=1, payload=Struct("what" / Byte))
+    for name, what in (("A", 1), ("B", 2)):
+        p.message(name, id=2, reply_to=ask.where(what=what), payload=Struct("x" / Int16ul))
+    a, b = p["A"], p["B"]
+    word, fields = parse_word("002#0102", is_can=True), {"x": 0x201, "what": 1}
+    assert failure(a, Example(word, fields, parse_word("001#01", is_can=True))) is None
+    assert failure(a, Example(word, {"x": 0x201})) is None, "without its request it cannot be recognised"
+    assert "is none of Ask(what=2)" in (
+        failure(b, Example(word, {}, parse_word("001#01", is_can=True))) or ""
+    )
+    assert "answers none" in (failure(ask, Example(parse_word("001#01", is_can=True), {}, word)) or "")
+
+
+def test_a_message_that_another_takes_is_said() -> None:
+    """An example that scanners give to another message does not hold."""
+    p = Protocol("probe", link="can")
+    p.message("Second", id=1, payload=Struct("x" / Byte), examples=[("001#05", {"x": 5})])
+    p.message("First", id=1, over="Second", payload=Struct("y" / Byte))
+    assert "in probe it is read as First" in said(p)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "001#05",
+        ("001#05",),
+        ("001#05", {"x": 1}, {"y": 2}),
+        ("nonsense", {}),
+        ("001#0", {}),
+        ("FFF#", {}),
+        ("001#" + "00" * 9, {}),
+    ],
+)
+def test_what_is_no_example_fails_at_import(given: Any) -> None:
+    """The message names the line and how an example is written."""
+    p = Protocol("probe", link="can")
+    with pytest.raises(SpecError, match=r"test_lint_examples.py:\d+: (an )?example"):
+        p.message("A", id=1, payload=Struct("x" / Byte), examples=[given])
+
+
+def test_frames_of_every_kind_can_be_written() -> None:
+    """11 and 29 bits, remote and CAN FD, as candump writes them."""
+    kinds = {
+        "12#": (0x12, False),
+        "00000012#01": (0x12, True),
+        "123##011 22": (0x123, False),
+        "123#R": (0x123, False),
+    }
+    for text, (identifier, extended) in kinds.items():
+        word = parse_word(text, is_can=True)
+        assert (word.identifier, word.extended) == (identifier, extended)
+        assert parse_word(str(word), is_can=True) == word
+
+
+@pytest.mark.parametrize("name", REGISTERED)
+def test_every_message_that_ships_has_an_example(name: str) -> None:
+    """So that a slip in a shipped spec is found by checking it."""
+    assert [m.name for m in REGISTERED[name].declared if not m.examples] == []
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, p in PROTOCOLS.items() if any(m.examples for m in p.declared)]
+)
+def test_scanners_and_encoders_agree_with_the_examples(name: str) -> None:
+    """What is generated reads and writes each worked example as its source has it, in some dialect and configuration."""
+    protocol = PROTOCOLS[name]
+    for message in protocol.declared:
+        for example in message.examples:
+            assert failure(message, example) is None
+            assert any(_scanned(variant, message, example) for variant in protocol.variants()), message
+
+
+def _scanned(variant: Any, message: Any, example: Example) -> bool:
+    if message.name not in variant.messages:
+        return False
+    scanner: Any = make_scanner([variant], direction=message.direction if variant.link != "can" else None)
+    if variant.link == "can":
+        words = [example.word] if example.request is None else [example.request, example.word]
+        records = scanner.feed([frame_of(word) for word in words])[len(words) - 1 :]
+    else:
+        if example.request is not None:
+            scanner.sent(example.request.data)
+        records = scanner.feed(example.word.data) + scanner.close()
+    if [type(record).__name__ for record in records] != [message.name]:
+        return False
+    values = as_dict(records[0])
+    given = {field: value for field, value in values.items() if field not in message.request_fields}
+    made = variant.encoder.encode(message.name, **given)
+    same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data
+    return same and all(agree(values[field], wanted) for field, wanted in example.fields.items())
