@@ -21,10 +21,11 @@ from ..runtime import VirtualClock
 class ReplayPort:
     """One bus of a recording. Frames of other buses are not given to it."""
 
+    link: Literal["can", "serial", "datagram"] = "can"
     half_duplex = False
 
-    def __init__(self, clock: VirtualClock, name: str, link: Literal["can", "serial", "datagram"]) -> None:
-        self.clock, self.name, self.link = clock, name, link
+    def __init__(self, clock: VirtualClock, name: str) -> None:
+        self.clock, self.name = clock, name
         self.swallowed = 0
         self._received: Callable[[Any, int], Any] | None = None
         self.note: Callable[[Any], None] | None = None
@@ -79,7 +80,7 @@ class Replay:
         links = {name: robot.buses[name].link for name in spoken_on(robot, **more)}
         if set(links.values()) != {"can"}:
             raise CallerError(f"robot {robot.name} has buses that are not CAN; replays are of CAN recordings")
-        self.ports = {name: ReplayPort(self.clock, name, link) for name, link in links.items()}
+        self.ports = {name: ReplayPort(self.clock, name) for name in links}
         self.rig: Rig = connect(robot, self.ports, **more)
         for name, host in self.rig.hosts.items():
             self._mute(host)

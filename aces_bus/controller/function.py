@@ -127,7 +127,8 @@ def controller(
     """Make a controller of a function.
 
     Its positional parameters are the states it reads, by name; `states=[…]` says them where a name is no identifier, and
-    the function then takes them as the mapping `states`; `writes` those it gives set-points for. Keyword-only parameters are gains, which `set` changes.
+    the function then takes them as the mapping `states`; `writes` those it gives set-points for. Keyword-only parameters
+    are gains, which `set` changes.
 
     >>> @controller(rate_hz=200)
     ... def hold(LKP, *, kp=0.5, goal=1.0):

@@ -151,12 +151,17 @@ class Host(Station[Device]):
         port.on_event(self._bus_event)
         self._line: deque[Ticket] = deque()
         self._speaking: Ticket | None = None
+        self._spoke_last: Device | None = None
 
     # ------------------------------------------------------------------ devices
 
     def add(self, member: Device) -> Device:
         """Put a device on the bus; its polls begin with the next tick. Raises `CallerError` as `Station.add`."""
         super().add(member)
+        if self.port.link == "serial" and any(
+            name in member.credentials for m in member.variant.messages.values() for name in m.request_fields
+        ):
+            self._half = True  # answers that only their request tells whose they are: one asks at a time
         for poll in member.polls:
             word = self.word(member, poll.message, poll.fields)
             turn = _Turn(member, poll, word, 2 * self.port.wire_ns(word))
@@ -521,6 +526,7 @@ class Host(Station[Device]):
     def _speak(self, ticket: Ticket) -> None:
         now = self.clock.now()
         self._speaking = ticket
+        self._spoke_last = ticket.device
         self._send(ticket, now)
         if not ticket.reply:
             self.clock.call_in(self.port.wire_ns(ticket.word), lambda: self._free(ticket))
@@ -536,6 +542,8 @@ class Host(Station[Device]):
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
         self.unknown[word.reason] += 1
         if not word.reason.startswith("malformed"):
+            if word.reason.startswith("unknown: needs request") and self._half:
+                self._answered_twice(word)
             return
         device = self._suspect(word)
         raw = word.meta.raw.hex(" ")
@@ -543,6 +551,12 @@ class Host(Station[Device]):
         self.tell("malformed", device.name if device is not None else "", f"{where}{raw}: {word.reason[11:]}")
         if device is not None:
             device.garbled(word.reason, instant)
+
+    def _answered_twice(self, word: UnknownWord) -> None:
+        """An answer on a half-duplex line that nobody asked for: it is late, or there are two who answer."""
+        last = self._spoke_last
+        detail = f"{word.meta.raw.hex(' ')}: nobody has asked; are there two devices with one number?"
+        self.tell("two answers", last.name if last is not None else "", detail)
 
     def _suspect(self, word: UnknownWord) -> Device | None:
         """Whose word it may have been: by its identifier, or whoever has the line."""

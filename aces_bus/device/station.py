@@ -66,7 +66,10 @@ class Station(Generic[M]):
         self.scanner = make_scanner(list(variants), direction=direction, everything=True)
         self.members: dict[str, M] = {}
         self._routes: dict[type, _Route[M]] = {}
-        self._feed: Callable[[Any], list[Any]] = self.scanner.feed
+        #: A datagram is whole: what it leaves incomplete, the next one does not continue.
+        self._feed: Callable[[Any], list[Any]] = (
+            self.scanner.datagram if port.link == "datagram" else self.scanner.feed
+        )
         self._is_can = port.link == "can"
         self._is_open = False
 

@@ -155,7 +155,8 @@ def test_bus_off_reaches_the_supervisor() -> None:
     with run:
         run.start()
         run.clock.wait(lambda: False, 200_000_000)
-        node = run.world.wires["line"].nodes[0]
+        port: Any = run.rig.hosts["line"].port
+        node = port.node
         for _ in range(40):
             node.count_errors(8, 0, Frame(1))
         run.clock.wait(lambda: False, 300_000_000)

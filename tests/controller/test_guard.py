@@ -223,8 +223,8 @@ def test_bounds_of_a_robot() -> None:
 )
 def test_wrong_settings_are_refused(options: dict[str, Any], message: str) -> None:
     """Period, dead-man, action and bounds."""
+    merged: dict[str, Any] = {"period_s": 0.01, **options}
     with pytest.raises(CallerError, match=message):
-        merged: dict[str, Any] = {"period_s": 0.01, **options}
         Guard({}, **merged)
     with pytest.raises(CallerError, match="must not be above upper"):
         Bounds(1.0, 0.0)

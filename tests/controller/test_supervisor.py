@@ -169,10 +169,7 @@ def test_events_come_from_other_threads() -> None:
         for _ in range(200):
             supervisor.handle(event("tick"))
 
-    threads = [
-        threading.Thread(target=lambda: [supervisor.handle(event("tick")) for _ in range(200)])
-        for _ in range(4)
-    ]
+    threads = [threading.Thread(target=burst) for _ in range(4)]
     for thread in threads:
         thread.start()
     for n in range(20):

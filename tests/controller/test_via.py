@@ -118,8 +118,8 @@ def test_a_pause_is_a_point_twice() -> None:
 )
 def test_a_wrong_path_is_refused(points: Any, options: dict[str, Any], message: str) -> None:
     """Each with what is wrong."""
+    merged: dict[str, Any] = {"limits": Limits(1.0, 2.0), **options}
     with pytest.raises(CallerError, match=message):
-        merged: dict[str, Any] = {"limits": Limits(1.0, 2.0), **options}
         ViaPath(["A"], points, **merged)
     with pytest.raises(CallerError, match="above 0"):
         Limits(0.0)

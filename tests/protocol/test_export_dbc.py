@@ -32,9 +32,10 @@ from tests.tools.test_spec_import import run_source
 
 cantools = pytest.importorskip("cantools")
 
-VARIANTS = [hubo.variant("D12", "hubo2plus"), hubo.variant("D08", "hubo2")]
-VARIANTS += [
-    SPECS[name].variants()[-1]
+VARIANTS = [
+    hubo.variant("D12", "hubo2plus"), hubo.variant("D08", "hubo2"),
+    *(    SPECS[name].variants()[-1),
+]
     for name in ("automotive", "database_like", "odrive_like", "mit_motor", "j1939_like")
 ]
 

@@ -144,7 +144,8 @@ BA_ "VFrameFormat" BO_ 2364540158 3;
 
 
 KCD = """<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Document/><Bus name="b">
-<Message id="0x64" name="Speed" length="4"><Signal name="speed" offset="0" length="16"><Value unit="km/h" slope="0.01"/></Signal>
+<Message id="0x64" name="Speed" length="4">
+<Signal name="speed" offset="0" length="16"><Value unit="km/h" slope="0.01"/></Signal>
 <Signal name="gear" offset="16" length="3"><LabelSet><Label name="reverse" value="7"/></LabelSet></Signal>
 </Message></Bus></NetworkDefinition>
 """
@@ -232,7 +233,7 @@ def test_drawn_databases(text: str, seed: int, tmp_path_factory: pytest.TempPath
     frames = [
         Frame(
             m.identifier.constant,
-            rng.randbytes(list(m.lengths or [0])[0]),
+            rng.randbytes(next(iter(m.lengths or [0]))),
             is_extended_id=m.extended,
             is_fd=m.fd,
         )

@@ -17,8 +17,10 @@ from .leaves import Loss
 from .signals import EXPANDED, Identified, Signal, identified
 
 #: The attribute VFrameFormat: by (29 bits, CAN FD), and of a J1939 parameter group.
-_FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] * 10]
-_FORMATS += ["StandardCAN_FD", "ExtendedCAN_FD"]
+_FORMATS = [
+    *("StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] * 10),
+    *("StandardCAN_FD", "ExtendedCAN_FD"),
+]
 _FORMAT = {(False, False): 0, (True, False): 1, (False, True): 14, (True, True): 15}
 
 
@@ -98,8 +100,7 @@ def _signal(signal: Signal, message: Identified) -> Any:
     from cantools.database.conversion import BaseConversion
 
     receivers = {"Host": ["Device"], "Device": ["Host"]}.get(message.sender)
-    names = {value: _text(name, is_short=True) for value, name in signal.names.items()}
-    names = {value: name or "?" for value, name in names.items()}
+    names: Any = {value: _text(name, is_short=True) or "?" for value, name in signal.names.items()}
     return Made(
         signal.name,
         signal.start,

@@ -12,7 +12,7 @@ from typing import Any
 #: Columns of a line before a table is broken over several.
 WIDTH = 110
 _NAMES = frozenset(
-    "and break do else elseif end false for function goto if in local nil not or repeat return then true until while".split()
+    ["and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local", "nil", "not", "or", "repeat", "return", "then", "true", "until", "while"]
 )
 
 

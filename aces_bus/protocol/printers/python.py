@@ -61,8 +61,9 @@ def literal(value: Any) -> Expression:
     if isinstance(value, Mapping):
         return Sequenced(tuple(map(literal, value.values())), "{}", tuple(map(literal, value)))
     if isinstance(value, (list, tuple, set, frozenset)):
-        items: Iterable[Any] = sorted(value) if isinstance(value, (set, frozenset)) else value
-        brackets = {list: "[]", tuple: "()"}.get(type(value), "{}")
+        is_set = isinstance(value, (set, frozenset))
+        items: Iterable[Any] = sorted(value) if is_set else value
+        brackets = "{}" if is_set else "[]" if isinstance(value, list) else "()"
         return Sequenced(tuple(map(literal, items)), brackets)
     return Code(repr(value))
 

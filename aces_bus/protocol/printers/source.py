@@ -182,13 +182,14 @@ class _Printer:
         fields: list[Expression] = []
         cursor = 0
         for slot in layout.slots:
-            if slot.name in layout.many or slot.inner.pieces is None or len(slot.inner.pieces) > 1:
+            pieces = slot.inner.pieces or ()
+            if slot.name in layout.many or len(pieces) != 1:
                 raise CallerError(f"field {slot.name}: bits in several places cannot be printed as source")
-            at, width = slot.inner.pieces[0]
+            at, width = pieces[0]
             place = self._bits(slot.inner, at if at != cursor else None, order, layout.order)
             cursor = at + width
             fields.append(_under(slot.name, self._slot(slot, place)))
-        keywords = [("order", literal(order))] if order != "lsb" else []
+        keywords: list[tuple[str, Expression]] = [("order", literal(order))] if order != "lsb" else []
         if layout.overlapping:
             keywords.append(("overlapping", Code("True")))
         if layout.trailing:

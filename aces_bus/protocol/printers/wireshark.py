@@ -208,7 +208,7 @@ class _Printer:
             table["texts"] = [check.text.format(number) for number in range(256)]
         if isinstance(check, Crc):
             width, poly, init, refin, refout, xorout = check.parameters
-            if check.name is not None and not poly:
+            if not poly:  # a name of the catalogue
                 width, poly, init, refin, refout, xorout = _catalogue(check.name)
             if width > WIDEST_CRC:
                 self._lose(where, "", f"the check ({check.describe}) is not verified: {width} bits")
@@ -406,7 +406,7 @@ class _Printer:
 
 
 def _program(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return files(__spec__.parent).joinpath(name).read_text(encoding="utf-8")
 
 
 def _catalogue(name: str) -> tuple[int, int, int, bool, bool, int]:

@@ -26,15 +26,17 @@ from aces_bus.protocol.foreign.names import TAKEN_BY_CODE
 from ..console import say
 
 LINKS = ("can", "serial", "datagram")
-#: What the skeletons call something of their own.
-TAKEN = frozenset(
-    "Array BitLayout Byte Capture Crc Enumeration Flags Frame Int16sl Int16ul Measurement Node Path Protocol Quantity Rate"
-    " SPEC Sample SetRate State Struct Tare annotations bits command packet protocol this".split()
-)
-#: Packages that a spec's own module must not hide.
-_PACKAGES = frozenset(
-    "aces_bus aces_devices aces_protocols aces_tools can canopen construct numpy pytest serial".split()
-)
+#: What the skeletons call something of their own; packages that a spec's own module must not hide.
+# fmt: off
+TAKEN = frozenset((
+    "Array", "BitLayout", "Byte", "Capture", "Crc", "Enumeration", "Flags", "Frame", "Int16sl", "Int16ul", "Measurement",
+    "Node", "Protocol", "Quantity", "Rate", "SAMPLE", "Sample", "SetRate", "State", "StreamScanner", "Struct", "Tare",
+    "annotations", "bits", "command", "law_tests", "make_scanner", "packet", "record", "scanner", "this",
+))
+PACKAGES = frozenset((
+    "aces_bus", "aces_devices", "aces_protocols", "aces_tools", "can", "canopen", "construct", "numpy", "pytest", "serial",
+))
+# fmt: on
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,7 +97,7 @@ def _check(name: str) -> None:
         wrong = f"names of protocols are in lower case: {name.lower()}"
     elif keyword.iskeyword(name) or keyword.issoftkeyword(name) or name in TAKEN_BY_CODE or name in TAKEN:
         wrong = "that is a word of Python or of the spec itself"
-    elif name in sys.stdlib_module_names or name in _PACKAGES:
+    elif name in sys.stdlib_module_names or name in PACKAGES:
         wrong = "a module of that name would hide one that Python needs"
     elif len(name) > 40:
         wrong = "at most 40 characters"
@@ -104,4 +106,4 @@ def _check(name: str) -> None:
 
 
 def _skeleton(name: str) -> str:
-    return (files(__package__) / "skeletons" / name).read_text(encoding="utf-8")
+    return (files(__spec__.parent) / "skeletons" / name).read_text(encoding="utf-8")
