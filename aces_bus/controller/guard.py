@@ -33,6 +33,8 @@ Action = Literal["hold", "zero duty", "disable"]
 ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
 #: A state that is clipped for long is told about so often.
 TOLD_EVERY_NS = 1_000_000_000
+#: States of one guard; a controller may make names up for ever.
+MOST_LINES = 10_000
 _INFINITY = math.inf
 
 
@@ -351,9 +353,9 @@ class Guard:
             line.given = line.asked = min(max(present, line.lower), line.upper)
 
     def _unknown_line(self, name: str) -> _Line | None:
-        if self.unlisted == "pass":
+        if self.unlisted == "pass" and len(self._lines) < MOST_LINES:
             return self._lines.setdefault(name, _Line(name, Bounds()))
-        if name in self.refused or len(self.refused) < 1_000:  # a controller may make names up for ever
+        if name in self.refused or len(self.refused) < MOST_LINES:
             self.refused[name] = self.refused.get(name, 0) + 1
         return None
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 import ast
 import linecache
 import math
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import CodeType
@@ -281,7 +282,9 @@ def _parsed(scope: Scope, place: str, text: str, mode: str) -> ast.AST:
     if len(text) > LONGEST:
         raise EquationError(f"{scope.owner}: {place}: {len(text)} characters are more than {LONGEST}")
     try:
-        return ast.parse(text, mode=mode)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", SyntaxWarning)  # "1if" is no equation either
+            return ast.parse(text, mode=mode)
     except SyntaxError as error:
         line = f"line {error.lineno}" if error.lineno else "somewhere"
         raise EquationError(

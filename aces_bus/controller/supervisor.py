@@ -114,6 +114,11 @@ class Supervisor:
         return self.controller.states
 
     @property
+    def writes(self) -> tuple[str, ...]:
+        """The states that the controller sets, as far as it says so."""
+        return tuple(getattr(self.controller, "writes", ()))
+
+    @property
     def reason(self) -> str:
         """Why motion is stopped; "" while it is not."""
         return self.guard.tripped.reason if self.guard.tripped else ""

@@ -169,6 +169,29 @@ def test_inputs_may_come_on_two_threads() -> None:
     assert energy.counts.late == 0
 
 
+def test_a_sample_of_another_thread_waits_for_the_one_being_told() -> None:
+    """A push on a second thread, while a listener has the first sample, is told behind it."""
+    torque, omega = pair()
+    both = torque * omega
+    heard: list[int] = []
+    others: list[threading.Thread] = []
+
+    def listen(_: Any, instant: int) -> None:
+        if not others:
+            others.append(threading.Thread(target=omega.push, args=(1.0, 30 * MS)))
+            others[0].start()
+            others[0].join(0.05)  # it cannot end before this sample has been told
+        heard.append(instant)
+
+    for instant in (0, 10 * MS, 20 * MS, 30 * MS):
+        torque.push(1.0, instant)
+    omega.push(1.0, 0)
+    both.subscribe(listen)
+    omega.push(1.0, 10 * MS)
+    others[0].join()
+    assert heard == [10 * MS, 20 * MS, 30 * MS]
+
+
 def test_a_product_with_itself_is_told_once() -> None:
     """`omega * omega` has one input."""
     omega = made()

@@ -108,6 +108,16 @@ def test_sections_equal_scipys(values: list[float], order: int, family: Any) -> 
         assert found == pytest.approx(expected.tolist(), rel=1e-9, abs=1e-9 * max(map(abs, values)) + 1e-300)
 
 
+def test_sections_in_a_row_begin_in_the_steady_state_of_all() -> None:
+    """Each section begins as if the level that the one before it gives had always been; an integrator begins at rest."""
+    half, double = (0.25, 0.25, 0, 1, 0, 0), (1.0, 0.5, 0.1, 1, -0.3, 0.1)
+    gain = 0.5 * 1.6 / 0.8
+    step = Sos((half, double, SECTION), 200).start_filter(3.0)
+    assert [step(3.0, 0) for _ in range(5)] == pytest.approx([3.0 * gain] * 5)
+    total = Sos(((1.0, 0, 0, 1, -1, 0),), 200).start_filter(3.0)
+    assert [total(3.0, 0) for _ in range(3)] == [3.0, 6.0, 9.0]
+
+
 def test_designs_have_their_frequencies() -> None:
     """A Butterworth filter is at -3 dB at its cutoff, a notch takes its frequency out; what cannot be designed is said."""
     pytest.importorskip("scipy.signal")

@@ -310,22 +310,51 @@ def test_history_in_seconds() -> None:
     assert omega.history == 201
 
 
-def test_a_reader_that_is_overtaken_reads_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Samples that come while a window is copied never mix into it."""
+@pytest.mark.parametrize("what", ["piece", "instants", "value"])
+def test_a_reader_that_is_overtaken_reads_again(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    """Samples that come in the middle of a reading, more than a ring of them, never mix into it."""
     omega = fed(made(history=8), lambda t: t, range(0, 8 * MS, MS))
     pushed = [0]
 
     def interrupted(*arguments: Any) -> int:
-        if pushed[0] < 300:  # once round the ring in the middle of the search, more than once
+        place = bisect_left(*arguments)
+        if pushed[0] < 300:
             for _ in range(100):
                 pushed[0] += 1
                 omega.push(float(pushed[0]), (7 + pushed[0]) * MS)
-        return bisect_left(*arguments)
+        return place
 
     monkeypatch.setattr("aces_bus.state.state.bisect_left", interrupted)
-    stamps, values = omega.piece_between(0, 1 << 60)
-    assert values.tolist() == [float(i) for i in range(293, 301)]
-    assert stamps.tolist() == [(7 + i) * MS for i in range(293, 301)]
+    newest = [(7 + i) * MS for i in range(293, 301)]
+    if what == "piece":
+        stamps, values = omega.piece_between(0, 1 << 60)
+        assert values.tolist() == [float(i) for i in range(293, 301)]
+        assert stamps.tolist() == newest
+    elif what == "instants":
+        assert omega.samples_up_to(1 << 60, 3) == newest[-3:]
+    else:
+        with pytest.raises(StateError, match="history reaches from"):
+            omega.at(3 * MS + 1)  # it was there when the search began
+
+
+def test_a_reader_between_any_two_stores_of_a_push_sees_one_moment() -> None:
+    """After each single store a reader finds the old sample or the new one, and never asks for what is not there yet."""
+    seen: list[Any] = []
+
+    class Watched(State):
+        def __setattr__(self, name: str, value: Any) -> None:
+            super().__setattr__(name, value)
+            if name in ("_newest", "_newest_at", "_count") and self.__dict__.get("_newest_at", -1) > 0:
+                at = self.instant
+                assert at is not None
+                before = at - 10 * MS
+                seen.append(self[0])
+                assert self[0] >= at / S
+                assert self[-0.005] == pytest.approx((before + 5 * MS) / S)
+                assert self.window(-0.01).values[-1] >= at / S
+
+    fed(Watched("omega", clock=VirtualClock()), lambda t: t, range(0, S, 10 * MS))
+    assert len(seen) > 200
 
 
 def test_states_default_to_this_machines_clock() -> None:

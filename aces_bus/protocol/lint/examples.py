@@ -81,7 +81,7 @@ def failure(message: Message, example: Example) -> str | None:
         if not agree(found[name], wanted):
             return f"{name} is read as {show(found[name])}, and should be {show(wanted)}"
     try:
-        built = bytes(message.struct.build({**values, **example.fields}))
+        built = bytes(message.struct.build(merged(values, example.fields)))
     except (ConstructError, AcesError, KeyError, TypeError, AttributeError, ValueError) as error:
         return f"its fields cannot be written: {_said(error)}"
     if built != image:
@@ -164,6 +164,15 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     return value
+
+
+def merged(found: Any, wanted: Any) -> Any:
+    """What was read with what an example says in its place; what the example leaves out stays as it was read."""
+    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+        return {**found, **{name: merged(found.get(name), value) for name, value in wanted.items()}}
+    if isinstance(found, list) and isinstance(wanted, (list, tuple)) and len(found) == len(wanted):
+        return [merged(one, other) for one, other in zip(found, wanted, strict=True)]
+    return wanted
 
 
 def agree(found: Any, wanted: Any) -> bool:

@@ -11,9 +11,12 @@ from typing import Any
 
 #: Columns of a line before a table is broken over several.
 WIDTH = 110
-_NAMES = frozenset(
-    ["and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local", "nil", "not", "or", "repeat", "return", "then", "true", "until", "while"]
-)
+# fmt: off
+_NAMES = frozenset((
+    "and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local", "nil", "not",
+    "or", "repeat", "return", "then", "true", "until", "while",
+))
+# fmt: on
 
 
 def quoted(text: str | bytes) -> str:

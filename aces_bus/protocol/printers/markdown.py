@@ -45,7 +45,7 @@ class _Page:
 
     def text(self) -> str:
         lines = [f"# {_escaped(self.variant.name)}", ""]
-        lines += self._overview() + ["", f"## {self.map_title}", ""]
+        lines += [*self._overview(), "", f"## {self.map_title}", ""]
         lines += self._map()
         for message in self.messages:
             lines += ["", f"## {_escaped(message.name)}", "", *self._message(message)]

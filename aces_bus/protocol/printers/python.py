@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Union
+from typing import Any
 
 #: Columns of a line.
 WIDTH = 88
@@ -47,7 +47,7 @@ class Operation:
     rest: tuple[tuple[str, Expression], ...]
 
 
-Expression = Union[Code, Call, Sequenced, Operation]
+Expression = Code | Call | Sequenced | Operation
 
 
 def literal(value: Any) -> Expression:

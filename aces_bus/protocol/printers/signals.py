@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 from ..codegen import plan as p
 from ..codegen.choose import Choice, choose
@@ -465,7 +466,7 @@ class _Group:
 def _is_run(bits: Sequence[int]) -> bool:
     """Whether a DBC can place these bits: one behind the other, in either of its orders."""
     turned = [bit ^ 7 for bit in bits]
-    return len(runs(bits)) == 1 or all(b == a - 1 for a, b in zip(turned, turned[1:], strict=False))
+    return len(runs(bits)) == 1 or all(b == a - 1 for a, b in pairwise(turned))
 
 
 def _pieces(bits: Sequence[int]) -> list[tuple[int, tuple[int, int]]]:

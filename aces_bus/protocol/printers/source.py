@@ -198,7 +198,7 @@ class _Printer:
 
     def _bits(self, inner: Bits, at: int | None, order: str, usual: str) -> Expression:
         arguments = [literal(inner.width)] + ([literal(at)] if at is not None else [])
-        keywords = [("signed", Code("True"))] if inner.signed else []
+        keywords: list[tuple[str, Expression]] = [("signed", Code("True"))] if inner.signed else []
         if (own := inner.order or usual) != order:
             keywords.append(("order", literal(own)))
         return Call(self._word("float_bits" if inner.is_float else "bits"), tuple(arguments), tuple(keywords))

@@ -406,7 +406,7 @@ class _Printer:
 
 
 def _program(name: str) -> str:
-    return files(__spec__.parent).joinpath(name).read_text(encoding="utf-8")
+    return files(__name__.rpartition(".")[0]).joinpath(name).read_text(encoding="utf-8")
 
 
 def _catalogue(name: str) -> tuple[int, int, int, bool, bool, int]:

@@ -156,6 +156,8 @@ class CanScanner:
         self.wires = [_Wire(variant, direction, raw=raw) for variant in variants]
         self._table = dict(self.wires[0].table) if self.wires else {}
         self._merged = len(self.wires) > 1
+        #: By key, the requests that a frame of our own may be.
+        self._asked: dict[int, list[tuple[_Wire, Message]]] = {}
         self._counts = Counts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
@@ -340,10 +342,14 @@ class CanScanner:
             frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
         )
         data = bytes(frame.data)
-        for wire in self.wires:
-            for message in wire.matching(key, wire.asked):
-                if wire.note(message, data, key, frame.timestamp, frame.channel, data):
-                    return
+        asked = self._asked.get(key)
+        if asked is None:
+            asked = [(wire, message) for wire in self.wires for message in wire.matching(key, wire.asked)]
+            if len(self._asked) < REMEMBERED:
+                self._asked[key] = asked
+        for wire, message in asked:
+            if wire.note(message, data, key, frame.timestamp, frame.channel, data):
+                return
 
     def idle(self, time: float | None = None) -> list[Any]:
         """Frames are whole: silence decides nothing on CAN."""

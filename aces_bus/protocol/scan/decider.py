@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 from ..codegen.choose import Choice, choose
 from ..codegen.flatten import flatten
@@ -172,7 +173,15 @@ class Decider:
 
 def _values(record: Any) -> dict[str, Any]:
     """The fields of a raw record, for the memory of requests."""
-    return {name: getattr(record, name) for name in names_of(type(record))}
+    kind = type(record)
+    names = _names.get(kind)
+    if names is None:
+        names = _names[kind] = names_of(kind)
+    return {name: getattr(record, name) for name in names}
+
+
+#: The fields of record types, which do not change. Weak: a type lives as long as its scanner.
+_names: WeakKeyDictionary[type, tuple[str, ...]] = WeakKeyDictionary()
 
 
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:

@@ -123,6 +123,14 @@ class BoardCore(Device):
                 doc="the board's; hubo-ach calls this byte to be checked",
                 source="hubo-ach",
             )
+        if shape.status is not None and "StatusD08" in shape.status.reply:
+            self.add_signal(
+                "board_state",
+                of="StatusD08.board_state",
+                stale_s=self._slow("status_s"),
+                doc="first byte of the status, of unknown meaning",
+                source="acesHubo",
+            )
         return message
 
     def _slow(self, key: str) -> float:

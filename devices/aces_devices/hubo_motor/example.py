@@ -9,7 +9,7 @@ from __future__ import annotations
 D12 = """
 name = "hubo_motor_boards"
 doc = "one motor board of each kind, firmware D12"
-rate_hz = 200
+rate_hz = 50
 
 [buses]
 upper = { link = "can", protocol = "hubo", dialect = "D12", bitrate = 1_000_000 }
@@ -49,7 +49,7 @@ RF5 = { device = "EJMC4", channel = 4, gear = [1, 1],      harmonic = 256, encod
 D08 = """
 name = "hubo_motor_boards_d08"
 doc = "one motor board of each kind, firmware D08"
-rate_hz = 100
+rate_hz = 50
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D08", bitrate = 1_000_000 }

@@ -126,7 +126,9 @@ class Switching(BoardCore):
         """Control off, then drivers off; set-points are forgotten."""
 
         def steps(job: Job) -> Steps:
-            yield self.stop_motion()
+            stopped = self.stop_motion()
+            if stopped is not None:
+                yield stopped
             yield PAUSE
             if self.shape.has_driver_switch:
                 yield self.tell("DriverSwitch", state="off")

@@ -164,7 +164,10 @@ PositionGainA = command(
     payload=_GAINS,
     doc="Position gains of the first motor: roll on a three-channel board, all channels on one of D12.",
     source="X2; acesHubo; hubo-ach",
-    examples=[("001#00 07 C8 00 00 00 F4 01", {"board": 0, "kp": 200, "ki": 0, "kd": 500})],
+    examples=[
+        ("001#00 07 C8 00 00 00 F4 01", {"board": 0, "kp": 200, "ki": 0, "kd": 500}),
+        ("001#00 07 FF FF FE FF FD FF", {"board": 0, "kp": 65535, "ki": 65534, "kd": 65533}),
+    ],
 )
 PositionGainB = command(
     "PositionGainB",
@@ -246,7 +249,10 @@ CurrentLimit = command(
     payload=Struct("limit" / Int16ul),
     doc="Limit of the motor current, in unknown units.",
     source="X2",
-    examples=[("001#03 12 2C 01", {"board": 3, "limit": 300})],
+    examples=[
+        ("001#03 12 2C 01", {"board": 3, "limit": 300}),
+        ("001#03 12 FF FF", {"board": 3, "limit": 65535}),
+    ],
 )
 SwitchingMode = command(
     "SwitchingMode",

@@ -73,7 +73,12 @@ Parameters1 = _block(
                 "direction": "ccw",
             },
             "001#24 24 07",
-        )
+        ),
+        (
+            "1E4#FF FF FE FF FD FF FF FF",
+            {"kp": 65535, "ki": 65534, "kd": 65533, "resolution": 16383, "auto_scale": 1, "direction": "cw"},
+            "001#24 24 07",
+        ),
     ],
 )
 Parameters2 = _block(
@@ -100,7 +105,12 @@ Parameters2 = _block(
                 "home_offset_low": 53036,
             },
             "001#24 24 08",
-        )
+        ),
+        (
+            "1E4#FF FF 00 00 FE FF FD FF",
+            {"dead_zone": 65535, "search_direction": "cw", "search_limit": 65534, "home_offset_low": 65533},
+            "001#24 24 08",
+        ),
     ],
 )
 Parameters3 = _block(
@@ -154,7 +164,12 @@ Parameters4 = _block(
                 "max_pwm": 100,
             },
             "001#24 24 0A",
-        )
+        ),
+        (
+            "1E4#FF FF FE FF FD FF FC FF",
+            {"upper_limit_high": -65536, "max_acceleration": 65534, "max_velocity": 65533, "max_pwm": 65532},
+            "001#24 24 0A",
+        ),
     ],
 )
 Parameters5 = _block(
@@ -167,7 +182,8 @@ Parameters5 = _block(
             "1E4#64 00 00 00 0A 00 0B 00",
             {"board": 0x24, "selector": 11, "max_current": 100, "unused": bytes(2), "kpt": 10, "kdt": 11},
             "001#24 24 0B",
-        )
+        ),
+        ("1E4#FF FF 00 00 FE FF FD FF", {"max_current": 65535, "kpt": 65534, "kdt": 65533}, "001#24 24 0B"),
     ],
 )
 Parameters6 = _block(
@@ -181,7 +197,8 @@ Parameters6 = _block(
             "1E4#0C 00 01 02 03 04 05 06",
             {"board": 0x24, "selector": 12, "kft": 12, "sums": b"\x01\x02\x03\x04\x05\x06"},
             "001#24 24 0C",
-        )
+        ),
+        ("1E4#FF FF 00 00 00 00 00 00", {"kft": 65535, "sums": bytes(6)}, "001#24 24 0C"),
     ],
 )
 Parameters20 = _block(
@@ -209,7 +226,12 @@ Parameters20 = _block(
                 "homing_acceleration": 1.5,
             },
             "001#24 24 14",
-        )
+        ),
+        (
+            "1E4#FF FF FE FF 02 00 FD FF",
+            {"number": 65535, "period": 65534, "board_type": 2, "homing_acceleration": 655.33},
+            "001#24 24 14",
+        ),
     ],
 )
 Parameters21 = _block(
@@ -235,7 +257,17 @@ Parameters21 = _block(
                 "saturation_time": 500,
             },
             "001#24 24 15",
-        )
+        ),
+        (
+            "1E4#FF FF FE FF FD FF FC FF",
+            {
+                "velocity_to_switch": 65535,
+                "velocity_to_offset": 65534,
+                "jam_time": 65533,
+                "saturation_time": 65532,
+            },
+            "001#24 24 15",
+        ),
     ],
 )
 Parameters22 = _block(
@@ -262,7 +294,12 @@ Parameters22 = _block(
                 "max_encoder_error": 10,
             },
             "001#24 24 16",
-        )
+        ),
+        (
+            "1E4#32 14 FF FF FE FF FD FF",
+            {"max_step": 65535, "max_error": 65534, "max_encoder_error": 65533},
+            "001#24 24 16",
+        ),
     ],
 )
 

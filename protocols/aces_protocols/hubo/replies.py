@@ -102,7 +102,10 @@ EncoderNeck = hubo.message(
     ),
     doc="Angles of the three neck servos of DRC-Hubo.",
     source="hubo-ach",
-    examples=[("082#00 08 00 0C 00 04", {"board": 0x22, "position": [0.0, pi / 2, -pi / 2]})],
+    examples=[
+        ("082#00 08 00 0C 00 04", {"board": 0x22, "position": [0.0, pi / 2, -pi / 2]}),
+        ("082#FF FF 00 08 00 08", {"board": 0x22, "position": [-pi - 2 * pi / 4096, 0.0, 0.0]}),
+    ],
 )
 Power = hubo.message(
     "Power",
@@ -120,7 +123,10 @@ Power = hubo.message(
     ),
     doc="The power board's reply, at 0x06E: an encoder's place.",
     source="hubo-ach (it reads them as signed)",
-    examples=[("06E#C0 12 D2 04 57 17", {"board": 0x0E, "voltage": 48.0, "current": 12.34, "power": 597.5})],
+    examples=[
+        ("06E#C0 12 D2 04 57 17", {"board": 0x0E, "voltage": 48.0, "current": 12.34, "power": 597.5}),
+        ("06E#FF FF FE FF FD FF", {"board": 0x0E, "voltage": 655.35, "current": 655.34, "power": 6553.3}),
+    ],
 )
 
 # ---------------------------------------------------------------------- 0x090, 0x120: replies of D08 only

@@ -121,7 +121,10 @@ SetSample = command(
     payload=Struct("sample" / Int16ul),
     doc="Set the sampling.",
     source="X2",
-    examples=[("001#30 83 2C 01", {"board": 0x30, "sample": 300})],
+    examples=[
+        ("001#30 83 2C 01", {"board": 0x30, "sample": 300}),
+        ("001#30 83 FF FF", {"board": 0x30, "sample": 65535}),
+    ],
 )
 AdRead = command(
     "AdRead",
@@ -139,7 +142,10 @@ DaOut = command(
     payload=Struct("value" / Int16ul),
     doc="Put out an analogue value.",
     source="X2",
-    examples=[("001#30 85 2C 01", {"board": 0x30, "value": 300})],
+    examples=[
+        ("001#30 85 2C 01", {"board": 0x30, "value": 300}),
+        ("001#30 85 FF FF", {"board": 0x30, "value": 65535}),
+    ],
 )
 DataType = command(
     "DataType",
@@ -188,7 +194,10 @@ ForceTorqueD08 = hubo.message(
     payload=_AXES,
     doc="Force and torque in the sensor's own digits.",
     source="X2; acesHubo",
-    examples=[("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -123, "my": 456, "fz": 2505})],
+    examples=[
+        ("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -123, "my": 456, "fz": 2505}),
+        ("041#85 FF FF FF FE FF", {"sensor": 1, "mx": -123, "my": -1, "fz": -2}),
+    ],
 )
 ForceTorque = hubo.message(
     "ForceTorque",
@@ -207,7 +216,10 @@ ForceTorque = hubo.message(
     ),
     doc="Force and torque; the same bytes in digits are ForceTorqueDigits, so the request must have been seen.",
     source="hubo-ach; HuboCan",
-    examples=[("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -1.23, "my": 4.56, "fz": 250.5}, "002#01 12")],
+    examples=[
+        ("041#85 FF C8 01 C9 09", {"sensor": 1, "mx": -1.23, "my": 4.56, "fz": 250.5}, "002#01 12"),
+        ("041#01 00 FF FF FE FF", {"sensor": 1, "mx": 0.01, "my": -0.01, "fz": -0.2}, "002#01 12"),
+    ],
 )
 ForceTorqueDigits = hubo.message(
     "ForceTorqueDigits",
@@ -241,7 +253,10 @@ Tilt = hubo.message(
     ),
     doc="Tilt of a foot and its vertical acceleration.",
     source="hubo-ach; HuboCan (both also turn `az` from degrees to radians, which makes no sense of g)",
-    examples=[("051#7D 00 CE FF EE 02", {"sensor": 1, "ax": 1.25, "ay": -0.5, "az": 1.0}, "002#01 22")],
+    examples=[
+        ("051#7D 00 CE FF EE 02", {"sensor": 1, "ax": 1.25, "ay": -0.5, "az": 1.0}, "002#01 22"),
+        ("051#FF FF FE FF FD FF", {"sensor": 1, "ax": -0.01, "ay": -0.02, "az": -0.004}, "002#01 22"),
+    ],
 )
 TiltDigits = hubo.message(
     "TiltDigits",
@@ -256,7 +271,10 @@ TiltDigits = hubo.message(
     payload=Struct("ax" / Int16sl, "ay" / Int16sl, "az" / Int16sl),
     doc="Acceleration of a foot in the sensor's own digits.",
     source="hubo-ach canID.h",
-    examples=[("051#7D 00 CE FF EE 02", {"sensor": 1, "ax": 125, "ay": -50, "az": 750}, "002#01 21")],
+    examples=[
+        ("051#7D 00 CE FF EE 02", {"sensor": 1, "ax": 125, "ay": -50, "az": 750}, "002#01 21"),
+        ("051#FF FF FE FF FD FF", {"sensor": 1, "ax": -1, "ay": -2, "az": -3}, "002#01 21"),
+    ],
 )
 Imu = hubo.message(
     "Imu",
@@ -277,7 +295,11 @@ Imu = hubo.message(
         (
             "053#6A FF 4B 00 2E FB 2C 01",
             {"sensor": 3, "roll": -1.5, "pitch": 0.75, "roll_rate": -12.34, "pitch_rate": 3.0},
-        )
+        ),
+        (
+            "053#01 00 FF FF 02 00 FE FF",
+            {"sensor": 3, "roll": 0.01, "pitch": -0.01, "roll_rate": 0.02, "pitch_rate": -0.02},
+        ),
     ],
 )
 ImuD08 = hubo.message(
@@ -327,5 +349,8 @@ OffsetPair = hubo.message(
     payload=Struct("ad" / Int16sl, "da" / Int16sl),
     doc="Both offsets of the axis that was asked for; that they are signed is a guess.",
     source="X2",
-    examples=[("331#01 00 FF FF", {"sensor": 1, "ad": 1, "da": -1})],
+    examples=[
+        ("331#01 00 FF FF", {"sensor": 1, "ad": 1, "da": -1}),
+        ("331#FF FF 01 00", {"sensor": 1, "ad": -1, "da": 1}),
+    ],
 )

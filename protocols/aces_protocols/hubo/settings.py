@@ -42,7 +42,11 @@ HomeSearch = command(
         (
             "001#0A 30 14 00 14 05 00 00",
             {"board": 0x0A, "channel": 0, "limit": 20, "direction": "cw", "offset": 1300},
-        )
+        ),
+        (
+            "001#0A 30 14 01 EC FA FF FF",
+            {"board": 0x0A, "channel": 0, "limit": 20, "direction": "ccw", "offset": -1300},
+        ),
     ],
 )
 EncoderResolution = command(
@@ -71,7 +75,10 @@ MaxSpeed = command(
     payload=Struct("acceleration" / Int16ul, "velocity" / Int16ul),
     doc="Largest acceleration and velocity, in unknown units.",
     source="hubo-ach",
-    examples=[("001#03 41 D0 07 E8 03", {"board": 3, "channel": 1, "acceleration": 2000, "velocity": 1000})],
+    examples=[
+        ("001#03 41 D0 07 E8 03", {"board": 3, "channel": 1, "acceleration": 2000, "velocity": 1000}),
+        ("001#03 41 FF FF FE FF", {"board": 3, "channel": 1, "acceleration": 65535, "velocity": 65534}),
+    ],
 )
 _LIMIT = Struct("options" / Flags(Byte, enable=0, update=1), "limit" / Quantity(Int32sl, unit="count"))
 LowerLimit = command(
@@ -132,7 +139,10 @@ GainOverride = command(
     payload=Struct("gain" / Array(2, Quantity(Byte, unit="%")), "time" / Quantity(Int16ul, unit="ms")),
     doc="Scale the gains of channels 0 and 1 within so much time.",
     source="hubo-ach",
-    examples=[("001#03 6F 32 64 E8 03", {"board": 3, "gain": [50, 100], "time": 1000})],
+    examples=[
+        ("001#03 6F 32 64 E8 03", {"board": 3, "gain": [50, 100], "time": 1000}),
+        ("001#03 6F 32 64 FF FF", {"board": 3, "gain": [50, 100], "time": 65535}),
+    ],
 )
 
 # ---------------------------------------------------------------------- 0xE0–0xFA: the board itself
@@ -162,7 +172,11 @@ JamLimits = command(
         (
             "001#00 F2 E8 03 F4 01 32 14",
             {"board": 0, "jam_time": 1000, "saturation_time": 500, "limit_duty": 50, "jam_duty": 20},
-        )
+        ),
+        (
+            "001#00 F2 FF FF FE FF 64 64",
+            {"board": 0, "jam_time": 65535, "saturation_time": 65534, "limit_duty": 100, "jam_duty": 100},
+        ),
     ],
 )
 ErrorBounds = command(
@@ -173,7 +187,14 @@ ErrorBounds = command(
     doc="Largest step of the input, largest position error, temperature of the warning; units unknown.",
     source="hubo-ach",
     examples=[
-        ("001#03 F3 D0 07 20 4E 50 00", {"board": 3, "max_step": 2000, "max_error": 20000, "temperature": 80})
+        (
+            "001#03 F3 D0 07 20 4E 50 00",
+            {"board": 3, "max_step": 2000, "max_error": 20000, "temperature": 80},
+        ),
+        (
+            "001#03 F3 FF FF FE FF FD FF",
+            {"board": 3, "max_step": 65535, "max_error": 65534, "temperature": 65533},
+        ),
     ],
 )
 InitBoard = command(

@@ -214,7 +214,17 @@ StatusD08X = hubo.message(
                     {"origin": "fail", "limit_switch": "fail", "encoder": "none", "reserved": 0},
                 ],
             },
-        )
+        ),
+        (
+            "150#00 00 00 00 00 00 6A 0A",
+            {
+                "board": 0,
+                "motor": [
+                    {"origin": "fail", "limit_switch": "fail", "encoder": "fail"},
+                    {"origin": "fail", "limit_switch": "fail", "encoder": "none"},
+                ],
+            },
+        ),
     ],
 )
 Status3D08X = hubo.message(

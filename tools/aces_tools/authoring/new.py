@@ -106,4 +106,4 @@ def _check(name: str) -> None:
 
 
 def _skeleton(name: str) -> str:
-    return (files(__spec__.parent) / "skeletons" / name).read_text(encoding="utf-8")
+    return (files(__name__.rpartition(".")[0]) / "skeletons" / name).read_text(encoding="utf-8")

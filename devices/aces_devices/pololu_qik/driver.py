@@ -1,0 +1,276 @@
+"""Pololu qik: two motors at a share of the supply; nothing is measured.
+
+1. A set-point is a duty in the device's own steps: −127…127, in the 8-bit range −255…255. Its sign is the direction.
+2. Set-points are repeated in each tick: a lost byte costs one tick, and the device's own time-out can watch over the host.
+3. Answers are read only where the robot's file says that the device's transmit line is wired (`answers`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import ceil
+from typing import Any, ClassVar
+
+from aces_bus.device import Device, Driver, Host, Job, Outgoing, Poll, Steps, Ticket, Want, together
+from aces_bus.device.robot import DeviceConfig
+from aces_bus.errors import CallerError, DeviceError, NoReplyError
+
+from .twin import UNIT_S, QikTwin
+
+#: Setting a parameter takes 4 ms (Pololu 0J25 5.c); without answers that time is left to the device (ns).
+PAUSE = 5_000_000
+PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
+
+
+def a_motor(wants: Sequence[Want]) -> Iterable[Outgoing]:
+    """One command a motor: the device takes no two at once."""
+    for want in wants:
+        steps = round(want.value)
+        size = abs(steps)
+        yield Outgoing(
+            want.device,
+            want.message,
+            {
+                "motor": int(want.path),
+                "reverse": int(steps < 0),
+                "high": int(size > 127),
+                "speed": size - 128 if size > 127 else size,
+            },
+        )
+
+
+def timeout_code(seconds: float) -> int:
+    """The parameter for a serial time-out of at least so long: 0.262 s × x × 2ʸ, x 4 bits, y 3; 0 is none.
+
+    Raises `CallerError` beyond what it can say, 8.38 min.
+
+    >>> timeout_code(0), timeout_code(0.25), timeout_code(0.5), timeout_code(117)
+    (0, 1, 2, 94)
+    """
+    if seconds <= 0:
+        return 0
+    units = ceil(seconds / UNIT_S - 1e-9)
+    choices = [(x << y, y << 4 | x) for y in range(8) for x in range(1, 16) if x << y >= units]
+    if not choices:
+        raise CallerError(f"a serial time-out of {seconds:g} s is longer than the device can wait (503 s)")
+    return min(choices)[1]
+
+
+class Qik(Device):
+    """Signals: duty of each joint (set only); with answers, the device's errors."""
+
+    protocol = "pololu_qik"
+    rules: ClassVar = {"SetSpeed": a_motor}
+    streams = ("SetSpeed",)
+    actions: ClassVar = {
+        "enable": "give the device the range and the time-out of the robot's file",
+        "coast": "let both motors turn freely",
+        "brake": "stop both motors",
+        "firmware": "ask for the firmware's version",
+        "configuration": "read all parameters",
+        "set_timeout": "set the serial time-out: a number of seconds, 0 for none",
+        "set_id": "give the device another number, and go on with that",
+    }
+
+    def setup(self) -> None:
+        """A duty for each joint; errors, when somebody listens."""
+        settings = self.config.settings
+        self.bits = int(settings.get("bits", 7))
+        if self.bits not in (7, 8):
+            raise CallerError(f"{self.name}: settings bits is 7 or 8, not {self.bits}")
+        self.timeout_s = float(settings.get("timeout_s", 0.0))
+        self.answers = bool(settings.get("answers", False))
+        self.errors: frozenset[str] = frozenset()
+        most = 127 if self.bits == 7 else 255
+        for joint in self.joints:
+            if joint.channel > 1:
+                raise CallerError(f"{self.name}: {joint.name} is channel {joint.channel}; a qik has 0 and 1")
+            limit = min(joint.max_duty or most, most)
+            self.add_signal(
+                "duty",
+                owner=joint.name,
+                set=f"SetSpeed.{joint.channel}",
+                from_si=_steps(joint.direction),
+                lower=-limit,
+                upper=limit,
+                doc=f"share of the supply, in 1/{most}; its sign is the direction",
+                source="acesHubo omnibot",
+            )
+        if self.answers:
+            every = float(settings.get("errors_every_s", 0.2))
+            self.polls = (Poll("GetError", reply="Errors", every_s=every, timeout_s=0.05),)
+            self.add_signal(
+                "errors",
+                of="Errors.errors",
+                to_si=int,
+                stale_s=max(0.1, 5 * every),
+                doc="error bits since the question before: 8 overrun, 16 frame, 32 crc, 64 format, 128 timeout",
+                source="Pololu 0J25 5.b",
+            )
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Tell errors when they come and when they have gone."""
+        if type(record).__name__ != "Errors":
+            return
+        present = frozenset(record.errors)
+        if present != self.errors:
+            if present - self.errors:
+                self.tell_event("alarm", ", ".join(sorted(present)))
+            elif not present:
+                self.tell_event("alarm over", ", ".join(sorted(self.errors)))
+            self.errors = present
+
+    # ------------------------------------------------------------------ actions
+
+    def enable(self) -> Job:
+        """Give the device its range and time-out: they outlive power-off, so what is right is left alone.
+
+        Fails with `DeviceError` when the device refuses. Without answers both are sent unseen.
+        """
+        wanted = {"pwm": int(self.bits == 8), "serial_timeout": timeout_code(self.timeout_s)}
+
+        def steps(job: Job) -> Steps:
+            for parameter, value in wanted.items():
+                if self.answers:
+                    present = yield self.ask("GetConfiguration", reply="Configuration", parameter=parameter)
+                    low = present.value & 1 if parameter == "pwm" else present.value
+                    if low == value:
+                        continue
+                    if parameter == "pwm":
+                        value |= present.value & 2  # the frequency is not ours to choose
+                yield self.set_parameter(parameter, value)
+
+        return self.job("enable", steps)
+
+    def set_parameter(self, parameter: str, value: int) -> Job:
+        """Set a parameter, for good. Fails with `DeviceError` when the device refuses it."""
+
+        def steps(job: Job) -> Steps:
+            fields = {"parameter": parameter, "value": value}
+            if not self.answers:
+                yield self.tell("SetConfiguration", **fields)
+                yield PAUSE
+                return None
+            told = yield self.ask("SetConfiguration", reply="ConfigurationSet", timeout_s=0.05, **fields)
+            if told.result != "ok":
+                raise DeviceError(f"{self.name} does not take {value} for {parameter}: {told.result}")
+            return told
+
+        return self.job(f"set {parameter}", steps)
+
+    def set_timeout(self, seconds: float) -> Job:
+        """Set the serial time-out (s), 0 for none: without a command for so long the device tells an error, and stops
+        its motors if its shutdown_on_error is 1. Raises `CallerError` when it is too long."""
+        return self.set_parameter("serial_timeout", timeout_code(float(seconds)))
+
+    def set_id(self, number: int) -> Job:
+        """Give the device another number (0 to 127), and go on with that one. It must be alone with its number."""
+        number = int(number)
+        if not 0 <= number < 128:
+            raise CallerError(f"{self.name}: a device number is 0 to 127, not {number}")
+
+        def steps(job: Job) -> Steps:
+            yield self.set_parameter("device_id", number)
+            self.host.renumber(self, id=number)
+
+        return self.job("set id", steps)
+
+    def coast(self) -> Job:
+        """Let both motors turn freely; set-points end."""
+        self.drop("SetSpeed")
+        return self._both("coast", [self.tell("Coast", motor=motor) for motor in (0, 1)])
+
+    def brake(self) -> Job:
+        """Stop both motors; set-points end."""
+        self.drop("SetSpeed")
+        words = {"reverse": 0, "high": 0, "speed": 0}
+        return self._both("brake", [self.tell("SetSpeed", motor=motor, **words) for motor in (0, 1)])
+
+    def stop_motion(self) -> Job:
+        """Speed 0, which brakes."""
+        return self.brake()
+
+    def _both(self, name: str, tickets: list[Ticket]) -> Job:
+        return together(self.clock, f"{self.name} {name}", tickets)
+
+    def firmware(self) -> Ticket:
+        """Ask for the firmware's version: the record's `version`."""
+        return self.ask("GetFirmware", reply="Firmware")
+
+    def configuration(self) -> Job:
+        """Read all parameters: the result is {name: value}."""
+
+        def steps(job: Job) -> Steps:
+            found: dict[str, int] = {}
+            for number, parameter in enumerate(PARAMETERS):
+                told = yield self.ask("GetConfiguration", reply="Configuration", parameter=parameter)
+                found[parameter] = told.value
+                job.progress = (number + 1) / len(PARAMETERS)
+            return found
+
+        return self.job("configuration", steps)
+
+
+def _steps(direction: int) -> Any:
+    return lambda duty: direction * duty
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """Ask every number for the firmware's version. Devices without a transmit line are not found."""
+    found: list[DeviceConfig] = []
+    for number in range(128):
+        probe = host.probe("pololu_qik", id=number)
+        try:
+            yield probe.ask("GetFirmware", reply="Firmware", timeout_s=0.02, retries=0)
+        except NoReplyError:
+            continue
+        finally:
+            host.remove(probe.name)
+            job.progress = (number + 1) / 128
+        found.append(
+            DeviceConfig(
+                name=f"QIK{number}",
+                driver="pololu_qik",
+                bus=host.name,
+                credentials={"id": number},
+                channels=2,
+                settings={"answers": True},
+            )
+        )
+    return found
+
+
+EXAMPLE = """
+name = "pololu_qik"
+rate_hz = 20
+
+[buses]
+drives = { link = "serial", protocol = "pololu_qik", baud = 38_400 }
+
+[devices]
+QIK1 = { driver = "pololu_qik", bus = "drives", credentials = { id = 1 }, channels = 2, settings = { answers = true } }
+QIK3 = { driver = "pololu_qik", bus = "drives", credentials = { id = 3 }, channels = 2, settings = { answers = true, bits = 8, timeout_s = 0.5 } }
+QIK5 = { driver = "pololu_qik", bus = "drives", credentials = { id = 5 }, channels = 2 }
+
+[joints]
+M1 = { device = "QIK1", channel = 0, type = "continuous", command = "duty", max_duty = 127 }
+M2 = { device = "QIK1", channel = 1, type = "continuous", command = "duty", max_duty = 100, direction = -1 }
+M3 = { device = "QIK3", channel = 0, type = "continuous", command = "duty", max_duty = 255 }
+M4 = { device = "QIK5", channel = 1, type = "continuous", command = "duty" }
+"""
+
+driver = Driver(
+    "pololu_qik",
+    device=Qik,
+    twin=QikTwin,
+    example=EXAMPLE,
+    doc="Pololu qik dual motor driver: two motors at a share of the supply.",
+    source="acesHubo omnibot; Pololu 0J25 (Qik 2s9v1 User's Guide)",
+    scan=_scan,
+    settings={
+        "answers": "true where the device's transmit line is wired: errors are asked for, settings read back",
+        "errors_every_s": "how often errors are asked for (s), 0.2 when absent",
+        "bits": "7 (duty −127…127, when absent) or 8 (−255…255)",
+        "timeout_s": "the serial time-out that `enable` sets (s), none when absent",
+    },
+)
