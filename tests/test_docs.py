@@ -14,6 +14,7 @@ PAGES = [
     "CONTRIBUTING.md",
     "docs/architecture.md",
     "docs/captures.md",
+    "docs/devices.md",
     "docs/language.md",
     "docs/robots.md",
 ]

@@ -1,7 +1,8 @@
 """The guard below a controller: limits of position, rate and acceleration, and the dead-man.
 
 1. What leaves a guard is finite and within the limits of position, always; within the rate too, from one call to the next;
-   and within the acceleration, unless that would lead past a limit of position.
+   and within the acceleration, unless that would lead past a limit of position. A joint that begins outside of its limits
+   is led inside by the same rules, and never further out.
 2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and told once a while.
 3. When no set-points come for `dead_man_s`, or somebody says `trip`, the declared action follows: "hold" (come to a stand
    within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
@@ -174,10 +175,18 @@ class _Line:
             new = up if new > up else -down if new < -down else new
             new = rate if new > rate else -rate if new < -rate else new
         given = before + new * dt
-        given = self.lower if given < self.lower else self.upper if given > self.upper else given
+        given = self._inside(given, before)
         if abs(given - goal) <= 1e-12 * (1 + abs(goal)):
             given = goal  # met again, to the last bit
         self.step, self.given = (given - before) / dt, given
+        return given
+
+    def _inside(self, given: float, before: float) -> float:
+        """Within the limits of position; from outside of them, no further outside."""
+        if given < self.lower:
+            return given if given >= before else min(before, self.lower)
+        if given > self.upper:
+            return given if given <= before else max(before, self.upper)
         return given
 
     def stand(self, dt: float) -> float | None:
@@ -189,7 +198,7 @@ class _Line:
         speed = self.step
         speed = 0.0 if abs(speed) <= most else speed - math.copysign(most, speed)
         given = before + speed * dt
-        given = self.lower if given < self.lower else self.upper if given > self.upper else given
+        given = self._inside(given, before)
         self.step, self.given = (given - before) / dt, given
         self.asked = given
         return given
@@ -350,7 +359,7 @@ class Guard:
         if present is None:
             self.unanchored += 1
         else:
-            line.given = line.asked = min(max(present, line.lower), line.upper)
+            line.given = line.asked = present
 
     def _unknown_line(self, name: str) -> _Line | None:
         if self.unlisted == "pass" and len(self._lines) < MOST_LINES:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,6 +130,8 @@ class Host(Station[Device]):
         self.counts = HostCounts()
         #: Words that were not understood, by reason; records that were nobody's, by message and credentials.
         self.unknown: Counter[str] = Counter()
+        #: Who is shown the words that were not understood: scans, which do not know yet what is there.
+        self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.strangers: Counter[str] = Counter()
         self._told: dict[tuple[str, str], int] = {}
         self._turns: deque[_Turn] = deque()
@@ -411,11 +413,12 @@ class Host(Station[Device]):
             return
         if ticket.poll is not None:
             ticket.poll.waiting = None
-        if device.misses == 0:
-            device.missing_since = ticket.sent_at
+        if device.misses == 0 or (
+            device.last_heard is not None and device.last_heard >= device.missing_since
+        ):
+            device.misses, device.missing_since = 0, ticket.sent_at
         device.misses += 1
-        heard = device.last_heard is not None and device.last_heard >= device.missing_since
-        if device.misses >= device.silent_after and not device.is_silent and not heard:
+        if device.misses >= device.silent_after and not device.is_silent:
             device.is_silent = True
             age = (
                 "never heard"
@@ -541,6 +544,8 @@ class Host(Station[Device]):
 
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
         self.unknown[word.reason] += 1
+        for handler in self.unknown_handlers:
+            handler(word, instant)
         if not word.reason.startswith("malformed"):
             if word.reason.startswith("unknown: needs request") and self._half:
                 self._answered_twice(word)

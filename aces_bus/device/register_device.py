@@ -229,7 +229,7 @@ class RegisterDevice(Device):
                 record = yield self._ask(self._write_message, None, **fields)
                 self._raise_refusal(record, doing)
             else:
-                yield self.tell(self._write_message, **fields)
+                yield from self._told(self._write_message, **fields)
                 if self.answers:
                     found = yield self.read(name, raw=True)
                     if found != number:
@@ -383,6 +383,12 @@ class RegisterDevice(Device):
         if span is not None:
             self._spans[self.host.word(self, message, fields)] = span
         return self.ask(message, reply=self.reply, timeout_s=self.timeout_s, retries=self.retries, **fields)
+
+    def _told(self, message: str, **fields: Any) -> Steps:
+        """Steps that send what is not answered, and let it arrive."""
+        ticket = self.tell(message, **fields)
+        yield ticket
+        yield self.host.port.wire_ns(ticket.word)
 
     def _span(self, first: str, last: str) -> tuple[Span, dict[str, int]]:
         one, other = self.codec(first), self.codec(last)

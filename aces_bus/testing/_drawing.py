@@ -82,7 +82,7 @@ def _signs(scene: Scene, cuts: Sequence[int]) -> list[str]:
 
 def _bytes(scene: Scene, cuts: Sequence[int], lanes: Sequence[Lane]) -> list[str]:
     keyed = [(name, _keyed(items)) for name, items in lanes]
-    marks = {offset: "│" for offset in cuts}
+    marks = dict.fromkeys(cuts, "│")
     marks.update(dict.fromkeys(scene.idle_at, "¦"))
     lines: list[str] = []
     left_out = 0
@@ -95,9 +95,7 @@ def _bytes(scene: Scene, cuts: Sequence[int], lanes: Sequence[Lane]) -> list[str
         if left_out:
             lines.append(f"      … {left_out} bytes 00 …")
             left_out = 0
-        text = "".join(
-            f"{byte:02X}{marks.get(start + i + 1, ' ')}" for i, byte in enumerate(row)
-        )
+        text = "".join(f"{byte:02X}{marks.get(start + i + 1, ' ')}" for i, byte in enumerate(row))
         lines.append(f"{start:04X} {marks.get(start, ' ')}{text}".rstrip())
         for name, (_, items) in keyed:
             if items:
@@ -131,7 +129,9 @@ def _lane(items: Sequence[tuple[str, Heard]], start: int, stop: int) -> str:
 
 
 def _legend(items: Sequence[tuple[str, Heard]]) -> list[str]:
-    return [_clipped(f"      {key}  {item.offset}…{item.offset + item.size}  {said(item)}") for key, item in items]
+    return [
+        _clipped(f"      {key}  {item.offset}…{item.offset + item.size}  {said(item)}") for key, item in items
+    ]
 
 
 def said(item: Heard) -> str:

@@ -19,9 +19,36 @@ from ._source import Source
 Link = Literal["can", "serial"]
 HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"
 
-_INTEGERS = ("Byte", "Int8sb", "Int16ul", "Int16ub", "Int16sl", "Int16sb", "Int24ub", "Int32ul", "Int32sb", "Int64sl")
-_SIZES = {"Byte": 1, "Int8sb": 1, "Int16": 2, "Int24": 3, "Int32": 4, "Int64": 8, "Float16": 2, "Float32": 4, "Float64": 8}
-_CRCS = (("CRC8-SAE-J1850", 1), ("CRC8-AUTOSAR", 1), ("CRC16-MODBUS", 2), ("CRC16-IBM-3740", 2), ("CRC32-ISO-HDLC", 4))
+_INTEGERS = (
+    "Byte",
+    "Int8sb",
+    "Int16ul",
+    "Int16ub",
+    "Int16sl",
+    "Int16sb",
+    "Int24ub",
+    "Int32ul",
+    "Int32sb",
+    "Int64sl",
+)
+_SIZES = {
+    "Byte": 1,
+    "Int8sb": 1,
+    "Int16": 2,
+    "Int24": 3,
+    "Int32": 4,
+    "Int64": 8,
+    "Float16": 2,
+    "Float32": 4,
+    "Float64": 8,
+}
+_CRCS = (
+    ("CRC8-SAE-J1850", 1),
+    ("CRC8-AUTOSAR", 1),
+    ("CRC16-MODBUS", 2),
+    ("CRC16-IBM-3740", 2),
+    ("CRC32-ISO-HDLC", 4),
+)
 
 
 def draw_spec(source: Source, link: Link | None = None) -> str:
@@ -81,7 +108,9 @@ def _size(con: str) -> int:
 
 def _number(source: Source, room: int) -> tuple[str, int]:
     """A construct of a number of at most `room` bytes, and its size."""
-    fitting = [name for name in (*_INTEGERS, "Float32l", "Float32b", "Float16b", "Float64l") if _size(name) <= room]
+    fitting = [
+        name for name in (*_INTEGERS, "Float32l", "Float32b", "Float16b", "Float64l") if _size(name) <= room
+    ]
     con = source.choice(fitting)
     return con, _size(con)
 
@@ -192,7 +221,8 @@ def _can(source: Source) -> Iterator[str]:
         elif how == 1:
             identifier = f'{base:#x} + Capture("node", range({source.integer(1, 48)}))'
         elif how == 2:
-            identifier = f'Capture("node", range({source.integer(1, 16)})) << {source.integer(4, 6)} | {source.integer(0, 15)}'
+            node = f'Capture("node", range({source.integer(1, 16)}))'
+            identifier = f"{node} << {source.integer(4, 6)} | {source.integer(0, 15)}"
         else:
             first, second = source.integer(0, 30), source.integer(31, 63)
             identifier = f'{base:#x} + Capture("node", ({first}, {second}))'
@@ -248,7 +278,9 @@ def _serial(source: Source) -> Iterator[str]:
     if how == 1:  # to an end mark, perhaps stuffed
         stuffing = source.choice(("Slip()", "Cobs()"))
         end = "b'\\xc0'" if stuffing == "Slip()" else "b'\\x00'"
-        framing = f"end={end}, stuffing={stuffing}, header=Struct('kind' / Byte), max_size={source.integer(30, 90)}"
+        framing = (
+            f"end={end}, stuffing={stuffing}, header=Struct('kind' / Byte), max_size={source.integer(30, 90)}"
+        )
     else:  # a length field
         wide = source.choice(("Byte", "Byte", "Int16ul", "Int16ub"))
         overhead = len(sync) + 1 + _size(wide) + check_size
@@ -265,7 +297,11 @@ def _serial(source: Source) -> Iterator[str]:
     for number in range(source.integer(1, 5)):
         way = source.choice(("", "", ', direction="to device"', ', direction="from device"'))
         kind = source.choice(
-            (str(source.integer(0, 255)), str(source.integer(0, 9)), f'0x20 + Capture("node", range({source.integer(2, 9)}))')
+            (
+                str(source.integer(0, 255)),
+                str(source.integer(0, 9)),
+                f'0x20 + Capture("node", range({source.integer(2, 9)}))',
+            )
         )
         payload = _payload(source, source.integer(1, 20))
         yield f'packet("M{number}", match={{"kind": {kind}}}, payload={payload}{way})'

@@ -25,7 +25,9 @@ try:
     import pytest
     from hypothesis import HealthCheck, Phase, given, settings
 except ImportError as missing:
-    raise ImportError("aces_bus.testing.law_tests needs the extra: pip install 'aces-bus[testing]'") from missing
+    raise ImportError(
+        "aces_bus.testing.law_tests needs the extra: pip install 'aces-bus[testing]'"
+    ) from missing
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol.scan.scanner import load_protocol

@@ -63,7 +63,13 @@ class Loaded:
 
 
 def save(
-    folder: Path, wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (), *, law: int | None = None
+    folder: Path,
+    wire: Wire,
+    direction: Way,
+    scene: Scene,
+    cuts: Iterable[int] = (),
+    *,
+    law: int | None = None,
 ) -> Saved:
     """Write a scene into a folder (made when it is not there). Raises `CallerError` when that cannot be written."""
     text = scene_text(wire, direction, scene, cuts, law=law)

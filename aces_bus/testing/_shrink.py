@@ -4,8 +4,8 @@
 2. The number of trials is bounded; what is best by then is the answer.
 3. A packet is cut as a packet: bytes are taken out of its contents, and its length and check are made to fit again.
 
-Deleting bytes blindly (delta debugging) cannot shorten a packet with a check; rebuilding alone cannot show that half a header
-is enough. The passes take turns until none helps.
+Deleting bytes blindly (delta debugging) cannot shorten a packet with a check; rebuilding alone cannot show that half a
+header is enough. The passes take turns until none helps.
 """
 
 from __future__ import annotations

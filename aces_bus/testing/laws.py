@@ -119,7 +119,7 @@ def draw_arguments(
 ) -> tuple[Any, ...]:
     """What `law.holds(wire, direction, …)` takes besides: a scene of about `size` bytes, and cuts where it wants them."""
     cut_by = source.branch()
-    if law.number == 7 and not variants_of(wire)[0].link == "can" and source.integer(0, 1):
+    if law.number == 7 and variants_of(wire)[0].link != "can" and source.integer(0, 1):
         scene = Scene(adversary(wire, direction, source))
     else:
         scene = draw_scene(wire, direction, source, size=size)

@@ -1,4 +1,4 @@
-"""Hypothesis strategies of a protocol: fields, packets, wires.
+"""Hypothesis strategies of a protocol: fields, packets, wires; and of whole protocols.
 
 1. Values are valid by construction; damage comes after, on purpose.
 2. One message is drawn number by number, and shrinks to the simplest numbers. A wire is made of one string of bytes (see
@@ -19,7 +19,8 @@ except ImportError as missing:
     ) from missing
 
 from ..protocol.spec.message import Message
-from ..protocol.spec.protocol import Variant
+from ..protocol.spec.protocol import Protocol, Variant
+from ._protocols import Link, draw_spec, protocol_of
 from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream
 from ._source import Drawn, Entropy
 from ._values import Packet, draw_packet, draw_values
@@ -87,4 +88,30 @@ def arguments(
     return entropy(size // 3).map(lambda source: draw_arguments(law, wire, direction, source, size=size))
 
 
-__all__ = ["adversaries", "arguments", "cuts", "entropy", "fields", "frames", "packets", "scenes", "streams"]
+def specs(*, link: Link | None = None) -> st.SearchStrategy[str]:
+    """Python source of protocols that nobody wrote, each named `drawn`, on CAN or on a serial line.
+
+    Random identifiers with captures, layouts, numbers, enumerations, multiplexed fields; framings with length fields, end
+    marks, fixed sizes, stuffing and checks.
+    """
+    return entropy(400).map(lambda source: draw_spec(source, link))
+
+
+def protocols(*, link: Link | None = None) -> st.SearchStrategy[Protocol]:
+    """The protocols of `specs`, declared: whatever holds for every protocol can be tested on these."""
+    return specs(link=link).map(protocol_of)
+
+
+__all__ = [
+    "adversaries",
+    "arguments",
+    "cuts",
+    "entropy",
+    "fields",
+    "frames",
+    "packets",
+    "protocols",
+    "scenes",
+    "specs",
+    "streams",
+]

@@ -111,6 +111,18 @@ def test_the_first_set_point_starts_from_the_present_position() -> None:
     assert (guard.unanchored, other.unanchored) == (0, 1)
 
 
+def test_a_joint_that_begins_outside_of_its_limits_is_led_inside() -> None:
+    """It does not jump to the limit: it goes there within its rate and acceleration, and never further out."""
+    guard = Guard({"A": Bounds(-1.0, 1.0, rate=1.0, acceleration=10.0)}, period_s=0.01)
+    guard.bind(fakes(A=1.5))
+    out = [guard.apply(n * 10 * MS, {"A": 2.0 if n < 100 else 0.5})["A"] for n in range(300)]
+    assert out[0] == pytest.approx(1.499)
+    assert np.diff(out).max() <= 1e-12
+    assert np.abs(np.diff(out)).max() <= 0.01 * (1 + 1e-6)
+    assert out[90] == pytest.approx(1.0)
+    assert out[-1] == pytest.approx(0.5)
+
+
 def test_a_pause_earns_no_jump() -> None:
     """After seconds without set-points the next step is no larger than two periods allow."""
     guard = Guard({"A": Bounds(rate=1.0)}, period_s=0.01, dead_man_s=None)

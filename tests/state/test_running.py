@@ -242,6 +242,14 @@ def test_uneven_samples_are_resampled(seed: int) -> None:
     assert np.abs(found - expected).max() < 5e-4
 
 
+def test_a_sample_a_little_early_is_in_step() -> None:
+    """Within 1 % of the period a sample stands for its instant of the grid, and the output is not from the future."""
+    omega = made()
+    out = omega.filtered(LOW)
+    fed(omega, lambda t: 1.0, [0, 5 * MS - 30_000, 10 * MS + 30_000, 15 * MS])
+    assert out.window().instants.tolist() == [0, 5 * MS - 30_000, 10 * MS, 15 * MS]
+
+
 def test_slow_samples_are_filled_up_and_gaps_are_not() -> None:
     """Twice as slow: a step in between. Beyond the gap that may be bridged: begun anew, and counted."""
     omega = made(stale_after_s=0.1)

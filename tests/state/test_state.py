@@ -79,9 +79,9 @@ def test_the_ring_keeps_the_newest(history: int, pushed: int, data: Any) -> None
 
 def test_cubic_interpolation_at_the_ends_and_with_few_samples() -> None:
     """At the ends of the history the four nearest samples count; with fewer samples the order is what they allow."""
-    cubic = fed(made(interpolation="cubic"), lambda t: t**3, [i * S for i in range(6)])
-    assert cubic.at(S // 2) == pytest.approx(0.125)
-    assert cubic.at(9 * S // 2) == pytest.approx(4.5**3)
+    cubic = fed(made(interpolation="cubic"), lambda t: t**3 + 1, [i * S for i in range(1, 7)])
+    for t in (1.5, 2.5, 3.5, 4.5, 5.5):
+        assert cubic.at(round(t * S)) == pytest.approx(t**3 + 1)
     few = fed(made(interpolation="cubic"), lambda t: t**2, [i * S for i in range(3)])
     assert few.at(S // 2) == pytest.approx(0.25)
     two = fed(made(interpolation="cubic"), lambda t: t**2, [0, S])

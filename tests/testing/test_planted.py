@@ -205,5 +205,18 @@ def test_a_planted_fault_is_found_and_small(fault: Fault, monkeypatch: pytest.Mo
     found = [f for f in fuzzer.failures if f.law.number in fault.laws]
     assert found, "no law failed"
     smallest = min(found, key=lambda f: len(f.scene))
-    print(done, [(f.law.number, len(f.scene), f.tried, f.scene.words if isinstance(f.scene.words, bytes) else f.scene.words, f.cuts, f.text[:150]) for f in fuzzer.failures])
+    print(
+        done,
+        [
+            (
+                f.law.number,
+                len(f.scene),
+                f.tried,
+                f.scene.words if isinstance(f.scene.words, bytes) else f.scene.words,
+                f.cuts,
+                f.text[:150],
+            )
+            for f in fuzzer.failures
+        ],
+    )
     assert len(smallest.scene) <= fault.most

@@ -18,9 +18,10 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from aces_bus.errors import CallerError
@@ -221,7 +222,7 @@ def _all(job: Job, budget: _Budget, jobs: int) -> Generator[Done, None, None]:
         waiting: set[Future[Done]] = set()
         tasks = budget.tasks()
         while True:
-            while len(waiting) < 2 * jobs and (task := next(tasks, None)) is not None:
+            for task in islice(tasks, 2 * jobs - len(waiting)):
                 waiting.add(pool.submit(work, job, task))
             if not waiting:
                 return
@@ -231,9 +232,9 @@ def _all(job: Job, budget: _Budget, jobs: int) -> Generator[Done, None, None]:
 
 
 @contextmanager
-def _pool(jobs: int, begin: object) -> Generator[ProcessPoolExecutor, None, None]:
+def _pool(jobs: int, begin: Callable[[], None]) -> Generator[ProcessPoolExecutor, None, None]:
     """Processes that end with us: what waits is dropped, what runs is a fraction of a second."""
-    pool = ProcessPoolExecutor(jobs, initializer=begin)  # type: ignore[arg-type]
+    pool = ProcessPoolExecutor(jobs, initializer=begin)
     try:
         yield pool
     finally:

@@ -182,10 +182,10 @@ class _Printer:
         fields: list[Expression] = []
         cursor = 0
         for slot in layout.slots:
-            pieces = slot.inner.pieces or ()
-            if slot.name in layout.many or len(pieces) != 1:
+            own, width = slot.inner.order or layout.order, slot.inner.width
+            if slot.name in layout.many or len(slot.inner.pieces or ((0, 0),)) > 1:
                 raise CallerError(f"field {slot.name}: bits in several places cannot be printed as source")
-            at, width = pieces[0]
+            at = slot.positions[0] if own == "lsb" else slot.positions[-1] ^ 7
             place = self._bits(slot.inner, at if at != cursor else None, order, layout.order)
             cursor = at + width
             fields.append(_under(slot.name, self._slot(slot, place)))

@@ -7,6 +7,7 @@ from aces_bus.device import Driver
 from .core import SETTINGS
 from .driver import HuboMotor
 from .example import D12
+from .scan import scan
 from .twin import HuboMotorTwin
 
 driver = Driver(
@@ -16,5 +17,6 @@ driver = Driver(
     example=D12,
     doc="Motor boards of the Hubo humanoids: 1, 2, 3 or 5 motors, DRC-Hubo's hand and neck",
     source="hubo-ach; HuboCan; acesHubo; HUBO2_CANprotocol.xls",
+    scan=scan,
     settings=SETTINGS,
 )

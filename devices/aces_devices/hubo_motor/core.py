@@ -144,6 +144,8 @@ class BoardCore(Device):
         if reference is not None and not knows_counts and path.startswith("position"):
             raise CallerError(f"{self.name}: {owner} needs gear, harmonic and encoder to follow positions")
         by_position = reference is not None and path.startswith("position")
+        rate = self.host.rate_hz
+        fresh = self.stale_s if rate is None else max(self.stale_s, 5 / rate)
         if shape.encoders and knows_counts:
             lower, upper = self._limits(axis)
             axis.position = self.add_signal(
@@ -154,11 +156,16 @@ class BoardCore(Device):
                 from_si=self._neck(axis) if self.kind == "neck" else axis.to_counts,
                 lower=lower if by_position else None,
                 upper=upper if by_position else None,
+                stale_s=fresh,
                 doc="encoder; set: where the board is to go",
                 source="hubo-ach; HuboCan; acesHubo",
             )
             axis.velocity = self.add_signal(
-                "velocity", owner=owner, unit="rad/s", doc="from two encoder positions and their instants"
+                "velocity",
+                owner=owner,
+                unit="rad/s",
+                stale_s=fresh,
+                doc="from two encoder positions and their instants",
             )
             self.readable.update((axis.position.name, axis.velocity.name))
         if pwm is not None:

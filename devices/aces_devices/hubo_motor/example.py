@@ -9,26 +9,23 @@ from __future__ import annotations
 D12 = """
 name = "hubo_motor_boards"
 doc = "one motor board of each kind, firmware D12"
-rate_hz = 50
+rate_hz = 25
 
 [buses]
 upper = { link = "can", protocol = "hubo", dialect = "D12", bitrate = 1_000_000 }
 
 [devices]
-JMC0  = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x00 }, channels = 2 }
-JMC1  = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x01 }, channels = 1 }
-JMC8  = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x08 }, channels = 2 }
-EJMC0 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x20 }, channels = 3 }
-EJMC1 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x21 }, channels = 3, kind = "hand" }
-EJMC2 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x22 }, channels = 3, kind = "neck" }
-EJMC4 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x24 }, channels = 5 }
+JMC0  = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x00 }, channels = 2, settings = { status_s = 0.25, current_s = 0.5 } }
+JMC1  = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x01 }, channels = 1, settings = { status_s = 0.25, current_s = 0.5 } }
+EJMC0 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x20 }, channels = 3, settings = { status_s = 0.25, current_s = 0.5 } }
+EJMC1 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x21 }, channels = 3, kind = "hand", settings = { status_s = 0.25, current_s = 0.5 } }
+EJMC2 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x22 }, channels = 3, kind = "neck", settings = { status_s = 0.25, current_s = 0.5 } }
+EJMC4 = { driver = "hubo_motor", bus = "upper", credentials = { board = 0x24 }, channels = 5, settings = { status_s = 0.25, current_s = 0.5 } }
 
 [joints]
-RHY = { device = "JMC0",  channel = 0, gear = [10, 25],    harmonic = 100, encoder = 4000, lower = -1.92, upper = 1.92 }
-RHR = { device = "JMC0",  channel = 1, gear = [324, 1024], harmonic = 160, encoder = 4000, lower = -0.52, upper = 0.52 }
+RHY = { device = "JMC0",  channel = 0, gear = [10, 25],    harmonic = 100, encoder = 4000, lower = -1.92, upper = 1.92, compliance = { kp = 80, kd = 0, max_pwm = 8 } }
+RHR = { device = "JMC0",  channel = 1, gear = [324, 1024], harmonic = 160, encoder = 4000, lower = -0.52, upper = 0.52, compliance = { kp = 70, kd = 1, max_pwm = 7 } }
 RHP = { device = "JMC1",  channel = 0, gear = [16, 20],    harmonic = 160, encoder = 4000, lower = -1.57, upper = 1.57 }
-RSP = { device = "JMC8",  channel = 0, gear = [10, 25],    harmonic = 100, encoder = 4000, lower = -3.14, upper = 3.14, compliance = { kp = 80, kd = 0, max_pwm = 8 } }
-RSR = { device = "JMC8",  channel = 1, gear = [1, 1],      harmonic = 100, encoder = 4000, lower = -3.14, upper = 0.262, compliance = { kp = 80, kd = 0, max_pwm = 8 } }
 P1  = { device = "EJMC0", channel = 0, gear = [1, 1],      harmonic = 100, encoder = 128,  lower = -3.14, upper = 3.14, command = "duty", max_duty = 50 }
 P2  = { device = "EJMC0", channel = 1, gear = [1, 1],      harmonic = 100, encoder = 128,  lower = -3.14, upper = 3.14, command = "duty", max_duty = 50 }
 P3  = { device = "EJMC0", channel = 2, gear = [1, 1],      harmonic = 100, encoder = 128,  lower = -3.14, upper = 3.14, command = "duty", max_duty = 50 }
@@ -49,16 +46,16 @@ RF5 = { device = "EJMC4", channel = 4, gear = [1, 1],      harmonic = 256, encod
 D08 = """
 name = "hubo_motor_boards_d08"
 doc = "one motor board of each kind, firmware D08"
-rate_hz = 50
+rate_hz = 25
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D08", bitrate = 1_000_000 }
 
 [devices]
-JMC0  = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x00 }, channels = 2, settings = { period_ms = 10 } }
-JMC1  = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x01 }, channels = 1, settings = { period_ms = 10 } }
-EJMC0 = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x20 }, channels = 3, settings = { period_ms = 10 } }
-EJMC4 = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x24 }, channels = 5, settings = { period_ms = 10 } }
+JMC0  = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x00 }, channels = 2, settings = { period_ms = 10, status_s = 0.25, current_s = 0.5 } }
+JMC1  = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x01 }, channels = 1, settings = { period_ms = 10, status_s = 0.25, current_s = 0.5 } }
+EJMC0 = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x20 }, channels = 3, settings = { period_ms = 10, status_s = 0.25, current_s = 0.5 } }
+EJMC4 = { driver = "hubo_motor", bus = "lower", credentials = { board = 0x24 }, channels = 5, settings = { period_ms = 10, status_s = 0.25, current_s = 0.5 } }
 
 [joints]
 RHY = { device = "JMC0",  channel = 0, gear = [10, 25],    harmonic = 100, encoder = 4000, direction = -1, lower = -1.0, upper = 1.0, home = { offset = -18600, direction = "ccw", search_turns = 10, z_phase = 3460 }, gains = { kp = 200, ki = 0, kd = 500 } }

@@ -97,7 +97,7 @@ class Qik(Device):
                 source="acesHubo omnibot",
             )
         if self.answers:
-            every = float(settings.get("errors_every_s", 0.2))
+            every = float(settings.get("errors_every_s", 0.5))
             self.polls = (Poll("GetError", reply="Errors", every_s=every, timeout_s=0.05),)
             self.add_signal(
                 "errors",
@@ -269,7 +269,7 @@ driver = Driver(
     scan=_scan,
     settings={
         "answers": "true where the device's transmit line is wired: errors are asked for, settings read back",
-        "errors_every_s": "how often errors are asked for (s), 0.2 when absent",
+        "errors_every_s": "how often errors are asked for (s), 0.5 when absent",
         "bits": "7 (duty −127…127, when absent) or 8 (−255…255)",
         "timeout_s": "the serial time-out that `enable` sets (s), none when absent",
     },

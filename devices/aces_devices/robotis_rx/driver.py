@@ -92,6 +92,8 @@ class RobotisRX(RegisterDevice):
         self.timeout_s = float(get("timeout_s", 0.02))
         self.health_s = float(get("health_s", 1.0))
         self.errors: frozenset[str] = frozenset()
+        #: The last errors that switch the torque off, since it was switched on.
+        self.trips: frozenset[str] = frozenset()
         #: Garbled words in a row where its answers should be.
         self.garbles = 0
         joint = self.joints[0] if self.joints else None
@@ -229,7 +231,12 @@ class RobotisRX(RegisterDevice):
         if now == self.errors:
             return
         for name in sorted(now - self.errors):
-            self.tell_event("alarm", name)
+            if name == "checksum":
+                self.tell_event("malformed", "the servo says that a request's checksum was wrong")
+            else:
+                self.tell_event("alarm", name)
+        if trips := now & self._shutdown():
+            self.trips = trips
         for name in sorted(self.errors - now - OF_REQUEST):
             self.tell_event("alarm over", name)
         self.errors = now
@@ -240,9 +247,9 @@ class RobotisRX(RegisterDevice):
 
     def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
         """Torque that is off: by an alarm, or because the servo has rebooted and knows nothing any more."""
-        if set(which) <= {"torque_enable", "torque_limit"} and self.errors & self._shutdown():
+        if set(which) <= {"torque_enable", "torque_limit"} and self.trips:
             self.drop("goal_position")
-            self.tell_event("alarm", f"torque is off: {', '.join(sorted(self.errors & self._shutdown()))}")
+            self.tell_event("alarm", f"torque is off: {', '.join(sorted(self.trips))}")
         else:
             super().changed(which)
 
@@ -315,6 +322,7 @@ class RobotisRX(RegisterDevice):
                 here = yield self.read("present_position", raw=True)
                 if "goal_position" not in self.goals:
                     yield self.write("goal_position", min(here, TOP), raw=True)
+            self.trips = frozenset()
             yield self.write("torque_enable", "on")
 
         return self.job("enable", steps)
@@ -357,7 +365,7 @@ class RobotisRX(RegisterDevice):
     def _obeyed(self, message: str, doing: str, **fields: Any) -> Job:
         def steps(job: Job) -> Steps:
             if not self.acknowledges:
-                yield self.tell(message, **fields)
+                yield from self._told(message, **fields)
                 return
             record = yield self._ask(message, None, **fields)
             self._raise_refusal(record, doing)
@@ -386,8 +394,7 @@ class RobotisRX(RegisterDevice):
 
         def steps(job: Job) -> Steps:
             # Which of its two ids acknowledges is not stated: the new one is asked.
-            yield self.tell("Write", start=codec.address, data=data)
-            yield self._settle()
+            yield from self._try("Write", start=codec.address, data=data)
             self.host.renumber(self, id=number)
             yield self._ask("Ping", None)
             self.known["id"] = (number, self.clock.now())
@@ -399,7 +406,7 @@ class RobotisRX(RegisterDevice):
         codec = self.codec("baud_rate")
         data = codec.pack(codec.raw(baud))
         self.check_write("baud_rate", confirm)
-        return self._told_then_settled("set baud", "Write", start=codec.address, data=data)
+        return self._told_and_forgotten("set baud", "Write", start=codec.address, data=data)
 
     def factory_reset(self, *, confirm: bool = False) -> Job:
         """Everything as from the factory: id 1, 57 600 baud. It is another servo from then on: scan for it."""
@@ -407,19 +414,26 @@ class RobotisRX(RegisterDevice):
             raise CallerError(
                 f"{self.name}: a reset also forgets id and line speed; say confirm=True to do it"
             )
-        return self._told_then_settled("factory reset", "Reset")
+        return self._told_and_forgotten("factory reset", "Reset")
 
-    def _told_then_settled(self, name: str, message: str, **fields: Any) -> Job:
+    def _told_and_forgotten(self, name: str, message: str, **fields: Any) -> Job:
         def steps(job: Job) -> Steps:
-            yield self.tell(message, **fields)
-            yield self._settle()
+            yield from self._try(message, **fields)
             self.forget()
 
         return self.job(name, steps)
 
-    def _settle(self) -> int:
-        """How long an acknowledgement may be on its way (ns)."""
-        return round(self.timeout_s * 1e9)
+    def _try(self, message: str, **fields: Any) -> Steps:
+        """Steps that send something once, and wait for an acknowledgement that may not come."""
+        if not self.acknowledges:
+            yield from self._told(message, **fields)
+            return
+        ticket = self.ask(message, reply=self.reply, timeout_s=self.timeout_s, retries=0, **fields)
+        try:
+            record = yield ticket
+        except NoReplyError:
+            return
+        self._raise_refusal(record, message)
 
 
 __all__ = ["SETTINGS", "RobotisRX", "signed"]

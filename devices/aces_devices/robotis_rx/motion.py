@@ -4,9 +4,9 @@
 2. Angles are counts of 300°/1023, as fractions; counter-clockwise is positive.
 
 The drive is the punch plus (distance − margin) ÷ slope, at most the torque limit; the speed is the drive's share of the
-greatest speed, at most the speed that was set. So it runs at a constant speed, slows down exponentially within the slope, and
-reaches the margin in finite time, thanks to the punch. There is no inertia and no load. A choice: the vendor's manual
-draws the compliance curve and says nothing of dynamics.
+greatest speed, at most the speed that was set. So it runs at a constant speed, slows down exponentially within the
+slope, and stands still near the margin. There is no inertia and no load. A choice: the vendor's manual draws the compliance
+curve and says nothing of dynamics.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ PER_SPEED = SPEED * 6 / ANGLE
 FREE = 540
 #: A whole turn, in counts.
 TURN = 360 / ANGLE
-#: A bit of drive while a joint is held: what holds it.
-HELD = 0.05
+#: It stands still a count before the margin: a recorded servo rests 2 counts from its goal, at a margin of 1 and no load.
+REST = 1
+#: What rounding leaves of a count.
+HAIR = 1e-9
 
 
 @dataclass
@@ -77,9 +79,9 @@ class Motion:
         if self.duty is not None:
             return max(-most, min(most, self.duty))
         gap = self.goal - self.position(now)
-        if self.is_jammed and abs(gap) > self.margin[gap > 0]:
+        if self.is_jammed and abs(gap) > self._rest(gap > 0):
             return math.copysign(most, gap)
-        return math.copysign(max(min(HELD, most), self._drive(abs(gap), gap > 0)), gap or 1.0)
+        return math.copysign(self._drive(abs(gap), gap > 0), gap)
 
     def is_moving(self, now: int) -> bool:
         """Whether it is on its way to its goal, or would be if nothing held it."""
@@ -88,9 +90,12 @@ class Motion:
         if self.duty is not None:
             return bool(self.duty)
         gap = self.goal - self.position(now)
-        return abs(gap) > self.margin[gap > 0]
+        return abs(gap) > self._rest(gap > 0) + HAIR
 
     # ------------------------------------------------------------------ the curve
+
+    def _rest(self, is_ccw: bool) -> int:
+        return self.margin[is_ccw] + REST
 
     def _free(self) -> float:
         return FREE * PER_SPEED
@@ -107,7 +112,7 @@ class Motion:
 
     def _drive(self, gap: float, is_ccw: bool) -> float:
         over = gap - self.margin[is_ccw]
-        if over <= 0:
+        if over <= REST + HAIR:
             return 0.0
         return min(self.limit / TOP, self.punch / TOP + over / STEPS[self.slope[is_ccw]])
 
@@ -115,18 +120,18 @@ class Motion:
         """What is left of a distance after some seconds."""
         margin, top, free = self.margin[is_ccw], self._top(), self._free()
         slope, punch = STEPS[self.slope[is_ccw]], self.punch / TOP
-        if gap <= margin or top <= 0:
+        if gap <= margin + REST or top <= 0:
             return gap
         # At a constant speed, down to where the drive asks for less.
         bend = margin + max(0.0, slope * (top / free - punch))
         if gap > bend:
             if left * top < gap - bend:
-                return gap - left * top
+                return max(float(margin + REST), gap - left * top)
             left -= (gap - bend) / top
             gap = bend
         # From there: d(gap)/dt = −free · (punch + (gap − margin) ÷ slope).
         rest = (gap - margin + slope * punch) * math.exp(-free * left / slope) - slope * punch
-        return max(0.0, rest) + margin
+        return max(float(REST), rest) + margin
 
 
 def _step(slope: int) -> int:

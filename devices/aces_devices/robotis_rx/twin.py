@@ -14,6 +14,7 @@ from struct import Struct
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.errors import CallerError
 from aces_bus.protocol import Quantity
 from aces_protocols.robotis.control_table import ERRORS, VOLT
 from aces_protocols.robotis.spec import BROADCAST, control_table
@@ -124,6 +125,16 @@ class RobotisRXTwin(Twin):
         address, codec = PLACES[name]
         codec.pack_into(self.table, address, value)
 
+    def load_table(self, table: bytes) -> None:
+        """Be a servo whose whole control table was read as `table` (50 bytes). Raises `CallerError` for another size."""
+        if len(table) != SIZE:
+            raise CallerError(f"{self.name}: a control table has {SIZE} bytes, not {len(table)}")
+        self.table[:] = table
+        self.motion.settle(self.clock.now())
+        self.motion.at = float(self["present_position"])
+        self._renumber()
+        self._apply()
+
     def position(self, now: int) -> float:
         """The joint's angle (rad)."""
         direction, zero = self._joint
@@ -228,13 +239,11 @@ class RobotisRXTwin(Twin):
 
     @on("Write")
     def _write(self, request: Any) -> None:
-        level, old = self["status_return_level"], self.credentials["id"]
-        error = self._put(request.start, request.data)
-        if level == 2 and self["status_return_level"] != 2 and request.id != BROADCAST:
-            # It acknowledges the write that makes it silent, as it was asked at the old level.
-            self.reply("Status", delay_ns=2_000 * self["return_delay"], error=error | self._measure(), parameters=b"")
-        elif self._is_tuned and self.credentials["id"] == old:
-            self._status(request, WRITE, error)
+        # As what it was when it was asked: with the id, the speed and the status return level before the write.
+        error = self._wrong(request.start, request.data)
+        self._status(request, WRITE, error)
+        if not error:
+            self._put(request.start, request.data)
 
     @on("RegWrite")
     def _hold(self, request: Any) -> None:

@@ -8,7 +8,7 @@ Source: acesHubo `huboVia`, `huboTxPacket`.
 
 from __future__ import annotations
 
-from construct import Byte, Const, Struct
+from construct import Byte, Struct
 
 from aces_bus.protocol import BitLayout, Protocol, Quantity, Sum, bits
 
@@ -28,9 +28,9 @@ datagram = hubovia.framing(
 Joint = datagram(
     "Joint",
     direction="to device",
+    prefix=Struct("motors" / Byte, "motor" / Byte),
+    match={"motors": 1},
     payload=Struct(
-        Const(1, Byte),  # number of motors
-        "motor" / Byte,
         "angle"
         / BitLayout(
             3,

@@ -93,7 +93,7 @@ def places(text: str) -> list[tuple[Variant, Way]]:
     if what.configuration is not None:
         variants = [what.variant()]
     elif what.dialect is not None:
-        tables = [*what.protocol.configurations] or [None]
+        tables: list[str | None] = [*what.protocol.configurations] or [None]
         variants = [what.protocol.variant(what.dialect, table) for table in tables]
     else:
         variants = what.protocol.variants()

@@ -1,0 +1,3 @@
+"""HuboVia: joints of a Hubo 2 through its Windows control PC."""
+
+from .driver import driver as driver

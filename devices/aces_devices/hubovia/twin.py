@@ -1,0 +1,71 @@
+"""The twin of the control PC, motor by motor: it turns to where it is told, at a steady speed.
+
+1. Datagrams with a bad check reach nobody; each twin tells how many there were on its network.
+2. The PC answers nothing, and so does this.
+"""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Any, ClassVar
+
+from aces_bus.device import Twin, on
+
+#: How fast a joint turns (rad/s) whose file says nothing: a choice.
+SPEED = 1.0
+
+
+class MotorTwin(Twin):
+    """A motor: `angle` is where the PC was told to turn it (°), `position(now)` where its joint is (rad)."""
+
+    protocol = "hubovia"
+    faults: ClassVar = {"stuck": "does not turn"}
+
+    def setup(self) -> None:
+        """At zero, until told otherwise; a PC that was switched off leaves the motor where it is."""
+        now = self.clock.now()
+        joint = self.joints[0] if self.joints else None
+        self._direction = joint.direction if joint is not None else 1
+        self._zero = (joint.zero or 0.0) if joint is not None else 0.0
+        self._speed = (joint.nominal_speed or SPEED) if joint is not None else SPEED
+        if "_at" not in self.__dict__:
+            self._at, self._motor = now, self._zero
+            if joint is not None:
+                self.world.joints[joint.name] = self
+        self._goal = self._sync(now) if self.__dict__.get("_goal") is not None else self._motor
+        #: The last angle that was told (°), None before.
+        self.angle: float | None = None
+
+    def _sync(self, now: int) -> float:
+        """Where the motor is (rad, of its own)."""
+        passed = (now - self._at) / 1e9
+        self._at = max(self._at, now)
+        if passed > 0 and "stuck" not in self.active_faults:
+            reach = self._speed * passed
+            left = self._goal - self._motor
+            self._motor = self._goal if abs(left) <= reach else self._motor + (reach if left > 0 else -reach)
+        return self._motor
+
+    def position(self, now: int) -> float:
+        """Where the joint is (rad)."""
+        return self._direction * (self._sync(now) - self._zero)
+
+    @property
+    def bad_checks(self) -> int:
+        """How many bytes began a datagram whose check failed."""
+        return self.twins.scanner.counts.reasons.get("malformed: checksum", 0)
+
+    @on("Joint")
+    def turn(self, request: Any) -> None:
+        """Turn to an angle."""
+        now = self.clock.now()
+        self._sync(now)
+        told = request.angle
+        size = told.degrees + told.hundredths
+        self.angle = -size if told.negative else size
+        self._goal = radians(self.angle)
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """See `Twin.fault`."""
+        self._sync(self.clock.now())
+        super().fault(name, amount, on=on)

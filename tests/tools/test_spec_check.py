@@ -1,0 +1,139 @@
+"""`aces spec check`: what it finds, where it says it is, and its exit status."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from .conftest import Aces
+
+HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"
+SOUND = (
+    HEAD
+    + 'p = Protocol("sound", link="can")\np.message("A", id=5, payload=Struct("x" / Byte), examples=[("005#07", {"x": 7})])\n'
+)
+DOUBTFUL = (
+    HEAD
+    + 'p = Protocol("doubt", link="can")\np.message("A", id=5,\n    payload=Struct(\n        "x" / Quantity(Int16ul, unit="raad")))\n'
+)
+
+
+@pytest.fixture
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that is the working one, as a user's is."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_what_ships_is_clean(aces: Aces) -> None:
+    """Nothing but notes, counted; shown when asked for."""
+    result = aces("spec", "check", "robotis")
+    assert (result.status, result.out) == (0, "robotis: ok: 8 messages, 1 note (--notes shows them)\n")
+    shown = aces("spec", "check", "robotis", "--notes").out
+    assert "note: Status: bytes alone do not tell it from Ping" in shown
+    assert shown.endswith("robotis: ok: 8 messages, 1 note\n")
+
+
+def test_a_finding_has_file_and_line(aces: Aces, written: Path) -> None:
+    """As compilers say it, with the rule's name; the status says that there is something."""
+    Path("doubt.py").write_text(DOUBTFUL)
+    result = aces("spec", "check", "doubt.py")
+    assert result.status == 1
+    assert result.out.splitlines()[0] == ("doubt.py:6: warning: A.x: 'raad' is no unit; is it 'rad'? [unit]")
+    (told,) = json.loads(aces("spec", "check", "doubt.py", "--json").out)
+    (finding,) = told["findings"]
+    assert (finding["line"], finding["level"], finding["rule"], finding["message"]) == (
+        6,
+        "warning",
+        "unit",
+        "A",
+    )
+    assert (told["ok"], told["counts"]) == (False, {"error": 0, "warning": 1, "note": 0})
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "says"),
+    [
+        ("x = (\n", 1, "'(' was never closed [spec]"),
+        ("import nothing_of_that_name\n", 1, "ModuleNotFoundError"),
+        ("\ndef f():\n    return 1 / 0\nf()\n", 3, "ZeroDivisionError: division by zero"),
+        (SOUND + 'p.message("B", id=5, payload=Struct("y" / Byte))\n', 5, "both accept 005#00"),
+        (SOUND + 'p.message("B", id=0x800)\n', 5, "is it extended=True?"),
+        (SOUND + 'p.message("B", id=6, payload=BitLayout(1, "a" / bits(6), "b" / bits(3)))\n', 5, "past the layout"),
+        (SOUND + 'p.message("B", id=6, payload=BitLayout(1, "a" / bits(6), "b" / bits(3, 4)))\n', 5, "overlaps 'a'"),
+        (SOUND + 'p.message("B", id=6, payload=Struct("a" / Quantity(Byte, scale=0)))\n', 5, "not zero"),
+    ],
+)  # fmt: skip
+def test_a_spec_that_fails_while_it_is_read_is_one_finding(
+    aces: Aces, written: Path, text: str, line: int, says: str
+) -> None:
+    """With its line, and without a traceback; the other files are checked all the same."""
+    Path("broken.py").write_text(text)
+    Path("sound.py").write_text(SOUND)
+    result = aces("spec", "check", "broken.py", "sound.py")
+    assert result.status == 1
+    first, *_, last = result.out.splitlines()
+    assert first.startswith(f"broken.py:{line}: error: ")
+    assert says in first
+    assert "broken.py: 1 error" in result.out
+    assert last == "sound.py: ok: 1 message"
+
+
+def test_a_wrong_call_is_told_from_a_wrong_spec(aces: Aces, written: Path) -> None:
+    """A name that is nowhere, a file that is missing or ends the program: status 2, and the rest is checked."""
+    Path("ends.py").write_text("import sys\nsys.exit(3)\n")
+    Path("sound.py").write_text(SOUND)
+    result = aces("spec", "check", "nix", "missing.py", "ends.py", "sound.py")
+    assert result.status == 2
+    assert "no protocol or robot named 'nix'" in result.err
+    assert "missing.py: no such file" in result.err
+    assert "ends.py: the file ends the program" in result.err
+    assert result.out == "sound.py: ok: 1 message\n"
+
+
+def test_protocols_named_together_share_a_bus(aces: Aces, written: Path) -> None:
+    """A frame that two of them claim is shown, with the command that explains it; `--apart` says that they do not."""
+    Path("sound.py").write_text(SOUND)
+    other = 'q = Protocol("other", link="can")\nq.message("B", id=5, payload=Struct("y" / Byte))\n'
+    Path("other.py").write_text(HEAD + other)
+    result = aces("spec", "check", "sound.py", "other.py")
+    assert result.status == 1
+    assert "other B collides with sound A (sound.py:4) if they share a bus: both accept 005#00" in result.out
+    assert "to see it: aces spec explain sound other '005#00'" in result.out
+    assert aces("spec", "check", "sound.py", "other.py", "--apart").status == 0
+    Path("both.py").write_text(SOUND + other)
+    assert "collides" in aces("spec", "check", "both.py").out
+
+
+def test_a_robot_is_checked_bus_by_bus(aces: Aces, written: Path) -> None:
+    """The protocols of a robot's file; what is wrong with the file itself comes with its line."""
+    assert aces("spec", "check", "hubo2plus").status == 0
+    Path("arm.toml").write_text(
+        'name = "arm"\n[buses]\nupper = { link = "can", protocol = "hubo" }\n[devices]\n'
+        'A = { driver = "x", bus = "uper", credentials = { board = 8 } }\n'
+    )
+    result = aces("spec", "check", "arm.toml")
+    assert result.status == 1
+    assert "arm.toml:5: error: devices.A.bus: no bus named 'uper'" in result.out
+
+
+def test_a_database_is_checked(aces: Aces, written: Path) -> None:
+    """What could not be taken over is a warning with its line; a strange unit only a note."""
+    pytest.importorskip("cantools")
+    Path("car.dbc").write_text(
+        'VERSION ""\nBU_: A\nBO_ 5 State: 2 A\n SG_ speed : 0|8@1+ (1,0) [0|0] "furlong/fortnight" A\n'
+        ' SG_ far : 60|8@1+ (1,0) [0|0] "" A\n'
+    )
+    result = aces("spec", "check", "car.dbc", "--notes")
+    assert result.status == 1
+    assert "car.dbc:5: warning: " in result.out
+    assert "note: State.speed: 'furlong/fortnight' is no unit" in result.out
+
+
+def test_colour_only_where_it_is_wanted(aces: Aces, written: Path) -> None:
+    """Plain in a pipe, coloured when asked for."""
+    Path("doubt.py").write_text(DOUBTFUL)
+    assert "\x1b[" not in aces("spec", "check", "doubt.py").out
+    assert "\x1b[" in aces("spec", "check", "doubt.py", "--color").out
