@@ -4,7 +4,8 @@
    at once and the offset fades). `approach=None` says that this is not wanted.
 2. A player that stands still (halted, at the end, failed) repeats its last set-points, so that a dead-man below it sees that
    the controller lives.
-3. Time is the runtime's: a late cycle plays what belongs to its instant, and a player never runs ahead or behind.
+3. Time is the runtime's: a late cycle plays what belongs to its instant. When time jumps (`largest_gap_s`, or back), it goes
+   on from where it was instead, and counts (`gaps`): half a step of a walk is not left out.
 
 Operations as in the original framework's `Script`: `run`, `halt`, `open`, and its `step` as `advance` (one row, then halt);
 its "User trajectory" is `hook`, a function that sees and may change each row's set-points.
@@ -17,7 +18,7 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
-from ..errors import CallerError, UnknownNameError
+from ..errors import CallerError
 from .base import NOTHING, Controller, StateLike, known_value
 from .events import ControlEvent
 from .motion import Motion, between, smooth_step
@@ -62,6 +63,7 @@ class Player(Controller):
         halt_s: float = 0.2,
         patience_s: float = 1.0,
         largest: float = MOST_RAD,
+        largest_gap_s: float = 0.25,
         autorun: bool = True,
     ) -> None:
         if not (math.isfinite(speed) and speed > 0):
@@ -78,6 +80,8 @@ class Player(Controller):
         self.mode: Mode = "halted"
         self.reason = ""
         self.rounds_done = 0
+        self.gaps = 0
+        self._gap_ns = round(max(largest_gap_s, 2 / rate_hz) * 1e9)
         self._patience_ns = round(patience_s * 1e9)
         self._all: Mapping[str, StateLike] = {}
         self._wish: Literal["run", "halt"] | None = None
@@ -110,6 +114,8 @@ class Player(Controller):
         self._ramp = 0  # +1: getting faster, -1: coming to a stand, 0: neither
         self._offsets: list[float] | None = None
         self._fade_s = 0.0
+        self._begun = False  # a value of the motion itself has been given
+        self._stepped: int | None = None
 
     # ---- operations -------------------------------------------------------------------------------------------------
 
@@ -162,6 +168,9 @@ class Player(Controller):
 
     def step(self, now_ns: int) -> Mapping[str, float]:
         """The set-points of this cycle."""
+        if self._stepped is not None and not 0 <= now_ns - self._stepped <= self._gap_ns:
+            self._skip(now_ns)
+        self._stepped = now_ns
         if self._wish is not None:
             self._obey(now_ns)
         mode = self.mode
@@ -183,6 +192,16 @@ class Player(Controller):
             if changed is not None:
                 return changed
         return setpoints
+
+    def _skip(self, now: int) -> None:
+        """Time has jumped: go on from where it was, as if one period had passed (rule 3)."""
+        assert self._stepped is not None
+        gap = now - self._stepped
+        shift = gap - round(1e9 / self.rate_hz)
+        self._base_ns += shift
+        self._began += shift
+        self.gaps += 1
+        self.listeners.tell(ControlEvent("late", now, self.name, f"{gap / 1e9:.3f} s passed in one cycle"))
 
     def _obey(self, now: int) -> None:
         wish, self._wish = self._wish, None
@@ -220,6 +239,7 @@ class Player(Controller):
             present = [one for one in found if one is not None]
         self._began, self._base_s, self._base_ns, self._ramp = now, 0.0, now, 0
         self._offsets, self._fade_s, self._fresh, self._at_s = None, 0.0, False, 0.0
+        self._begun = False
         if present is not None and self.approach is not None:
             self._from = present
             most = max((abs(a - b) for a, b in zip(present, first, strict=True)), default=0.0)
@@ -252,6 +272,7 @@ class Player(Controller):
     def _play(self, now: int) -> list[float]:
         if self._rows:
             return self._play_row()
+        self._begun = True
         elapsed = (now - self._base_ns) / 1e9
         if self._ramp:
             span = self.halt_s
@@ -289,12 +310,9 @@ class Player(Controller):
 
     def _play_row(self) -> list[float]:
         """A counted row: by rows, not by the clock."""
-        if self._values is None or self._base_ns >= 0:
-            self._base_ns = -1  # the first one stands where the count began
-            if self._values is not None and self._at_s + self.motion.row_s <= self.motion.duration_s + 1e-9:
-                self._at_s += self.motion.row_s
-        else:
+        if self._begun:
             self._at_s = min(self._at_s + self.motion.row_s, self.motion.duration_s)
+        self._begun = True
         self._rows -= 1
         if not self._rows:
             self.mode = "halted"
@@ -310,10 +328,3 @@ class Player(Controller):
     def _fail(self, now: int, reason: str) -> None:
         self.mode, self.reason = "failed", reason
         self.listeners.tell(ControlEvent("failed", now, self.name, reason))
-
-
-def require_names(motion: Motion, states: Mapping[str, object]) -> None:
-    """`UnknownNameError` for a name of the motion that no state has."""
-    for one in motion.names:
-        if one not in states:
-            raise UnknownNameError("state", one, states)

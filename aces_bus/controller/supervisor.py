@@ -3,7 +3,8 @@
 1. A table says the reaction to each kind of event: ignore, degrade (by name), or stop motion. What is not in the table is
    taken as "*", and that is to stop unless said otherwise.
 2. An event counts at the next step, at the latest: the reason reaches the controller's own handler before that.
-3. An exception of the controller is an event too, "raised"; it never gets out of `step`.
+3. An exception of the controller is an event too, "raised"; it never gets out of `step`. So is what the controller itself
+   tells, such as "failed".
 
 A supervisor is a controller itself, around one, with the guard below: the runtime steps the supervisor.
 """
@@ -107,6 +108,9 @@ class Supervisor:
         self.listeners = Listeners()
         self.error: BaseException | None = None
         self._events: deque[EventLike] = deque(maxlen=1_000)
+        listeners = getattr(controller, "listeners", None)
+        if isinstance(listeners, Listeners):  # "failed" is said, not raised
+            listeners.add(self._events.append)
 
     @property
     def states(self) -> tuple[str, ...]:

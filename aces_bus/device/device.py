@@ -46,7 +46,7 @@ class Poll:
     reply: str | tuple[str, ...]
     fields: Mapping[str, Any] = field(default_factory=dict[str, Any])
     every_s: float | None = None
-    timeout_s: float = 0.02
+    timeout_s: float = 0.05
 
     @property
     def replies(self) -> frozenset[str]:
@@ -134,11 +134,12 @@ class Device:
         self.last_heard: int | None = None
         self.is_silent = False
         self.misses = 0
-        self.missing_since = 0
+        self.missing_since = self.missed_at = 0
         #: Tickets that wait for an answer, oldest first; the host's.
         self.awaiting: list[Ticket] = []
         #: When each kind of answer was last had.
         self.answered: dict[str, int] = {}
+        #: How many answers of each kind are missing, and may still come late.
         self.timed_out: dict[str, int] = {}
         self._updates: dict[str, list[tuple[Callable[[Any], Any], Signal]]] = {}
         self._given: dict[str, dict[str, Any]] = {}

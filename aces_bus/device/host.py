@@ -40,10 +40,14 @@ TOLD_ALWAYS = frozenset(
 )
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
+#: An answer that is later than this (ns) does not come any more.
+LATEST = 500_000_000
 #: The robot of a probe.
 NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
 SILENT_SHARE = 5
+#: An instant that does not come (ns).
+NEVER = 1 << 62
 #: The share of a tick that polls may fill when nobody says otherwise.
 BUDGET = 0.9
 
@@ -143,7 +147,7 @@ class Host(Station[Device]):
         self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
         self._tick_at = 0
         #: Half duplex: when the next tick is due, and after what instant no poll may end.
-        self._tick_end, self._polls_end = 0, 1 << 62
+        self._tick_end, self._polls_end = 0, NEVER
         #: Whether this tick has had a poll: the first one goes out whatever it costs, or it never would.
         self._has_polled = False
         self._next_tick: Timer | None = None
@@ -169,6 +173,8 @@ class Host(Station[Device]):
             turn = _Turn(member, poll, word, 2 * self.port.wire_ns(word))
             if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self._turns) % 1))
+            if self._half and not self._period:
+                turn.due = NEVER  # asked when somebody says so: `poll` or `tick`
             self._turns.append(turn)
         return member
 
@@ -257,16 +263,17 @@ class Host(Station[Device]):
         counts = self.counts
         counts.ticks += 1
         self._tick_end = now + self._period
-        self._polls_end = now + round(self._period * self.budget) if self._period else 1 << 62
+        self._polls_end = now + round(self._period * self.budget) if self._period else NEVER
         self._has_polled = False
         if self._half and not self._period:
             for turn in self._turns:
-                turn.due = turn.due if turn.every_ns else now
+                if not turn.every_ns or now - turn.asked_at >= turn.every_ns:
+                    turn.due = now
         used = self._send_set_points(now)
         if self._half:
             self._pump()
             return
-        most = round(self._period * self.budget) if self._period else 1 << 62
+        most = round(self._period * self.budget) if self._period else NEVER
         turns = self._turns
         for _ in range(len(turns)):
             turn = turns[0]
@@ -289,10 +296,12 @@ class Host(Station[Device]):
         self._pump()
 
     def _take_turn(self, turn: _Turn, now: int) -> None:
-        if turn.every_ns:
+        if self._half and not self._period:
+            turn.due = NEVER
+        elif turn.every_ns:
             turn.due = now + turn.every_ns - self._period // 2
         elif self._half:
-            turn.due = self._tick_end if self._period else 1 << 62  # once a tick
+            turn.due = self._tick_end  # once a tick
         else:
             turn.due = now
         turn.asked_at = now
@@ -401,7 +410,8 @@ class Host(Station[Device]):
         device: Device = ticket.device
         self.counts.missed += 1
         for name in ticket.reply:
-            device.timed_out[name] = now
+            device.timed_out[name] = device.timed_out.get(name, 0) + 1
+        device.missed_at = now
         self.fell_silent()
         if ticket.tries <= ticket.retries:
             self.counts.repeated += 1
@@ -461,7 +471,8 @@ class Host(Station[Device]):
         device.awaiting.remove(ticket)
         device.misses = 0
         device.answered[name] = instant
-        device.timed_out.pop(name, None)
+        if device.timed_out and instant - device.missed_at > LATEST:
+            device.timed_out.clear()  # what has not come by now never will
         ticket.answered_at = instant
         counts = self.counts
         counts.answered += 1
@@ -490,8 +501,9 @@ class Host(Station[Device]):
     def _unasked(self, device: Device, name: str, instant: int) -> None:
         """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""
         before = device.answered.get(name)
-        if name in device.timed_out:
-            del device.timed_out[name]
+        late = device.timed_out.get(name, 0)
+        if late:
+            device.timed_out[name] = late - 1
             self.tell("late reply", device.name, name)
         elif before is not None and instant - before < SECOND:
             self.tell(

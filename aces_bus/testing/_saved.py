@@ -164,7 +164,8 @@ def scene_text(
 def _frame(frame: Frame) -> dict[str, Any]:
     about = {name: getattr(frame, name) for name in frame.__struct_fields__}
     about["data"] = frame.data.hex()
-    return {name: value for name, value in about.items() if value not in (None, False)}
+    usual = {"is_rx": None, "timestamp": None, "channel": None, "dlc": None}
+    return {name: value for name, value in about.items() if value is not usual.get(name, False)}
 
 
 def _written(packet: Packet) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def test_it_plays_once_and_stays() -> None:
     player.start(0)
     assert play(player, 8) == [0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.3]
     assert (player.mode, player.progress, player.rounds_done) == ("ended", 1.0, 1)
-    assert player.step(10**12) == {"A": 0.3, "B": 1.6}
+    assert player.step(10**9) == {"A": 0.3, "B": 1.6}
 
 
 @pytest.mark.shared
@@ -168,6 +168,26 @@ def test_rounds_approach_the_beginning_again() -> None:
     assert values.count(0.3) >= 2
     assert np.abs(np.diff(values)).max() <= 0.0501
     assert values[-1] == 0.3
+
+
+def test_when_time_jumps_it_goes_on_from_where_it_was() -> None:
+    """A second forwards or back in one cycle leaves out no row, and is counted and told; 200 ms are a late cycle."""
+    heard: list[str] = []
+    long = Trajectory(["A"], [[0.01 * n] for n in range(101)], rate_hz=10)
+    player = Player("p", long, rate_hz=10, approach=None)
+    player.listeners.add(lambda event: heard.append(event.kind))
+    player.start(0)
+    instants = [0, 100, 300, 1_300, 1_400, 400, 500]
+    assert [round(player.step(ms * MS)["A"], 9) for ms in instants] == [
+        0.0,
+        0.01,
+        0.03,
+        0.04,
+        0.05,
+        0.06,
+        0.07,
+    ]
+    assert (player.gaps, heard) == (2, ["late", "late"])
 
 
 def test_names_and_rows_may_be_changed_on_the_way() -> None:

@@ -16,9 +16,11 @@ from aces_bus.controller import (
     EventLike,
     Guard,
     Phase,
+    Player,
     Row,
     StateMachine,
     Supervisor,
+    Trajectory,
     degrade,
     stop,
 )
@@ -159,6 +161,17 @@ def test_a_handler_or_a_reaction_that_raises_stops_too() -> None:
     supervisor.handle(event("odd"))
     supervisor.step(10 * MS)
     assert "reaction to odd raised ZeroDivisionError" in supervisor.reason
+
+
+def test_what_a_controller_tells_counts_like_an_event_from_below() -> None:
+    """A player that cannot find its joints says "failed", and that stops motion, at the next step, with the reason."""
+    player = Player("p", Trajectory(["A"], [[0.0], [1.0]], rate_hz=10), rate_hz=10, patience_s=0.1)
+    supervisor = Supervisor(player, Guard({"A": Bounds()}, period_s=0.1, dead_man_s=0.3))
+    supervisor.bind(fakes(A=float("nan")))
+    supervisor.start(0)
+    assert [supervisor.step(n * 100 * MS) for n in range(4)] == [{}] * 4
+    assert supervisor.reason == "p: failed: the present position of A is unknown"
+    assert supervisor.writes == ("A",)
 
 
 def test_events_come_from_other_threads() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -61,6 +62,17 @@ def test_no_slower_than_the_limits_ask(limits: Limits, shape: Shape, duration: f
     assert path.duration_s == pytest.approx(duration)
     half = path.at(duration / 2)
     assert half == pytest.approx([1.0, 0.05])
+
+
+@pytest.mark.parametrize("shape", ["quintic", "through"])
+def test_jerk_is_limited_too(shape: Shape) -> None:
+    """Third differences inside of the segments stay below the limit, and come near it."""
+    path = ViaPath(["A", "B"], [[0, 0], [1, -1], [2, 0]], Limits(50.0, 1e3, jerk=8.0), shape=shape)
+    most = 0.0
+    for begin, end in itertools.pairwise(path.times):
+        rows = np.array([path.at(begin + (end - begin) * (0.001 + 0.998 * n / 500)) for n in range(501)])
+        most = max(most, float(np.abs(np.diff(rows, 3, axis=0)).max()) / ((end - begin) * 0.998 / 500) ** 3)
+    assert 0.9 * 8.0 < most < 8.0 * 1.001
 
 
 def test_through_does_not_stop_and_is_at_its_limit() -> None:

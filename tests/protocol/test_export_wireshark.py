@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 import shutil
 import struct
 import subprocess
@@ -17,12 +18,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from construct import Byte, GreedyRange, Struct
 from hypothesis import settings
 
 from aces_bus.capture.write.pcapng import PcapngWriter
 from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import StreamScanner, Unknown, Variant, make_scanner
+from aces_bus.protocol import Enumeration, Protocol, Quantity, StreamScanner, Unknown, Variant, make_scanner
 from aces_bus.protocol.codegen import plan as p
 from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.printers.leaves import leaves, scale_of
@@ -264,3 +266,51 @@ def test_streams(name: str, tmp_path: Path) -> None:
             words += [word[: rng.randrange(1, len(word) + 1)] for word in words[:6]]
             words.append(b"".join(words[:8]))
             assert check_stream(tmp_path, variant, direction, words), variant
+
+
+def segments(folder: Path, words: Sequence[bytes]) -> Path:
+    """Words as segments of one TCP connection to port 5000: raw IPv4 in a pcap file."""
+    path = folder / "segments.pcap"
+    sent = 1
+    with path.open("wb") as file:
+        file.write(struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, 101))
+        for number, word in enumerate(words):
+            ip = struct.pack(
+                ">BBHHHBBH4s4s", 0x45, 0, 40 + len(word), number, 0, 64, 6, 0, b"\n\0\0\1", b"\n\0\0\2"
+            )
+            tcp = struct.pack(">HHIIBBHHH", 4000, 5000, sent, 1, 0x50, 0x18, 8192, 0, 0)
+            data = ip + tcp + word
+            file.write(struct.pack("<IIII", number, 0, len(data), len(data)) + data)
+            sent += len(word)
+    return path
+
+
+@needs_tshark
+def test_packets_go_on_from_segment_to_segment(tmp_path: Path) -> None:
+    """Over TCP a packet may be cut anywhere; who speaks is told by the port."""
+    ping, read = robotis.encode("Ping", id=1), robotis.encode("Read", id=2, start=36, count=2)
+    stream = b"junk" + ping + read + ping
+    source, _ = print_dissector(robotis.variant(), port=5000)
+    shown = tshark(tmp_path, source, segments(tmp_path, [stream[:7], stream[7:8], stream[8:17], stream[17:]]))
+    told = [(m["message"][0], m) for messages in shown for m in messages if "message" in m]
+    assert [name for name, _ in told] == ["Ping", "Read", "Ping"]
+    assert (told[1][1]["read.id"], told[1][1]["read.start"]) == (["2"], ["36"])
+
+
+def test_text_of_a_spec_is_never_code() -> None:
+    """Names of values, units and documents are literals of printable ASCII; remarks stay remarks."""
+    nasty = 'a"b\\" ]] } os.execute("x")\n--[[ os.execute() \0\u2028é'
+    protocol = Protocol("nasty", link="can", doc=nasty)
+    payload = Struct(
+        "mode" / Enumeration(Byte, {nasty: 1}),
+        "x" / Quantity(Byte, unit=nasty, doc=nasty, scale=0.5, names={nasty: 2}),
+        "rest" / GreedyRange(Struct("y" / Byte)),
+    )
+    protocol.message("Only", id=1, payload=payload, doc=nasty, source=nasty)
+    text, losses = print_dissector(protocol.variant())
+    assert (losses[0].message, losses[0].field) == ("Only", "")
+    table = text.partition("\n-- What follows")[0]
+    assert all(line.isprintable() for line in table.split("\n"))
+    bare = re.sub(r'"(?:[^"\\\n]|\\\d\d\d)*"', '""', table)
+    assert not [line for line in bare.split("\n") if "execute" in line and not line.startswith("-- ")]
+    assert '\\\\"' not in bare

@@ -10,14 +10,14 @@ import pytest
 from .conftest import Aces
 
 HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"
-SOUND = (
-    HEAD
-    + 'p = Protocol("sound", link="can")\np.message("A", id=5, payload=Struct("x" / Byte), examples=[("005#07", {"x": 7})])\n'
-)
-DOUBTFUL = (
-    HEAD
-    + 'p = Protocol("doubt", link="can")\np.message("A", id=5,\n    payload=Struct(\n        "x" / Quantity(Int16ul, unit="raad")))\n'
-)
+SOUND = f"""{HEAD}p = Protocol("sound", link="can")
+p.message("A", id=5, payload=Struct("x" / Byte), examples=[("005#07", {{"x": 7}})])
+"""
+DOUBTFUL = f"""{HEAD}p = Protocol("doubt", link="can")
+p.message("A", id=5,
+    payload=Struct(
+        "x" / Quantity(Int16ul, unit="raad")))
+"""
 
 
 @pytest.fixture

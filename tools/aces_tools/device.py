@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     changes = action not in ("get", "watch")
     values = _pairs(arguments.values) if changes else {}
     if changes and action != "set":
-        _check_action(config.driver, action, values)
+        _check_action(_described(robot, config.name), action, values)
     if changes and not arguments.tx and not arguments.virtual:
         say(f"'{action}' changes the device: nothing was sent; add --tx")
         return 1
@@ -102,6 +102,8 @@ class _Told:
 
     def print(self) -> None:
         for event in self.live.rig.events.last:
+            if event.kind in ("opened", "closed", "error-active"):
+                continue
             say(f"{event.device or event.bus}: {event.kind}{f': {event.detail}' if event.detail else ''}")
 
 
@@ -156,10 +158,8 @@ def _list(robot: Robot, as_json: bool) -> int:
 
 
 def _describe(robot: Robot, arguments: argparse.Namespace) -> int:
-    from aces_bus.assembly import VirtualRobot
-
     config = _config_of(robot, arguments.name)
-    device = VirtualRobot(_alone(robot, config.name)).rig.device(arguments.name)
+    device = _described(robot, config.name)
     part = arguments.name if arguments.name != device.name else None
     signals = _signals(device, part)
     if arguments.json:
@@ -335,18 +335,23 @@ def _pairs(texts: list[str]) -> dict[str, Any]:
     return found
 
 
-def _check_action(driver: str, action: str, values: dict[str, Any]) -> None:
-    """Whether a device of this driver has such an action with such arguments, before anything is opened."""
-    from aces_bus.device import load_driver
+def _described(robot: Robot, name: str) -> Device:
+    """The device, on no bus: what it has can be looked at."""
+    from aces_bus.assembly import VirtualRobot
 
-    kind = load_driver(driver).device
-    if action not in kind.actions:
-        raise UnknownNameError(f"action of {driver}", action, ["get", "set", "watch", *kind.actions])
-    parameters = inspect.signature(getattr(kind, action)).parameters
+    return VirtualRobot(_alone(robot, name)).devices[name]
+
+
+def _check_action(device: Device, action: str, values: dict[str, Any]) -> None:
+    """Whether a device has such an action with such arguments, before anything is opened."""
+    if action not in device.actions:
+        known = ["get", "set", "watch", *device.actions]
+        raise UnknownNameError(f"action of {device.name} ({device.config.driver})", action, known)
+    parameters = inspect.signature(getattr(device, action)).parameters
     takes_any = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values())
     for name in values:
         if name not in parameters and not takes_any:
-            raise UnknownNameError(f"argument of {action}", name, [n for n in parameters if n != "self"])
+            raise UnknownNameError(f"argument of {action}", name, parameters)
 
 
 def _set(

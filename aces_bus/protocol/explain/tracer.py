@@ -21,6 +21,8 @@ from .attempt import Attempt, Death, Reading, Row, Step
 from .template import Template
 from .words import captures, frame_cell, frame_death, unchosen, words_of
 
+#: Under this name a remembered request says which message it was.
+_ASKED = "_message"
 #: Words of one attempt that are explained; of longer packets the first ones and the last.
 WORDS = 160
 
@@ -48,7 +50,8 @@ class Tracer(Reference):
         is_alone = len({variant.name for variant in variants}) == 1
         self.templates: list[Template] = []
         self._extras: dict[Framing, dict[int, bytes]] = {}
-        for variant, messages, _, _ in self.sides:
+        for variant, messages, _, context in self.sides:
+            _mark_requests(context)
             for message in messages:
                 name = message.name if is_alone else f"{variant.name}.{message.name}"
                 self.templates.append(Template(message, name))
@@ -69,9 +72,8 @@ class Tracer(Reference):
         self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
     ) -> tuple[str, Message, Any]:
         if request is not None:
-            names = [r.message.name for r in (*message.reply_to, *message.after) if r.accepts(request)]
-            fitting = [n for n in names if set(request) <= set(message.protocol[n].fields) | set(request)]
-            self._request = (fitting[0] if fitting else "?", dict(request))
+            asked = {name: value for name, value in request.items() if not name.startswith("_")}
+            self._request = (str(request.get(_ASKED, "?")), asked)
         return super()._accepted(context, message, image, channel, time, request)
 
     def _until(self, data: bytes, start: int, found: list[Found], *, silent: bool) -> int:
@@ -323,6 +325,16 @@ class Tracer(Reference):
     def explain_frames(self, frames: Iterable[Any]) -> list[Attempt]:
         """The attempts at some frames."""
         return [self.explain_frame(frame, number) for number, frame in enumerate(frames)]
+
+
+def _mark_requests(context: Context) -> None:
+    """Let the requests that a context remembers say which message they were."""
+    note = context.note
+
+    def noted(name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
+        note(name, channel, time, {**values, _ASKED: name})
+
+    setattr(context, "note", noted)  # noqa: B010 - a method of one object, on purpose
 
 
 def _touches(one: _Decided, base: int, wanted: range) -> bool:

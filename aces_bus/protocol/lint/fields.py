@@ -55,7 +55,7 @@ def _unit(field: Written) -> Iterator[Finding]:
 
 def _unit_level(field: Written) -> Level:
     # Whoever wrote a database is not the one who reads it: there a strange unit is only worth knowing.
-    return "warning" if field.place.file.endswith(".py") else "note"
+    return "warning" if field.base.file.endswith(".py") else "note"
 
 
 def _unit_text(unit: str) -> str:

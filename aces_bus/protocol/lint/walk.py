@@ -28,7 +28,18 @@ class Written:
     name: str
     adapters: tuple[Any, ...]
     inner: Any
-    place: Place
+    #: Where its message is declared.
+    base: Place
+
+    @property
+    def place(self) -> Place:
+        """The line of our own construct, else that of its name in the message; of a database the message's."""
+        if not self.base.file.endswith(".py"):
+            return self.base
+        if self.adapters:
+            place: Place = self.adapters[0].place
+            return place
+        return self.base.of_field(self.name.rpartition(".")[2]) if self.name else self.base
 
     @property
     def label(self) -> str:
@@ -93,11 +104,10 @@ def _payload(message: Message) -> Iterator[Written]:
 def _walk(con: Any, owner: str, name: str, place: Place) -> Iterator[Written]:
     if isinstance(con, c.Renamed):
         inner = f"{name}.{con.name}" if name and con.name else con.name or name
-        yield from _walk(con.subcon, owner, inner, place.of_field(con.name) if con.name else place)
+        yield from _walk(con.subcon, owner, inner, place)
     elif isinstance(con, BitLayout):
         for slot in con.slots:
-            where = place.of_field(slot.name)
-            yield from _walk(slot.field, owner, f"{name}.{slot.name}" if name else slot.name, where)
+            yield from _walk(slot.field, owner, f"{name}.{slot.name}" if name else slot.name, place)
     elif isinstance(con, Delimited):
         for one in con.fields:
             yield from _walk(one, owner, name, place)
@@ -121,8 +131,7 @@ def _walk(con: Any, owner: str, name: str, place: Place) -> Iterator[Written]:
         if isinstance(con, (c.Array, c.GreedyRange)):
             yield from _walk(con.subcon, owner, name, place)
             return
-        own = adapters[0].place if adapters else place
-        yield Written(owner, name, tuple(adapters), con, own)
+        yield Written(owner, name, tuple(adapters), con, place)
 
 
 __all__ = ["Written", "fields_of"]

@@ -29,6 +29,9 @@ MODELS = {"RX-10": 10, "RX-28": 28, "RX-64": 64}
 FIRMWARE, SUPPLY, WARMTH = 0x17, 111, 37
 #: Saturated for so long without moving, it is overloaded (ns). A choice.
 OVERLOAD_NS = 500_000_000
+#: So long after its own status a servo answers nothing that it does not understand (ns): on a line with a second one of
+#: its id, their statuses would answer each other for ever. A choice.
+QUIET_NS = 3_000_000
 #: While locked only these addresses stay writable (RX-28 manual).
 UNLOCKED = range(0x18, 0x24)
 PING, READ, WRITE = 1, 2, 3
@@ -93,6 +96,7 @@ class RobotisRXTwin(Twin):
         self.blinks = False
         self._held: tuple[int, bytes] | None = None
         self._pushing_since: int | None = None
+        self._spoke_at = -QUIET_NS
 
     def _factory(self) -> None:
         for register in control_table.values():
@@ -222,6 +226,7 @@ class RobotisRXTwin(Twin):
         if kind == PING or level == 2 or (level == 1 and kind == READ):
             delay = 2_000 * self["return_delay"]
             error |= self._measure() if bits is None else bits
+            self._spoke_at = self.clock.now() + delay
             self.reply("Status", delay_ns=delay, error=error, parameters=data)
 
     @on("Ping")
@@ -275,6 +280,8 @@ class RobotisRXTwin(Twin):
         """A packet with a wrong checksum, or with an instruction that does not exist: answered with that error."""
         if len(data) < 6 or data[2] != self.credentials["id"] or not self.is_powered or not self._is_tuned:
             return
+        if self.clock.now() - self._spoke_at < QUIET_NS or not data[4]:
+            return  # another servo's status, which has its error bits where an instruction has its code
         size = data[3] + 4
         if reason == "malformed: checksum" and 6 <= size <= len(data):
             if data[4] != PING:

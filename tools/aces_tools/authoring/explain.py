@@ -312,6 +312,7 @@ def _print(groups: Sequence[tuple[str, Sequence[Attempt]]], arguments: argparse.
     for label, attempts in groups:
         if label and attempts:
             print(("" if is_first else "\n") + paint("source", f"{label}:"))
+            is_first = True
         for attempt in attempts:
             if not is_first:
                 print()
@@ -324,8 +325,9 @@ def _write_svg(arguments: argparse.Namespace, attempts: Sequence[Attempt]) -> No
     from .explain_svg import svg_of
 
     title = f"{' + '.join(arguments.protocols)}: {arguments.capture}"
+    picture = svg_of(attempts, title)
     output = Output(arguments.svg, [arguments.capture])
-    output.write(svg_of(attempts, title).encode("utf-8"))
+    output.write(picture.encode("utf-8"))
     output.close()
     if arguments.svg != "-":
         say(f"wrote {arguments.svg}")

@@ -108,8 +108,9 @@ def _pictures(arguments: argparse.Namespace) -> None:
 
 
 def _svg(arguments: argparse.Namespace) -> None:
+    picture = draw.picture_svg(_chosen(arguments))
     output = Output(arguments.svg)
-    output.write(draw.picture_svg(_chosen(arguments)).encode("utf-8"))
+    output.write(picture.encode("utf-8"))
     output.close()
     if arguments.svg != "-":
         say(f"wrote {arguments.svg}")

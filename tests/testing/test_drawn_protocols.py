@@ -1,0 +1,83 @@
+"""The toolkit itself is fuzzed: protocols that nobody wrote keep the laws."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+
+from aces_bus.protocol import Protocol, make_scanner
+from aces_bus.testing import strategies
+from aces_bus.testing._protocols import Link, draw_spec, protocol_of
+from aces_bus.testing._source import spread
+from aces_bus.testing.fuzz import Fuzzer
+
+LINKS: tuple[Link, ...] = ("can", "serial")
+PHASES = (Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_drawn_protocols_keep_the_laws(link: Link) -> None:
+    """Whatever fields, layouts, captures, checks and lengths: no law fails."""
+    # The short run is the same each time; `make test-long` draws others.
+    long = settings().max_examples > 100
+
+    @settings(
+        max_examples=settings().max_examples // 4 if long else 4,
+        derandomize=not long,
+        database=None,
+        suppress_health_check=(HealthCheck.too_slow, HealthCheck.data_too_large),
+        phases=PHASES,
+    )
+    @given(strategies.specs(link=link))
+    def holds(text: str) -> None:
+        fuzzer = Fuzzer([protocol_of(text)], seed=1)
+        assert [str(failure) for failure in fuzzer.run(32 * len(fuzzer.benches), most=1)] == [], text
+
+    holds()
+
+
+def test_drawn_protocols_are_of_many_kinds() -> None:
+    """Among some dozens there is every kind of link, framing, check, pattern and field."""
+    texts = "\n".join(draw_spec(spread(seed, 2000)) for seed in range(1, 60))
+    words = (
+        'link="can"',
+        'link="serial"',
+        "size=this.length",
+        "stuffing=Slip()",
+        "stuffing=Cobs()",
+        "Crc(",
+        "Fletcher(",
+        "Capture(",
+        "extended=True",
+        "fd=True",
+        "BitLayout(",
+        "Split(",
+        "signed=True",
+        "SignMagnitude(",
+        "Quantity(",
+        "Enumeration(",
+        "Flags(",
+        "Multiplexed(",
+        "Array(",
+        "GreedyBytes",
+        "direction=",
+    )
+    assert [word for word in words if word not in texts] == []
+
+
+@settings(max_examples=10)
+@given(strategies.protocols())
+def test_a_drawn_protocol_is_one(protocol: Any) -> None:
+    """It has messages, and a scanner."""
+    assert isinstance(protocol, Protocol)
+    assert protocol.declared
+    assert make_scanner([protocol.variant()]).feed([] if protocol.link == "can" else b"") == []
+
+
+def test_a_spec_is_what_its_source_gives() -> None:
+    """The same source of choices draws the same text, and nothing left draws the simplest."""
+    assert draw_spec(spread(7)) == draw_spec(spread(7))
+    simplest = protocol_of(draw_spec(spread(0, 0), "can"))
+    assert [message.name for message in simplest.declared] == ["M0"]
