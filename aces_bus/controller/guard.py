@@ -21,14 +21,16 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from ..device.robot import Robot
 from ..errors import CallerError
 from .base import NOTHING, StateLike, known_value
 from .events import ControlEvent, Listeners
+
+if TYPE_CHECKING:
+    from ..device.robot import Robot
 
 Action = Literal["hold", "zero duty", "disable"]
 ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")

@@ -51,8 +51,8 @@ def test_a_cut_datagram_is_not_continued() -> None:
 
 
 def test_several_motors_are_not_known() -> None:
-    """The number of motors is always 1; another is none of its messages, even with a right sum."""
-    data = bytes.fromhex("FF 41 02 23 80 57 49 86")
+    """The number of motors is always 1; another is none of its messages, even with the sum of one."""
+    data = bytes.fromhex("FF 41 02 23 80 57 49 43")
     scanner = hubovia.scanner(everything=True)
     assert [one.reason for one in scanner.datagram(data)] == ["unknown"]
     assert scanner.counts.unknown == len(data)

@@ -270,6 +270,34 @@ def test_faults_have_line_and_column(tmp_path: Path, aces: Aces) -> None:
     assert about["source"] == result.out
 
 
+def test_what_a_spec_has_no_word_for_is_named(tmp_path: Path, aces: Aces) -> None:
+    """Attributes, environment variables, groups and comments of nodes: a line each, with the first place."""
+    more = """EV_ Speed: 0 [0|100] "" 0 1 DUMMY_NODE_VECTOR0 Vector__XXX;
+CM_ BU_ ECU "the engine";
+CM_ "the whole";
+BA_DEF_ SG_ "GenSigStartValue" INT 0 100;
+BA_DEF_DEF_ "GenSigStartValue" 0;
+BA_ "GenSigStartValue" SG_ 100 speed 5;
+BA_ "GenSigStartValue" SG_ 100 gear 0;
+SIG_GROUP_ 100 both 1 : speed gear;
+"""
+    path = tmp_path / "car.dbc"
+    path.write_text(HEAD + CAR + more, encoding="utf-8")
+    line = (HEAD + CAR).count("\n") + 1
+    result = aces("spec", "import", path)
+    assert result.status == 0
+    for number, said in (
+        (line, "environment variables: not taken over"),
+        (line + 1, "comments of nodes: not taken over"),
+        (line + 2, "comments of the whole file: not taken over"),
+        (line + 5, "the attribute GenSigStartValue: not taken over (2 times)"),
+        (line + 7, "groups of signals: not taken over"),
+    ):
+        assert f"{path}:{number}: {said}" in result.err.splitlines()
+        assert f"#   line {number}: {said}" in result.out.splitlines()
+    same(run_source(result.out), load_database(path).protocol)
+
+
 HOSTILE = (
     '"""\nimport os\nos.abort()\n"""',
     "'''\nraise SystemExit\n'''",

@@ -79,6 +79,8 @@ class BoardCore(Device):
         beyond = [joint.name for joint in self.joints if joint.channel >= found.channels]
         if beyond:
             raise CallerError(f"{self.name} has {found.channels} channels; {', '.join(beyond)} is beyond")
+        self._by_path = {f"duty.{axis.channel}": axis for axis in self.axes}
+        self._by_path.update(zip(found.references, self.axes, strict=False))
         #: Whether set-points go out; whether the board was enabled and nothing has been heard against it.
         self.is_streaming = self.is_enabled = False
         self.is_compliant = False
@@ -91,7 +93,6 @@ class BoardCore(Device):
         self._held_until = 0
         #: The message of set-points while enabled: positions, or duties for boards whose joints are commanded so.
         self.set_message = self._declare_signals()
-        self._set_paths = tuple(self._paths.get(self.set_message or "", ()))
         self._hearers: dict[str, Callable[[Any, int], None]] = {}
         self._declare_polls(settings)
 
@@ -449,10 +450,7 @@ class BoardCore(Device):
         return value * shape.positive * (axis.direction if shape.reference is not None else 1)
 
     def _axis_at(self, path: str) -> Axis:
-        references = self.shape.references
-        if path in references:
-            return self.axes[references.index(path)]
-        return self.axes[int(path.rpartition(".")[2])]
+        return self._by_path[path]
 
     def give(self, axis: Axis, value: Any) -> None:
         """A set-point past filter, trigger and compliance."""

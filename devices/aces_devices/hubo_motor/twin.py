@@ -63,6 +63,7 @@ class HuboMotorTwin(Twin):
     def setup(self) -> None:
         """Power-up."""
         now = self.clock.now()
+        self._listening = self._handlers
         if "channels" in self.__dict__:
             for channel in self.channels:
                 channel.sync(now)
@@ -96,6 +97,8 @@ class HuboMotorTwin(Twin):
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """As all twins; those of motors take effect at once."""
         super().fault(name, amount, on=on)
+        # Off the bus nothing is heard.
+        self._handlers = {} if "can_error" in self.active_faults else self._listening
         now = self.clock.now()
         for channel in self.channels:
             channel.sync(now)
@@ -117,11 +120,6 @@ class HuboMotorTwin(Twin):
                 channel.found = dict.fromkeys(channel.found, "none")
             if "fet_fault" in mine:
                 channel.switch(now, driver=False)
-
-    def receive(self, record: Any, instant: int) -> None:
-        """A request; off the bus it is not heard."""
-        if "can_error" not in self.active_faults:
-            super().receive(record, instant)
 
     # ------------------------------------------------------------------ encoders, currents, status
 

@@ -4,9 +4,10 @@
   aces spec import drive.eds -o drive.py
   aces decode trip.log -p car.py          decodes what -p car.dbc decodes
 
-What cannot be taken over is said on stderr, one line each with file, line and
+What is not taken over is said on stderr, one line each with file, line and
 column, and stands as comments at the head of the source; the rest is there.
-The source has texts of the file (names, comments, units) as Python strings
+Senders, receivers and cycle times become text of their message. The source
+has texts of the file (names, comments, units) as Python strings
 and nothing of it as code.
 """
 
@@ -22,6 +23,7 @@ from aces_bus.protocol.foreign import SUFFIXES, load_database
 from aces_bus.protocol.printers.source import print_source
 
 from ..console import say
+from .left_out import left_out
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,12 +42,15 @@ def run(arguments: argparse.Namespace) -> int:
     path: str = arguments.file
     imported = load_database(path)
     kind = Path(path).suffix.lstrip(".").upper()
+    problems = list(imported.problems)
+    if kind == "DBC":
+        problems = sorted([*problems, *left_out(path)])
     article = "an" if kind[0] in "AESM" else "a"
-    text = print_source(imported.protocol, imported.problems, f"{article} {kind} file")
+    text = print_source(imported.protocol, problems, f"{article} {kind} file")
     if arguments.output is not None:
         write(arguments.output, text, force=arguments.force)
     if arguments.json:
-        problems = [
+        told = [
             {
                 "line": one.line or None,
                 "column": one.column or None,
@@ -53,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "excerpt": one.excerpt,
                 "is_note": one.is_note,
             }
-            for one in imported.problems
+            for one in problems
         ]
         about = {
             "file": path,
@@ -61,13 +66,13 @@ def run(arguments: argparse.Namespace) -> int:
             "messages": len(imported.protocol.declared),
             "output": arguments.output,
             "source": text if arguments.output is None else None,
-            "problems": problems,
+            "problems": told,
         }
         print(json.dumps(about, ensure_ascii=False, indent=2))
     elif arguments.output is None:
         sys.stdout.write(text)
     if not arguments.json:
-        for problem in imported.problems:
+        for problem in problems:
             say(problem.of(path), who="")
         if imported.summary:
             say(imported.summary)

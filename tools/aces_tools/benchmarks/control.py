@@ -65,6 +65,7 @@ def run(*, quick: bool = False) -> Iterable[Row]:
 
 def _turns(call: Callable[[], Any], most: int) -> int:
     """How often to call in a round: slow ones not as often, as they need it less."""
+    call()  # the first one imports and prepares
     start = perf_counter()
     for _ in range(5):
         call()
