@@ -5,6 +5,7 @@
     │   ├── UnknownNameError   no such protocol, message, dialect, field: lists the names that exist
     │   ├── FieldError         a value does not fit its field: says field, value and range
     │   ├── CaptureError       a file cannot be used as a capture: says file and what would work
+    │   ├── StateError         a state was asked for what it cannot know (aces_bus.state)
     │   └── RobotError         a robot file is wrong: says file:line of everything that is (aces_bus.device)
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
     ├── DeviceError            a device did not do what its protocol promises

@@ -14,9 +14,11 @@ PAGES = [
     "CONTRIBUTING.md",
     "docs/architecture.md",
     "docs/captures.md",
+    "docs/checking.md",
     "docs/devices.md",
     "docs/language.md",
     "docs/robots.md",
+    "docs/states.md",
 ]
 
 

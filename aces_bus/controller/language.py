@@ -130,8 +130,7 @@ class Scope:
             ("states", self.states if self.states is not None else self.used),
             ("parameters", self.parameters),
             ("memory", self.memory),
-            ("functions", [*OF_A_STATE, *FUNCTIONS]),
-            ("and", [*TIMES, "pi"]),
+            ("always", [*TIMES, "pi"]),
         ]
         return "; ".join(f"{title}: {', '.join(names)}" for title, names in parts if names)
 
@@ -145,11 +144,11 @@ class _Printer:
         self.lines: list[str] = []
         self.setpoints: dict[str, str] = {}
 
-    def fail(self, node: ast.AST, what: str) -> EquationError:
+    def fail(self, node: ast.AST, what: str, there_are: str = "") -> EquationError:
         line = getattr(node, "lineno", 1)
         text = self.text[line - 1][:80] if line <= len(self.text) else ""
         return EquationError(
-            f"{self.scope.owner}: {self.place}, line {line} ({text}): {what} ({self.scope.names()})"
+            f"{self.scope.owner}: {self.place}, line {line} ({text}): {what} ({there_are or self.scope.names()})"
         )
 
     # ---- expressions ----------------------------------------------------------------------------------------------
@@ -238,7 +237,9 @@ class _Printer:
         if name in OF_A_STATE:
             return f"{self.quantity(node)}[0]"
         if name not in FUNCTIONS:
-            raise self.fail(node, f"there is no function {name!r}")
+            raise self.fail(
+                node, f"there is no function {name!r}", f"there are: {', '.join([*OF_A_STATE, *FUNCTIONS])}"
+            )
         return f"f_{name}({', '.join(self.expression(one) for one in arguments)})"
 
     # ---- lines ----------------------------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ from ..errors import CallerError, UnknownNameError
 
 Interpolation = Literal["hold", "linear", "cubic"]
 Floats = npt.NDArray[np.float64]
+#: So near a row (in rows) is at it.
+NEAR = 1e-5
 
 
 class Motion(Protocol):
@@ -115,14 +117,14 @@ class Trajectory:
     def at(self, seconds: float) -> list[float]:
         """The values `seconds` after the first row, interpolated."""
         position = seconds * self.rate_hz
-        near = round(position)
-        # A nanosecond of a 200 Hz cycle is 2e-7 of a row: what is that near a row is the row.
-        if -1e-5 < position - near < 1e-5:
-            position = float(near)
-        if position <= 0.0:
+        # A nanosecond of a 200 Hz cycle is 2e-7 of a row: what is that near a row is the row. NaN is before the start.
+        if not position > NEAR:
             return self.rows[0].tolist()  # type: ignore[no-any-return]
-        if position >= self._last:
+        if position > self._last - NEAR:
             return self.rows[self._last].tolist()  # type: ignore[no-any-return]
+        near = round(position)
+        if -NEAR < position - near < NEAR:
+            position = float(near)
         return self._at(position)
 
     def _hold(self, position: float) -> list[float]:

@@ -210,7 +210,7 @@ class ViaPath:
 
     def at(self, seconds: float) -> list[float]:
         """The values `seconds` after the first point."""
-        if seconds <= 0.0:
+        if not seconds > 0.0:  # NaN, too
             return self.points[0].tolist()  # type: ignore[no-any-return]
         if seconds >= self.times[-1]:
             return self.points[-1].tolist()  # type: ignore[no-any-return]

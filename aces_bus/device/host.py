@@ -138,7 +138,7 @@ class Host(Station[Device]):
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.strangers: Counter[str] = Counter()
         self._told: dict[tuple[str, str], int] = {}
-        self._turns: deque[_Turn] = deque()
+        self.turns: deque[_Turn] = deque()
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
@@ -172,16 +172,16 @@ class Host(Station[Device]):
             word = self.word(member, poll.message, poll.fields)
             turn = _Turn(member, poll, word, 2 * self.port.wire_ns(word))
             if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
-                turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self._turns) % 1))
+                turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self.turns) % 1))
             if self._half and not self._period:
                 turn.due = NEVER  # asked when somebody says so: `poll` or `tick`
-            self._turns.append(turn)
+            self.turns.append(turn)
         return member
 
     def postpone(self, device: Device, message: str, duration_s: float) -> None:
         """Poll a device with this message not before so long from now: its answer could be taken for another's."""
         until = self.clock.now() + round(duration_s * 1e9)
-        for turn in self._turns:
+        for turn in self.turns:
             if turn.device is device and turn.poll.message == message and turn.due < until:
                 turn.due = until
 
@@ -206,12 +206,12 @@ class Host(Station[Device]):
         """Take a device off; what was asked of it is forgotten."""
         device = self.members.get(name)
         super().remove(name)
-        self._turns = deque(turn for turn in self._turns if turn.device is not device)
+        self.turns = deque(turn for turn in self.turns if turn.device is not device)
 
     def renumber(self, member: Device, **credentials: int) -> None:
         """A device has other credentials from now on: its polls ask for them."""
         super().renumber(member, **credentials)
-        for turn in self._turns:
+        for turn in self.turns:
             if turn.device is member:
                 turn.word = self.word(member, turn.poll.message, turn.poll.fields)
         member.renumbered()
@@ -266,7 +266,7 @@ class Host(Station[Device]):
         self._polls_end = now + round(self._period * self.budget) if self._period else NEVER
         self._has_polled = False
         if self._half and not self._period:
-            for turn in self._turns:
+            for turn in self.turns:
                 if not turn.every_ns or now - turn.asked_at >= turn.every_ns:
                     turn.due = now
         used = self._send_set_points(now)
@@ -274,7 +274,7 @@ class Host(Station[Device]):
             self._pump()
             return
         most = round(self._period * self.budget) if self._period else NEVER
-        turns = self._turns
+        turns = self.turns
         for _ in range(len(turns)):
             turn = turns[0]
             if turn.due <= now and turn.waiting is None:
@@ -288,7 +288,7 @@ class Host(Station[Device]):
     def poll(self) -> None:
         """Ask everything once, now, whatever the budget: for hosts without a rate."""
         now = self.clock.now()
-        for turn in self._turns:
+        for turn in self.turns:
             if turn.waiting is None:
                 turn.due = now
                 if not self._half:
@@ -439,7 +439,7 @@ class Host(Station[Device]):
         if self._half and device.is_silent and ticket.poll is not None:
             # Its time-outs hold up all others: it is asked less often until it answers.
             due = now + (SILENT_SHARE - 1) * ticket.timeout_ns
-            for turn in self._turns:
+            for turn in self.turns:
                 if turn.device is device:
                     turn.due = max(turn.due, due)
         if ticket.poll is None:
@@ -526,7 +526,7 @@ class Host(Station[Device]):
         if self._line:
             self._speak(self._line.popleft())
             return
-        turns = self._turns
+        turns = self.turns
         for _ in range(len(turns)):
             turn = turns[0]
             if turn.due <= now and turn.waiting is None:

@@ -98,8 +98,13 @@ class Signal:
             listener(value, instant)
 
     def forget(self) -> None:
-        """What was known is not true any more."""
+        """What was known is not true any more; listeners hear that it is unknown."""
+        if self.instant is None:
+            return
         self.last, self.instant = UNKNOWN, None
+        now = self.clock.now()
+        for listener in self.listeners:
+            listener(UNKNOWN, now)
 
     @property
     def value(self) -> Any:

@@ -169,7 +169,8 @@ def test_rows_are_met_exactly(rows: Sequence[tuple[float, float]], how: Interpol
     for n, row in enumerate(rows):
         assert table.at(n / 50) == list(row)
         assert table.at(n / 50 + 1e-9) == list(row)
-    assert (table.at(-1), table.at(1e9)) == (list(rows[0]), list(rows[-1]))
+    assert table.at(math.nan) == list(rows[0])
+    assert (table.at(-1), table.at(math.inf)) == (list(rows[0]), list(rows[-1]))
 
 
 @given(st.floats(0, 1))

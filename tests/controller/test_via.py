@@ -111,6 +111,7 @@ def test_a_pause_is_a_point_twice() -> None:
     path = ViaPath(["A"], [[0.0], [1.0], [1.0], [0.0]], Limits(1.0, 2.0), times=[0, 2, 5, 7])
     assert path.at(2.1) == path.at(4.9) == [1.0]
     assert ViaPath(["A"], [[1.0], [1.0]], Limits(1.0, 2.0)).at(0.01) == [1.0]
+    assert path.at(math.nan) == [0.0]
 
 
 @pytest.mark.parametrize(

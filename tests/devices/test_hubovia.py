@@ -76,7 +76,13 @@ def test_worked_examples(robot: VirtualRobot, joint: str, position: float, data:
 
 @pytest.mark.parametrize(
     ("angle", "told"),
-    [(29.996, (0, 30, 0)), (-29.994, (1, 29, 99)), (0.001, (0, 0, 0)), (-0.004, (0, 0, 0)), (0.29, (0, 0, 29))],
+    [
+        (29.996, (0, 30, 0)),
+        (-29.994, (1, 29, 99)),
+        (0.001, (0, 0, 0)),
+        (-0.004, (0, 0, 0)),
+        (0.29, (0, 0, 29)),
+    ],
 )
 def test_hundredths_are_rounded_with_carry(angle: float, told: tuple[int, int, int]) -> None:
     """Rounding goes through all places; there is no negative zero."""

@@ -21,7 +21,7 @@ from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.foreign import load_database
 from aces_bus.protocol.printers import Loss
 from aces_bus.protocol.printers.dbc import print_dbc
-from aces_bus.protocol.printers.leaves import Leaf, leaves, scale_of
+from aces_bus.protocol.printers.leaves import Leaf, leaves, leaves_of, scale_of
 from aces_bus.protocol.printers.source import print_source
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
@@ -66,7 +66,7 @@ def check(variant: Variant, seeds: Iterable[int]) -> tuple[int, list[Loss]]:
             found = message.decode(frame.data, decode_choices=False, allow_truncated=True)
         except cantools.database.errors.DecodeError:  # a value of a multiplexer that has no signal
             continue
-        for leaf in leaves(flatten(variant[record.meta.message])):
+        for leaf in leaves_of(variant[record.meta.message])[0]:
             compared += _compare(leaf, record, found, lost)
     return compared, losses
 

@@ -27,13 +27,14 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import Enumeration, Protocol, Quantity, StreamScanner, Unknown, Variant, make_scanner
 from aces_bus.protocol.codegen import plan as p
 from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.printers.leaves import leaves, scale_of
+from aces_bus.protocol.printers.leaves import leaves_of, scale_of
 from aces_bus.protocol.printers.wireshark import print_dissector
 from aces_bus.testing._source import spread
 from aces_bus.testing._values import UndrawableError, draw_packet
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
-from tests.specs import catalogue
+from tests.laws.corners import CORNERS
+from tests.specs.catalogue import SPECS as CATALOGUE
 
 TSHARK = shutil.which("tshark")
 needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed")
@@ -41,8 +42,9 @@ needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installe
 #: In the long profile all protocols, variants and directions; each run of tshark takes half a second.
 IS_LONG = settings().max_examples > 100
 SEEDS = 20 if IS_LONG else 3
-CAN = [n for n, one in catalogue.SPECS.items() if one.link == "can"] if IS_LONG else ["automotive"]
-ALL_STREAMS = ["robotis", *(n for n, one in catalogue.SPECS.items() if one.link != "can")]
+SPECS = {**CATALOGUE, **CORNERS}
+CAN = [n for n, one in SPECS.items() if one.link == "can"] if IS_LONG else ["automotive"]
+ALL_STREAMS = ["robotis", *(n for n, one in SPECS.items() if one.link != "can")]
 STREAMS = ALL_STREAMS if IS_LONG else ["robotis", "nmea0183"]
 
 #: A message as tshark shows it: field without the protocol's name → what it shows, once for each time it is there.
@@ -114,10 +116,9 @@ def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
     """Assert that a message is shown as it is decoded; how many values were compared."""
     name = record.meta.message
     assert shown["message"] == [name], (shown, record)
-    plan = flatten(variant[name])
     own = next((key.partition(".")[0] for key in shown if "." in key), "")
     count = 0
-    for leaf in leaves(plan):
+    for leaf in leaves_of(variant[name])[0]:
         node = leaf.node
         if isinstance(node, p.Opaque):
             continue
@@ -220,7 +221,7 @@ def test_every_message_of_hubo_is_shown_as_it_is_decoded(dialect: str, tmp_path:
 @pytest.mark.parametrize("name", CAN)
 def test_every_message_of_other_protocols_on_can(name: str, tmp_path: Path) -> None:
     """29-bit patterns, CAN FD, remote frames, checks over the identifier, multiplexers, floats, registers."""
-    variants = catalogue.SPECS[name].variants()
+    variants = SPECS[name].variants()
     for variant in variants if IS_LONG else variants[-1:]:
         seen = check_can(tmp_path, variant, drawn(variant, range(SEEDS)))
         assert seen, variant
@@ -255,7 +256,7 @@ def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence
 @pytest.mark.parametrize("name", STREAMS)
 def test_streams(name: str, tmp_path: Path) -> None:
     """Lengths, ends, silence, stuffing, checks, characters: packets whole, cut, behind junk and several in a word."""
-    protocol = robotis if name == "robotis" else catalogue.SPECS[name]
+    protocol = robotis if name == "robotis" else SPECS[name]
     for variant in protocol.variants():
         for direction in ("to device", "from device", "both") if IS_LONG else ("both",):
             if not variant.facing(direction):

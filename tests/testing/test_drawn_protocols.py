@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import given, settings
 
 from aces_bus.protocol import Protocol, make_scanner
 from aces_bus.testing import strategies
@@ -13,29 +12,18 @@ from aces_bus.testing._protocols import Link, draw_spec, protocol_of
 from aces_bus.testing._source import spread
 from aces_bus.testing.fuzz import Fuzzer
 
-LINKS: tuple[Link, ...] = ("can", "serial")
-PHASES = (Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink)
+#: Specs in the short run and in the long one: each is compiled, which costs more than fuzzing it.
+SHORT, LONG = 8, 300
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_drawn_protocols_keep_the_laws(link: Link) -> None:
+def test_drawn_protocols_keep_the_laws() -> None:
     """Whatever fields, layouts, captures, checks and lengths: no law fails."""
-    # The short run is the same each time; `make test-long` draws others.
-    long = settings().max_examples > 100
-
-    @settings(
-        max_examples=settings().max_examples // 4 if long else 4,
-        derandomize=not long,
-        database=None,
-        suppress_health_check=(HealthCheck.too_slow, HealthCheck.data_too_large),
-        phases=PHASES,
-    )
-    @given(strategies.specs(link=link))
-    def holds(text: str) -> None:
-        fuzzer = Fuzzer([protocol_of(text)], seed=1)
-        assert [str(failure) for failure in fuzzer.run(32 * len(fuzzer.benches), most=1)] == [], text
-
-    holds()
+    links: tuple[Link, ...] = ("can", "serial")
+    for seed in range(1, LONG if settings().max_examples > 100 else SHORT):
+        text = draw_spec(spread(seed), links[seed % 2])
+        fuzzer = Fuzzer([protocol_of(text)], seed=seed)
+        found = fuzzer.run(32 * len(fuzzer.benches), most=1)
+        assert [str(failure) for failure in found] == [], f"spec {seed}:\n{text}"
 
 
 def test_drawn_protocols_are_of_many_kinds() -> None:

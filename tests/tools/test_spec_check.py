@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -137,3 +139,14 @@ def test_colour_only_where_it_is_wanted(aces: Aces, written: Path) -> None:
     Path("doubt.py").write_text(DOUBTFUL)
     assert "\x1b[" not in aces("spec", "check", "doubt.py").out
     assert "\x1b[" in aces("spec", "check", "doubt.py", "--color").out
+
+
+def test_the_page_shows_what_happens(aces: Aces, written: Path) -> None:
+    """Each command of docs/checking.md, on the spec that the page begins with, prints what the page shows."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "checking.md").read_text(encoding="utf-8")
+    spec, rest = page.partition("```python\n")[2].split("```\n", 1)
+    Path("lamp.py").write_text(spec)
+    blocks = re.findall(r"```console\n\$ aces ([^\n]*)\n(.*?)```", rest, re.DOTALL)
+    assert len(blocks) == 5
+    for command, shown in blocks:
+        assert aces(*shlex.split(command)).out == shown, command

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import construct as c
 
 from ..codegen import plan as p
+from ..codegen.flatten import NotFlat, flatten, scalar_of
 from ..foreign.problems import clean
 from ..spec.message import Message
 
@@ -50,6 +53,31 @@ class Leaf:
 def leaves(plan: p.MessagePlan) -> list[Leaf]:
     """The single values of a message, in order."""
     return list(_leaves(plan.fields, "", ()))
+
+
+def leaves_of(message: Message) -> tuple[list[Leaf], int]:
+    """As `leaves`; and of a payload that does not flatten those numbers that stand before what has no fixed place, and
+    where that begins."""
+    plan = flatten(message)
+    found, offset = leaves(plan), message.payload_start
+    if not plan.opaque or not isinstance(message.payload, c.Struct):
+        return found, offset
+    known: dict[str, p.Scalar] = {}
+    for item in message.payload.subcons:
+        body = item.subcon if isinstance(item, c.Renamed) else item
+        if isinstance(body, c.Const):
+            offset += len(body.build(None))
+            continue
+        try:
+            scalar = scalar_of(item, offset)
+        except NotFlat:
+            break
+        if scalar.size is None:
+            break
+        if item.name:
+            known[item.name] = scalar
+        offset += scalar.size
+    return [replace(leaf, node=known.get(leaf.path, leaf.node)) for leaf in found], offset
 
 
 def _leaves(fields: Sequence[p.PlanField], prefix: str, outer: Whens) -> Iterator[Leaf]:
@@ -162,6 +190,7 @@ __all__ = [
     "flags_of",
     "is_magnitude",
     "leaves",
+    "leaves_of",
     "names_of",
     "number_bits",
     "one_line",

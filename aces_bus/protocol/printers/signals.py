@@ -28,7 +28,7 @@ from .leaves import (
     bits_of,
     flags_of,
     is_magnitude,
-    leaves,
+    leaves_of,
     names_of,
     number_bits,
     runs,
@@ -189,7 +189,7 @@ class _Group:
     def __init__(self, messages: Sequence[Message], losses: list[Loss]) -> None:
         self.plans = {message.name: flatten(message) for message in messages}
         self.messages = {message.name: message for message in messages}
-        self.leaves = {name: leaves(plan) for name, plan in self.plans.items()}
+        self.leaves = {name: leaves_of(message)[0] for name, message in self.messages.items()}
         self.losses = losses
         self.found: list[Signal] = []
         self.taken: set[str] = set()
@@ -319,7 +319,7 @@ class _Group:
     def _message(self, name: str, when: tuple[str, tuple[int, ...]] | None) -> None:
         message, plan = self.messages[name], self.plans[name]
         if plan.opaque:
-            self._lose(name, "", f"its payload is no signals: {plan.opaque}")
+            self._lose(name, "", f"not all of its payload is signals: {plan.opaque}")
         is_open = False
         for leaf in self.leaves[name]:
             is_open = is_open or (isinstance(leaf.node, p.Scalar) and leaf.node.size is None)

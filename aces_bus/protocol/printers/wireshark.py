@@ -33,7 +33,7 @@ from .leaves import (
     bits_of,
     flags_of,
     is_magnitude,
-    leaves,
+    leaves_of,
     names_of,
     one_line,
     outer_names,
@@ -264,10 +264,11 @@ class _Printer:
         found: list[dict[str, Any]] = []
         taken: set[str] = set()
         if plan.opaque:
-            reason = f"told by its head and constants alone, its payload shown as bytes: {plan.opaque}"
+            reason = f"told by its head and constants alone, not all of it taken apart: {plan.opaque}"
             self._lose(message.name, "", reason)
         outer = outer_names(message)
-        for leaf in leaves(plan):
+        listed, rest = leaves_of(message)
+        for leaf in listed:
             if isinstance(leaf.node, p.Opaque):
                 self._lose(message.name, leaf.path, "part of payload, which is shown as bytes")
                 continue
@@ -278,7 +279,7 @@ class _Printer:
                 table["when"] = [selector, dict.fromkeys(values, True)]
             found.append(table)
         if plan.opaque:
-            payload = p.Scalar("bytes", message.payload_start, None)
+            payload = p.Scalar("bytes", rest, None)
             leaf = Leaf("payload", payload, (), f"not taken apart: {plan.opaque}")
             found.append(self._leaf(leaf, message, plan, f"{own}.{unused('payload', taken)}"))
         return found

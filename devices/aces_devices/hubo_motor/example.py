@@ -1,6 +1,7 @@
 """Small robots with boards of every kind, for tests and the conformance kit.
 
 1. Joints, gears, directions and home data are those of the robots (facts, section 12); the robots are not.
+2. 0.2 s is no multiple of their tick: an answer late by whole ticks looks like a prompt one to the next request.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 D12 = """
 name = "hubo_motor_boards"
 doc = "motor boards of 2, 1 and 5 channels, firmware D12"
-rate_hz = 25
+rate_hz = 28
 
 [buses]
 upper = { link = "can", protocol = "hubo", dialect = "D12", bitrate = 1_000_000 }
@@ -34,7 +35,7 @@ RF5 = { device = "EJMC4", channel = 4, gear = [1, 1],      harmonic = 256, encod
 D12_THREE = """
 name = "hubo_motor_hands"
 doc = "a neck of three motors, DRC-Hubo's hand and neck, firmware D12"
-rate_hz = 25
+rate_hz = 28
 
 [buses]
 upper = { link = "can", protocol = "hubo", dialect = "D12", bitrate = 1_000_000 }
@@ -60,7 +61,7 @@ NK2 = { device = "EJMC2", channel = 2, gear = [1, 1],      harmonic = 1,   encod
 D08 = """
 name = "hubo_motor_boards_d08"
 doc = "one motor board of each kind, firmware D08"
-rate_hz = 25
+rate_hz = 28
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D08", bitrate = 1_000_000 }

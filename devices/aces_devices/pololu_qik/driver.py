@@ -148,8 +148,9 @@ class Qik(Device):
         def steps(job: Job) -> Steps:
             fields = {"parameter": parameter, "value": value}
             if not self.answers:
-                yield self.tell("SetConfiguration", **fields)
-                yield PAUSE
+                ticket = self.tell("SetConfiguration", **fields)
+                yield ticket
+                yield self.host.port.wire_ns(ticket.word) + PAUSE
                 return None
             told = yield self.ask("SetConfiguration", reply="ConfigurationSet", timeout_s=0.05, **fields)
             if told.result != "ok":

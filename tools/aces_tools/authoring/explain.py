@@ -55,6 +55,8 @@ DIRECTIONS: dict[str | None, Direction | None] = {
 LARGEST = 8 * 2**20
 #: Items before the wanted one that are read anew, so that replies find their requests.
 BEFORE = 64
+#: Bytes around the wanted one that are read anew at most, beside one packet on either side.
+SPAN = 16384
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -165,6 +167,11 @@ class Stream:
     is_cut: bool = False
 
     @property
+    def largest(self) -> int:
+        """Bytes of the longest packet."""
+        return max((f.max_size for v in self.variants for f in v.protocol.framings), default=0)
+
+    @property
     def counted(self) -> str:
         return f"{len(self.data)} byte{'' if len(self.data) == 1 else 's'}"
 
@@ -184,7 +191,8 @@ class Stream:
             idle_at=[offset - start for offset in self.idle_at if start <= offset <= end],
             sent_at=[(offset - start, packet) for offset, packet in self.sent_at if start <= offset <= end],
             base=start,
-            wanted=range(at or 0, len(data)),
+            # What begins near a cut may end behind it: only the scanner knows, and is not asked here.
+            wanted=range(at or 0, len(data) if end == len(data) else end - self.largest),
         )
         return attempts[:count]
 
@@ -208,13 +216,20 @@ class Stream:
                     else:
                         behind += 1
                 done += step
-                if behind > count + 1 and done > at + scanner.max_size:
-                    return (last[0] if last else 0), min(len(data), done + scanner.max_size)
+                is_enough = behind > count + 1 or done > at + SPAN
+                if is_enough and done > at + self.largest:
+                    return _begin(last, at), min(len(data), done + 2 * self.largest)
             if event is None:
                 scanner.idle()
             elif isinstance(event, bytes):
                 scanner.sent(event)
-        return (last[0] if last else 0), len(data)
+        return _begin(last, at), len(data)
+
+
+def _begin(borders: Iterable[int], at: int) -> int:
+    """The first border of decisions that is near enough; else the last one before `at`."""
+    listed = list(borders)
+    return next((border for border in listed if at - border <= SPAN), listed[-1] if listed else 0)
 
 
 def _check_direction(variants: Sequence[Variant], direction: Direction | None) -> None:

@@ -244,7 +244,7 @@ def _paths(arguments: argparse.Namespace) -> None:
         for one in found:
             page.beside(str(one["message"]), [f"{one['path']}; in columns {one['columns']}"], "message")
             fields: list[dict[str, str]] = one["fields"]
-            page.table(("  field", "", ""), [(f"  {f['field']}", f["path"], f["how"]) for f in fields])
+            page.table(("", "", ""), [(f"  {f['field']}", f["path"], f["how"]) for f in fields])
         return
     rows = [(str(one["message"]), str(one["path"]), str(one["columns"]), str(one["why"])) for one in found]
     page.table(("message", "live", "in columns", ""), rows)

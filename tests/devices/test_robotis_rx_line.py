@@ -1,0 +1,234 @@
+"""MiniHubo's 21 servos on their half-duplex line at 1 Mbaud: what the wire allows, and what is reached of it.
+
+`pytest -s tests/devices/test_robotis_rx_line.py` prints the figures.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import msgspec
+import pytest
+
+from aces_bus.assembly import VirtualRobot
+from aces_bus.device import Robot, parse_robot, simulate
+from aces_bus.hardware.serial_wire import Noise
+from aces_devices.robotis_rx import driver
+
+LOAD = {"robotis_rx": driver}.__getitem__
+BYTE_S = 10e-6
+#: A read of a position: request of 8 bytes, answer of 8.
+READ_BYTES = 16
+#: One SyncWrite of a goal to each of 21 servos.
+SYNC_BYTES = 8 + 21 * 3
+
+
+def minihubo(**settings: Any) -> Robot:
+    """MiniHubo 1, each servo with these settings."""
+    text = files("aces_devices.robots").joinpath("minihubo_1.toml").read_text(encoding="utf-8")
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    devices = {
+        name: msgspec.structs.replace(device, settings=settings) for name, device in robot.devices.items()
+    }
+    return msgspec.structs.replace(robot, devices=devices)
+
+
+@dataclass
+class Measured:
+    """Position reads a second, by joint and in all; what went out; what the wire allows."""
+
+    reads: Counter[str]
+    seconds: float
+    rate_hz: float
+    delay_s: float
+    syncs: int
+    ticks: int
+    robot: VirtualRobot
+
+    @property
+    def total(self) -> float:
+        return self.reads.total() / self.seconds
+
+    @property
+    def allowed(self) -> float:
+        """Reads a second that fit beside the set-points: bit times and return delays, nothing else."""
+        return (1 - self.rate_hz * SYNC_BYTES * BYTE_S) / (READ_BYTES * BYTE_S + self.delay_s)
+
+    @property
+    def possible(self) -> float:
+        """The same, and no joint more often than the ticks."""
+        return min(self.allowed, 21 * self.rate_hz)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.rate_hz:g} Hz, return delay {self.delay_s * 1e6:g} µs: {self.total:.0f} reads a second of"
+            f" {self.possible:.0f} possible ({self.total / self.possible:.1%}; the wire allows {self.allowed:.0f});"
+            f" each joint {min(self.reads.values()) / self.seconds:.1f} to {max(self.reads.values()) / self.seconds:.1f}"
+            f" times; {self.syncs / self.ticks:.2f} SyncWrites a tick"
+        )
+
+
+def measure(
+    rate_hz: float, *, delay_us: int = 500, seconds: float = 1.0, budget: float = 1.0, **options: Any
+) -> Measured:
+    """All joints follow set-points and are read, for a while."""
+    before = options.pop("before", None)
+    settings = {"return_delay_us": delay_us, **options.pop("settings", {})}
+    robot = VirtualRobot(minihubo(**settings), rate_hz=rate_hz, budget=budget, load=LOAD, **options).open()
+    robot.advance(0.1)
+    robot.rig.each("enable").wait()
+    for name in robot.robot.joints:
+        robot[f"{name}.position"].set(0.1)
+    if before is not None:
+        before(robot)
+    robot.advance(0.3)
+    reads: Counter[str] = Counter(dict.fromkeys(robot.robot.joints, 0))
+    for name in robot.robot.joints:
+        robot[f"{name}.position"].listeners.append(lambda value, now, name=name: reads.update((name,)))
+        # The read of the whole RAM, once a second, has the position too; it does not count here.
+        robot[f"{name}.enabled"].listeners.append(lambda value, now, name=name: reads.subtract((name,)))
+    counts = robot.rig.hosts["servos"].counts
+    syncs, ticks = counts.set_points, counts.ticks
+    whole = round(seconds * rate_hz) / rate_hz
+    robot.advance(whole - 1e-6)
+    found = Measured(
+        reads, whole, rate_hz, delay_us / 1e6, counts.set_points - syncs, counts.ticks - ticks, robot
+    )
+    print(f"\n  {found}", end="")
+    return found
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "delay_us"),
+    [(50, 500), (68.5, 500), (100, 500), (240, 0)],
+    ids=["50 Hz", "fastest", "beyond", "fastest without delay"],
+)
+def test_the_line_is_used(rate_hz: float, delay_us: int) -> None:
+    """One SyncWrite a tick, every joint read in turn: at least 90 % of what bit times and return delays allow.
+
+    68.5 Hz is the fastest rate at which all 21 could be read in each tick with the factory's return delay, 245 without.
+    """
+    found = measure(rate_hz, delay_us=delay_us)
+    assert found.total >= 0.9 * found.possible
+    assert min(found.reads.values()) >= 0.9 * found.possible / 21 * found.seconds
+    assert found.syncs == found.ticks
+    assert not found.robot.events.counts
+
+
+def test_polls_keep_to_the_budget() -> None:
+    """With half of each tick for polls, half of the reads; set-points go out all the same."""
+    found = measure(50, budget=0.5)
+    most = (0.5 / 50 - SYNC_BYTES * BYTE_S) / (READ_BYTES * BYTE_S + 500e-6) * 50
+    assert 0.85 * most <= found.total <= 1.02 * most
+    assert found.syncs == found.ticks
+
+
+@pytest.mark.parametrize(("flip", "share"), [(1e-4, 0.95), (1e-3, 0.9)])
+def test_noise_costs_what_it_hits(flip: float, share: float) -> None:
+    """A garbled word costs its time-out and no more; it is told, and no wrong value is taken for a position."""
+    settings = {"timeout_s": 0.002}
+    found = measure(50, settings=settings, noise={"servos": Noise(seed=3, flip=flip)})
+    assert found.total >= share * found.possible
+    assert found.robot.events.count("malformed") > 0
+    host = found.robot.rig.hosts["servos"]
+    assert host.counts.missed > 0
+    bins = host.scanner.counts
+    assert bins.total == bins.decoded + sum(bins.reasons.values())
+    for name in found.robot.robot.joints:
+        assert -0.1 < found.robot[f"{name}.position"].last < 0.2
+
+
+def test_a_silent_servo_costs_its_time_outs() -> None:
+    """It is told once and asked less often; the others are read as often as the rest of the line allows."""
+
+    def hush(robot: VirtualRobot) -> None:
+        robot.twins["S40"].fault("silent")
+
+    found = measure(50, before=hush)
+    others = Counter({name: n for name, n in found.reads.items() if name != "RAP"})
+    assert found.reads["RAP"] == 0
+    assert found.robot.events.count("silent", "S40") == 1
+    assert min(others.values()) >= 0.75 * 50 * found.seconds
+    quick = measure(50, before=hush, settings={"timeout_s": 0.002})
+    assert min(n for name, n in quick.reads.items() if name != "RAP") >= 0.97 * 50 * quick.seconds
+    assert not quick.robot["RAP.position"].value
+    quick.robot.twins["S40"].fault("silent", on=False)
+    quick.robot.advance(0.5)
+    assert quick.robot.events.count("answers", "S40") == 1
+    assert quick.robot["RAP.position"].value == pytest.approx(0.1, abs=0.02)
+
+
+def test_two_servos_with_one_id_are_named() -> None:
+    """Both answer at once and garble each other: told with the id, and the other servos do not notice."""
+
+    def double(robot: VirtualRobot) -> None:
+        one = {"S40": robot.robot.devices["S40"]}
+        second = msgspec.structs.replace(robot.robot, devices=one)
+        other = simulate(second, robot.ports("second"), seed=9, load=LOAD).open()
+        other["S40"].motion.at = 900.0
+        other["S40"].reply_delay_ns = 0
+
+    found = measure(50, before=double, settings={"timeout_s": 0.002})
+    said = [event for event in found.robot.events.of("two answers") if event.device == "S40"]
+    assert said
+    assert "id 0x28" in said[0].detail
+    assert found.robot.wires["servos"].garbled > 0
+    others = [n for name, n in found.reads.items() if name != "RAP"]
+    assert min(others) >= 0.9 * 50 * found.seconds
+    assert {event.device for event in found.robot.events.of("two answers")} == {"S40"}
+
+
+def test_a_servo_that_answers_with_another_id_is_named() -> None:
+    """A stranger's answers are nobody's values, and its own name falls silent."""
+
+    def stray(robot: VirtualRobot) -> None:
+        robot.twins["S40"].fault("wrong_number", 99)
+
+    found = measure(50, before=stray, settings={"timeout_s": 0.002})
+    assert "id 0x63" in found.robot.events.of("stranger")[0].detail
+    assert found.robot.events.count("silent", "S40") == 1
+    assert found.reads["RAP"] == 0
+    assert min(n for name, n in found.reads.items() if name != "RAP") >= 0.9 * 50 * found.seconds
+
+
+def test_a_packet_to_many_fits_the_receive_buffer() -> None:
+    """An RX-28 receives 143 bytes: 45 goals in one SyncWrite, the 46th in a second one."""
+    devices = "\n".join(
+        f'S{n} = {{ driver = "robotis_rx", bus = "line", credentials = {{ id = {n} }} }}' for n in range(46)
+    )
+    robot, _ = parse_robot(
+        f'name = "many"\n[buses]\nline = {{ link = "serial", protocol = "robotis" }}\n[devices]\n{devices}'
+    )
+    assert robot is not None
+    with VirtualRobot(robot, load=LOAD) as virtual:
+        virtual.advance(0.2)
+        packets: list[int] = []
+        port = virtual.rig.hosts["line"].port
+        send = port.send
+        port.send = lambda word: (packets.append(len(word)), send(word))[1]  # type: ignore[method-assign]
+        for n in range(46):
+            virtual[f"S{n}.position"].set(1.0)
+        virtual.advance(0.1)
+        assert packets == [143, 8 + 3]
+        goals = {twin["goal_position"] for twin in virtual.twins.values()}
+        assert goals == {int(1.0 / (300 / 1023) * 57.29577951308232)}
+
+
+def test_a_robot_of_servos_is_faster_than_life() -> None:
+    """50 Hz, all joints: a second of MiniHubo takes less than a fifth of a second of one core (here: with room for a busy one)."""
+    import time
+
+    found = measure(50, seconds=0.5)
+    best = min(_timed(found.robot, time.process_time) for _ in range(3))
+    print(f"\n  MiniHubo 1 at 50 Hz: {1 / best:.1f} × real time on one core", end="")
+    assert best < 0.5
+
+
+def _timed(robot: VirtualRobot, clock: Any) -> float:
+    start = clock()
+    robot.advance(1.0)
+    return float(clock() - start)
