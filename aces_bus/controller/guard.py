@@ -36,6 +36,8 @@ Action = Literal["hold", "zero duty", "disable"]
 ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
 #: A state that is clipped for long is told about so often.
 TOLD_EVERY_NS = 1_000_000_000
+#: Trips that are kept for a cycle.
+MOST_PENDING = 1_000
 #: States of one guard; a controller may make names up for ever.
 MOST_LINES = 10_000
 _INFINITY = math.inf
@@ -253,7 +255,7 @@ class Guard:
         self._states: Mapping[str, StateLike] = {}
         self._last: int | None = None  # ns of the last call that gave set-points
         self._heard: int | None = None  # ns of the last set-points that came
-        self._pending: deque[tuple[str, Action | None]] = deque(maxlen=64)
+        self._pending: deque[tuple[str, Action | None]] = deque(maxlen=2 * MOST_PENDING)
 
     def bind(self, states: Mapping[str, StateLike]) -> None:
         """Take the states whose present values the first set-points start from."""
@@ -276,7 +278,9 @@ class Guard:
 
     def trip(self, reason: str, action: Action | None = None) -> None:
         """Stop motion at the next `apply` or `tick`; may be called from any thread."""
-        self._pending.append((reason, action))
+        # The first reasons are worth keeping, and the strictest action.
+        if len(self._pending) < MOST_PENDING or (action or self.action) == ACTIONS[-1]:
+            self._pending.append((reason, action))
 
     def release(self) -> None:
         """Let set-points through again. After a hold they go on from there; else from the present values."""
@@ -395,28 +399,34 @@ class Guard:
             self.listeners.tell(ControlEvent(kind, now, self.name, f"{line.name} ({counts})"))
 
 
-def bounds_of(robot: Robot, *, nominal: bool = True) -> dict[str, Bounds]:
-    """Bounds of a robot's active joints, as far as its file states them: its nominal speeds, or its largest ones.
+def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False) -> dict[str, Bounds]:
+    """Bounds of a robot's active joints, as far as its file states them: its largest speeds, or its `nominal` ones.
 
-    Set-points are positions, speeds, currents (A) or duties, as each joint's `command` says.
+    Set-points are positions, speeds, currents (A) or duties, as each joint's `command` says. Accelerations are limited only
+    where that is asked for: a file's are often those of its maker's own motion planner, and recorded walks go beyond them.
     """
     out: dict[str, Bounds] = {}
     for joint in robot.joints.values():
         if not joint.active:
             continue
-        speeds = (joint.nominal_speed, joint.max_speed)
-        changes = (joint.nominal_acceleration, joint.max_acceleration)
-        speed, change = (
-            next((one for one in (pair if nominal else pair[::-1]) if one is not None), math.inf)
-            for pair in (speeds, changes)
+        speed = _first(joint.nominal_speed if nominal else None, joint.max_speed, joint.nominal_speed)
+        change = _first(
+            joint.nominal_acceleration if nominal else None,
+            joint.max_acceleration,
+            joint.nominal_acceleration,
         )
         if joint.command == "position":
             lower = -math.inf if joint.lower is None else joint.lower
             upper = math.inf if joint.upper is None else joint.upper
-            out[joint.name] = Bounds(lower, upper, speed, change)
+            out[joint.name] = Bounds(lower, upper, speed, change if acceleration else math.inf)
         elif joint.command == "speed":
-            out[joint.name] = Bounds(-speed, speed, change)
+            out[joint.name] = Bounds(-speed, speed, change if acceleration else math.inf)
         else:
             most = (joint.max_current if joint.command == "current" else joint.max_duty) or math.inf
             out[joint.name] = Bounds(-most, most)
     return out
+
+
+def _first(*known: float | None) -> float:
+    """The first that is known; infinity when none is."""
+    return next((one for one in known if one is not None), math.inf)

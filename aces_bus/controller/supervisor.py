@@ -67,6 +67,8 @@ HARMLESS = (
     "clipped",
     "late",
 )
+#: Events that are kept for a cycle.
+MOST_EVENTS = 1_000
 DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
     **dict.fromkeys(HARMLESS, IGNORE),
     "*": stop(),
@@ -107,7 +109,8 @@ class Supervisor:
         self.counts: Counter[str] = Counter()
         self.listeners = Listeners()
         self.error: BaseException | None = None
-        self._events: deque[EventLike] = deque(maxlen=1_000)
+        self._events: deque[EventLike] = deque(maxlen=2 * MOST_EVENTS)
+        self.dropped = 0
         listeners = getattr(controller, "listeners", None)
         if isinstance(listeners, Listeners):  # "failed" is said, not raised
             listeners.add(self._events.append)
@@ -151,7 +154,15 @@ class Supervisor:
 
     def handle(self, event: EventLike) -> None:
         """Something happened below; from any thread. The controller's own handler hears it at once."""
-        self._events.append(event)
+        if len(self._events) < MOST_EVENTS:
+            self._events.append(event)
+        else:  # a flood: what would stop motion still does, the rest is counted
+            self.dropped += 1
+            reaction = self._reaction(event.kind, event.source)
+            if reaction.what != "ignore":
+                self.guard.trip(
+                    f"{event.source}: {event.kind} (and {MOST_EVENTS} events before it)", reaction.action
+                )
         try:
             self.controller.handle(event)
         except Exception as error:

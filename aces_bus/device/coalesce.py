@@ -58,15 +58,3 @@ def one_each(wants: Sequence[Want]) -> Iterable[Outgoing]:
         fields = want.device.gathered(want.message, [want])
         if fields is not None:
             yield Outgoing(want.device, want.message, fields)
-
-
-def put(fields: dict[str, Any], path: str, value: Any) -> None:
-    """Set `position.1` in fields that become a message: a dot and a number is an item of a list."""
-    name, _, index = path.partition(".")
-    if not index:
-        fields[name] = value
-        return
-    items = fields.setdefault(name, [])
-    number = int(index)
-    items.extend([None] * (number + 1 - len(items)))
-    items[number] = value

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
-from .coalesce import Rule, Want, put
+from .coalesce import Rule, Want
 from .robot import DeviceConfig, Joint, Robot, Sensor
 from .signals import UNKNOWN, Signal
 from .ticket import Job, Steps, Ticket
@@ -144,6 +144,7 @@ class Device:
         self._updates: dict[str, list[tuple[Callable[[Any], Any], Signal]]] = {}
         self._given: dict[str, dict[str, Any]] = {}
         self._paths: dict[str, dict[str, None]] = {}
+        self._slots: dict[str, list[tuple[str, str, int | None]]] = {}
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
         for spec in self.provides:
@@ -343,13 +344,24 @@ class Device:
         given = self._given.get(message, {})
         fields: dict[str, Any] = {}
         mine = {want.path: want.value for want in wants}
-        for path in self._paths.get(message) or mine:
+        slots = self._slots.get(message)
+        if slots is None:
+            slots = self._slots[message] = [slot_of(path) for path in self._paths.get(message) or mine]
+        for path, name, index in slots:
             value = mine[path] if path in mine else given.get(path)
             if value is None:
                 value = self.default_of(message, path)
                 if value is None:
                     return None
-            put(fields, path, value)
+            if index is None:
+                fields[name] = value
+                continue
+            items = fields.get(name)
+            if items is None:
+                items = fields[name] = []
+            while len(items) <= index:
+                items.append(None)
+            items[index] = value
         return self.completed(message, fields)
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
@@ -388,6 +400,12 @@ class Device:
     def __repr__(self) -> str:
         tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
         return f"<{type(self).__name__} {self.name}: {tags}>"
+
+
+def slot_of(path: str) -> tuple[str, str, int | None]:
+    """`position.1` with its field and its place in it; None: the field itself."""
+    name, _, index = path.partition(".")
+    return path, name, int(index) if index else None
 
 
 def _reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]:

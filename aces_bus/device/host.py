@@ -24,8 +24,8 @@ from ..runtime import Timer
 from .coalesce import Rule, Want, a_device
 from .device import Device, Poll
 from .events import DeviceEvent, EventLog, Kind
-from .robot import DeviceConfig, Robot
 from .port import Port
+from .robot import DeviceConfig, Robot
 from .station import Station, tags_of
 from .ticket import Ticket
 
@@ -40,6 +40,7 @@ TOLD_ALWAYS = frozenset(
 )
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
+NO_REPLY: frozenset[str] = frozenset()
 #: An answer that is later than this (ns) does not come any more.
 LATEST = 500_000_000
 #: The robot of a probe.
@@ -155,6 +156,7 @@ class Host(Station[Device]):
         #: Half duplex: what is to be sent, and the request that has the line (None: free).
         self._half = port.half_duplex
         port.on_event(self._bus_event)
+        self._note = self.scanner.sent
         self._line: deque[Ticket] = deque()
         self._speaking: Ticket | None = None
         self._spoke_last: Device | None = None
@@ -188,7 +190,8 @@ class Host(Station[Device]):
     def probe(self, protocol: str, **credentials: int) -> Device:
         """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
 
-        Its polls and signals are none: `ask` is all that it is for. Raises `CallerError` when nothing here speaks the protocol.
+        Its polls and signals are none: `ask` is all that it is for. Raises `CallerError` when nothing here speaks the
+        protocol.
         """
         number = next(n for n in itertools.count() if f"probe {n}" not in self.members)
         config = DeviceConfig(
@@ -340,12 +343,11 @@ class Host(Station[Device]):
                     self.tell("limited", out.device.name, str(error))
                     continue
                 self.counts.set_points += 1
-                ticket = Ticket(self.clock, out.device, out.message, word, frozenset(), 0)
                 if self._half:
-                    self._line.append(ticket)
+                    self._line.append(Ticket(self.clock, out.device, out.message, word, NO_REPLY, 0))
                 else:
                     used += self.port.wire_ns(word)
-                    self._send(ticket, now)
+                    self._transmit(word, out.device, out.message)
         if self._half and wanted:
             self._pump()
         return used
@@ -364,14 +366,17 @@ class Host(Station[Device]):
 
     def _send(self, ticket: Ticket, now: int) -> None:
         ticket.tries += 1
-        word = ticket.word
+        self._transmit(ticket.word, ticket.device, ticket.message)
+        self._await(ticket, now)
+
+    def _transmit(self, word: Any, device: Device, message: str) -> None:
+        """Put a word on the bus; one that it does not take is told."""
         if not self._is_open or not self.port.send(word):
             self.counts.not_sent += 1
-            self.tell("not sent", ticket.device.name, f"{ticket.message}: the bus does not take it")
+            self.tell("not sent", device.name, f"{message}: the bus does not take it")
         else:
             self.counts.sent += 1
-            self.scanner.sent(word)
-        self._await(ticket, now)
+            self._note(word)
 
     def _await(self, ticket: Ticket, now: int) -> None:
         """A ticket's word is on its way: wait for the answer until its time is up."""

@@ -25,9 +25,9 @@ class Driver:
     """A driver: the device's class, its twin's, and what tests and tools need to know of both.
 
     `example` is a small robot file (TOML) with devices of this driver in each of their models and dialects; the
-    conformance tests run on it. `scan` finds such devices on a bus: a generator function `scan(host, job)` as in `Job`,
-    that asks through `host.probe(…)` and returns a list of `DeviceConfig`; None: they cannot be found. `virtual` False: it runs on real time only, with
-    buses of its own. `settings` describes the keys of `settings` in robot files.
+    conformance tests run on it. `scan` finds such devices on a bus: a generator function `scan(host, job)` as in `Job`, that
+    asks through `host.probe(…)` and returns a list of `DeviceConfig`; None: they cannot be found. `virtual` False: it runs
+    on real time only, with buses of its own. `settings` describes the keys of `settings` in robot files.
     """
 
     name: str

@@ -16,6 +16,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 from ..errors import CallerError
 from ..protocol import Unknown as UnknownWord
 from ..protocol import Variant, make_scanner
+from ..protocol.spec.message import Message
 from .port import Port
 
 
@@ -66,6 +67,8 @@ class Station(Generic[M]):
         self.scanner = make_scanner(list(variants), direction=direction, everything=True)
         self.members: dict[str, M] = {}
         self._routes: dict[type, _Route[M]] = {}
+        #: By member and message: the message, the credentials that it has fields for, the encoder.
+        self._tagged: dict[tuple[str, str], tuple[Message, dict[str, int], Callable[..., Any]]] = {}
         #: A datagram is whole: what it leaves incomplete, the next one does not continue.
         self._feed: Callable[[Any], list[Any]] = (
             self.scanner.datagram if port.link == "datagram" else self.scanner.feed
@@ -95,12 +98,12 @@ class Station(Generic[M]):
         """Take a device or twin off."""
         self.members.pop(name, None)
         self._routes.clear()
+        self._tagged = {key: known for key, known in self._tagged.items() if key[0] != name}
 
     def renumber(self, member: M, **credentials: int) -> None:
         """A member has other credentials from now on."""
-        state = member.__dict__
-        state["credentials"] = {**member.credentials, **credentials}
-        state.pop("_tags", None)
+        member.__dict__["credentials"] = {**member.credentials, **credentials}
+        self._tagged = {key: known for key, known in self._tagged.items() if key[0] != member.name}
         self._routes.clear()
 
     def _route(self, record: Any) -> _Route[M]:
@@ -190,20 +193,18 @@ class Station(Generic[M]):
 
         Raises `UnknownNameError` and `FieldError` as encoders do.
         """
-        variant = member.variant
-        found = variant[message]
-        tagged = {**tags_of(member, found), **fields}
-        return variant.encoder.word(found, tagged)
+        known = self._tagged.get((member.name, message))
+        if known is None:
+            found = member.variant[message]
+            tags = tags_of(member, found)
+            known = self._tagged[member.name, message] = (found, tags, member.variant.encoder.word)
+        found, tags, encode = known
+        return encode(found, {**tags, **fields})
 
 
-def tags_of(member: Member, message: Any) -> dict[str, int]:
+def tags_of(member: Member, message: Message) -> dict[str, int]:
     """The credentials that a message has fields for."""
-    cache: dict[str, dict[str, int]] = member.__dict__.setdefault("_tags", {})
-    found = cache.get(message.name)
-    if found is None:
-        known = set(message.fields)
-        found = cache[message.name] = {k: v for k, v in member.credentials.items() if k in known}
-    return found
+    return {name: value for name, value in member.credentials.items() if name in message.fields}
 
 
 def agrees(credentials: Mapping[str, int], record: Any) -> bool:

@@ -48,6 +48,7 @@ class CanPort:
     ) -> None:
         self._bus = bus
         self._handler: BusHandler | None = None
+        self._costs: dict[tuple[int, bool, bool], int] = {}
         if isinstance(bus, Wire):
             self.clock: EventClock = bus.clock
             self.bitrate = bus.bitrate
@@ -95,7 +96,21 @@ class CanPort:
         return self._send(word) is not False
 
     def wire_ns(self, word: Frame) -> int:
-        """How long a frame occupies the bus, its intermission included."""
+        """How long a frame occupies the bus at most, its intermission included."""
+        key = (len(word.data), word.is_extended_id, word.is_fd)
+        known = self._costs.get(key)
+        if known is None:
+            known = self._costs[key] = self._cost(word)
+        return known
+
+    def _cost(self, word: Frame) -> int:
+        """The longest that a frame of this length can be: stuffed as much as can be (CAN), or as it is (FD)."""
+        if not word.is_fd:
+            stuffed = (54 if word.is_extended_id else 34) + 8 * len(word.data)
+            bits = (
+                stuffed + (stuffed - 1) // 4 + 10 + INTERMISSION
+            )  # delimiters, acknowledgement, end of frame
+            return bits * 1_000_000_000 // self.bitrate
         bits = frame_bits(word)
         return (
             bits.duration_ns(self.bitrate, self.data_bitrate) + INTERMISSION * 1_000_000_000 // self.bitrate

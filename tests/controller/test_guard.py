@@ -221,7 +221,9 @@ def test_bounds_of_a_robot() -> None:
     knee = robot.joint("LKP")
     assert set(bounds) == {joint.name for joint in robot.joints.values() if joint.active}
     assert (bounds[knee.name].lower, bounds[knee.name].upper) == (knee.lower, knee.upper)
-    assert all(one.rate > 0 for one in bounds.values())
+    assert (bounds[knee.name].rate, bounds[knee.name].acceleration) == (knee.max_speed, math.inf)
+    gentle = bounds_of(robot, nominal=True, acceleration=True)[knee.name]
+    assert (gentle.rate, gentle.acceleration) == (knee.nominal_speed, knee.nominal_acceleration)
     assert bounds_of(load_robot("minihubo_1"))["LKP"] == Bounds()
 
 

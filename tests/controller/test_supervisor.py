@@ -195,6 +195,18 @@ def test_events_come_from_other_threads() -> None:
     assert supervisor.reason == "can0: bus-off"
 
 
+def test_a_flood_of_harmless_events_hides_no_other() -> None:
+    """Thousands of them in one cycle: what stops motion is neither pushed out by those after it nor lost behind them."""
+    for first in (True, False):
+        supervisor, _ = supervised()
+        supervisor.step(0)
+        for kind in ["bus-off"] * first + ["limited"] * 5_000 + ["bus-off"] * (not first):
+            supervisor.handle(event(kind))
+        assert supervisor.step(10 * MS) == {"A": 0.01}
+        assert supervisor.reason.startswith("can0: bus-off")
+        assert supervisor.dropped + supervisor.counts.total() == 5_001
+
+
 def test_a_state_machine_hears_what_the_supervisor_ignores() -> None:
     """The shortcut to a row of the table, with reactions that leave it to the machine."""
     machine = StateMachine(

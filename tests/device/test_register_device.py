@@ -79,9 +79,7 @@ class GadgetTwin(Twin):
     @on("Read")
     def read(self, request: Any) -> None:
         self.memory[0x20:0x22] = self.memory[0x10:0x12]
-        self.reply(
-            "Answer", code=0, data=bytes(self.memory[request.start : request.start + request.count])
-        )
+        self.reply("Answer", code=0, data=bytes(self.memory[request.start : request.start + request.count]))
 
     @on("Write")
     def write(self, request: Any) -> None:
@@ -165,7 +163,7 @@ def test_set_points_of_all_go_out_together() -> None:
         robot.advance(0.1)
         for n in range(1, 6):
             robot[f"G{n}.angle"].set(10.0 * n)
-        robot.advance(0.019)
+        robot.advance(0.03)
         assert robot.twins["G1"].together == 2
         robot.advance(0.1)
         assert [robot[f"G{n}.angle"].value for n in range(1, 6)] == [10, 20, 30, 40, 50]
@@ -187,13 +185,11 @@ def test_a_set_point_that_is_not_repeated_is_read_back() -> None:
         robot.advance(0.3)
         assert robot["G1.mode"].value == "on"
         assert robot.twins["G1"].together == 1
-        keep = GadgetTwin.many
         robot.twins["G2"]._handlers["Together"] = lambda request: None
         robot["G2.mode"].set("on")
         robot.advance(1.0)
         assert robot.events.count("limited", "G2") == 1
         assert "mode was set to 1 and stays 0" in robot.events.of("limited")[0].detail
-        assert keep is GadgetTwin.many
 
 
 def test_what_was_forgotten_betrays_a_reboot() -> None:
@@ -230,7 +226,7 @@ def test_only_plain_numbers_have_codecs() -> None:
     """A register of bytes is named when a driver is made of its table."""
     odd = Protocol("odd", link="serial")
     frame = odd.framing(sync=b"\x01", size=4)
-    frame("R", payload=Bytes(3))
+    frame("R", payload=Struct("all" / Bytes(3)))
     registers = odd.registers(read="R", write="R")
     registers.add("blob", 0, Bytes(4))
     with pytest.raises(CallerError, match="blob is not a plain number"):

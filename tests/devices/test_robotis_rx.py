@@ -31,7 +31,9 @@ line = {{ link = "serial", protocol = "robotis", baud = {baud} }}
 
 def robot_of(*, servos: int = 2, baud: int = 1_000_000, joint: str = "", **settings: Any) -> Robot:
     """Servos S1, S2 … with joints J1, J2 …, each as in the worked example: zero 2.605, direction −1."""
-    written = ", ".join(f"{k} = {str(v).lower() if isinstance(v, bool) else repr(v)}" for k, v in settings.items())
+    written = ", ".join(
+        f"{k} = {str(v).lower() if isinstance(v, bool) else repr(v)}" for k, v in settings.items()
+    )
     devices = "\n".join(
         f'S{n} = {{ driver = "robotis_rx", bus = "line", credentials = {{ id = {n} }}, settings = {{ {written} }} }}'
         for n in range(1, servos + 1)
@@ -53,9 +55,7 @@ def made(robot: Robot | None = None, **options: Any) -> VirtualRobot:
 # ---------------------------------------------------------------------- units and motion
 
 
-@pytest.mark.parametrize(
-    ("angle", "counts"), [(0.5, 411), (0.0, 508), (-0.5, 606), (9.0, 0), (-9.0, 1023)]
-)
+@pytest.mark.parametrize(("angle", "counts"), [(0.5, 411), (0.0, 508), (-0.5, 606), (9.0, 0), (-9.0, 1023)])
 def test_angles_become_counts_as_on_minihubo(angle: float, counts: int) -> None:
     """Zero 2.605, direction −1: cut to whole counts, clipped at the ends and never wrapped."""
     with made() as robot:
@@ -222,7 +222,7 @@ def test_the_status_return_level_is_respected(level: int) -> None:
         assert not device.is_silent
         assert (robot["J1.position"].value is UNKNOWN) == (level == 0)
         if level == 0:
-            with pytest.raises(CallerError, match="answers? no reads"):
+            with pytest.raises(CallerError, match="no reads"):
                 device.read("led")
         if level == 1:
             robot.twins["S1"]["lock"] = 1
@@ -234,7 +234,7 @@ def test_a_servo_that_is_not_there_is_told() -> None:
     """A request that nobody answers is repeated, then fails by name; nothing blocks."""
     with made() as robot:
         robot.twins["S1"].power(False)
-        with pytest.raises(NoReplyError, match="S1.*3 tries"):
+        with pytest.raises(NoReplyError, match=r"S1: .*3 tries"):
             robot.devices["S1"].read("led").wait()
         assert robot.devices["S2"].read("led").wait() == "off"
 

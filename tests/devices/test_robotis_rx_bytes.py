@@ -131,8 +131,7 @@ def test_the_joint_of_the_example() -> None:
 
 
 def test_checksums_that_the_manual_prints_wrongly() -> None:
-    """Its worked checksum is DC, not DD: the servo refuses the printed one and takes the right one. An answer that ends in FD
-    is malformed here."""
+    """Its worked checksum is DC, not DD: the servo refuses what is printed. An answer that ends in FD is malformed here."""
     line = Line(1)
     twin = line.twins["S1"]
     printed, right = bytes.fromhex("FF FF 01 05 03 0C 64 AA DD"), bytes.fromhex("FF FF 01 05 03 0C 64 AA DC")
@@ -231,9 +230,10 @@ def test_a_recorded_table_is_answered_byte_by_byte(shared_captures: Path) -> Non
     status = (folder / "ctrl_tbl_read.from-servo.bin").read_bytes()
     line = Line(1, baud=57_600)
     line.twins["S1"].load_table(status[5:55])
-    for _ in range(2):
-        table = line.devices["S1"].read_all().wait()
-        line.robot.advance(0.3)
+    line.devices["S1"].read_all().wait()
+    line.robot.advance(0.3)
+    table = line.devices["S1"].read_all().wait()
+    line.robot.advance(0.3)
     assert bytes(line.asked) == (folder / "ctrl_tbl_read.to-servo.bin").read_bytes()
     assert bytes(line.answered) == status
     assert (table["model_number"], table["present_temperature"]) == ("RX-10", 37)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,7 +17,7 @@ import pytest
 from aces_bus.assembly import VirtualRobot
 from aces_bus.device import Robot, parse_robot, simulate
 from aces_bus.hardware.serial_wire import Noise
-from aces_devices.robotis_rx import driver
+from aces_devices.robotis_rx import RobotisRXTwin, driver
 
 LOAD = {"robotis_rx": driver}.__getitem__
 BYTE_S = 10e-6
@@ -169,8 +170,9 @@ def test_two_servos_with_one_id_are_named() -> None:
         one = {"S40": robot.robot.devices["S40"]}
         second = msgspec.structs.replace(robot.robot, devices=one)
         other = simulate(second, robot.ports("second"), seed=9, load=LOAD).open()
-        other["S40"].motion.at = 900.0
-        other["S40"].reply_delay_ns = 0
+        twin = other["S40"]
+        assert isinstance(twin, RobotisRXTwin)
+        twin.motion.at = 900.0
 
     found = measure(50, before=double, settings={"timeout_s": 0.002})
     said = [event for event in found.robot.events.of("two answers") if event.device == "S40"]
@@ -219,9 +221,7 @@ def test_a_packet_to_many_fits_the_receive_buffer() -> None:
 
 
 def test_a_robot_of_servos_is_faster_than_life() -> None:
-    """50 Hz, all joints: a second of MiniHubo takes less than a fifth of a second of one core (here: with room for a busy one)."""
-    import time
-
+    """50 Hz, all joints: a second of MiniHubo takes a fifth of one on one core (here: with room for a busy one)."""
     found = measure(50, seconds=0.5)
     best = min(_timed(found.robot, time.process_time) for _ in range(3))
     print(f"\n  MiniHubo 1 at 50 Hz: {1 / best:.1f} × real time on one core", end="")

@@ -66,9 +66,9 @@ def test_datagrams_answer_whoever_spoke() -> None:
 
 
 def test_what_a_word_costs() -> None:
-    """A frame costs its stuffed bits and the intermission, at the wire's rate."""
+    """A frame costs at most 98 + 24 stuffed bits, ten of its end and the intermission (ISO 11898-1), at the wire's rate."""
     port: Any = port_of(Wire(VirtualClock(), bitrate=1_000_000))
-    assert 111_000 <= port.wire_ns(Frame(0x555, bytes.fromhex("5555555555555555"))) <= 130_000
+    assert port.wire_ns(Frame(0x555, bytes.fromhex("5555555555555555"))) == 135_000
 
 
 def test_what_is_no_bus_is_refused() -> None:

@@ -2,7 +2,7 @@
 
 The examples of a protocol are shared among its cases, so that a protocol of many dialects costs no more than one of one:
 `EXAMPLES` a law and protocol in the short profile, `ACES_EXAMPLES` in the long one. For hundreds of thousands of examples
-of one protocol there is `python -m aces_bus.testing.longrun`.
+of one protocol there is `aces fuzz`.
 """
 
 from __future__ import annotations

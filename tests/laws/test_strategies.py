@@ -119,7 +119,7 @@ def test_without_hypothesis_the_extra_is_named() -> None:
     program = (
         "import sys; sys.modules['hypothesis'] = None\n"
         "from aces_bus.testing import laws\n"
-        "for name in ('strategies', 'longrun'):\n"
+        "for name in ('strategies', '_pytest_laws'):\n"
         "    try:\n"
         "        __import__('aces_bus.testing.' + name)\n"
         "    except ImportError as error:\n"

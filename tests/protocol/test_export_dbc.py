@@ -21,7 +21,7 @@ from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.foreign import load_database
 from aces_bus.protocol.printers import Loss
 from aces_bus.protocol.printers.dbc import print_dbc
-from aces_bus.protocol.printers.leaves import Leaf, leaves, leaves_of, scale_of
+from aces_bus.protocol.printers.leaves import Leaf, bits_of, leaves, leaves_of, scale_of
 from aces_bus.protocol.printers.source import print_source
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
@@ -103,7 +103,7 @@ def _compare(leaf: Leaf, record: Any, found: dict[str, Any], lost: set[tuple[str
     assert isinstance(node, (p.Scalar, p.FromIdentifier))
     if (name, leaf.path) in lost and "float" not in str(node.steps) and not isinstance(raw, (int, float)):
         return 0  # bytes as a number
-    if isinstance(node, p.Scalar) and node.kind == "float" and len(node.bits) == 16:
+    if isinstance(node, p.Scalar) and node.kind == "float" and len(bits_of(node)) == 16:
         return 0  # kept as raw
     if isinstance(node, p.Scalar) and any(isinstance(step, p.Magnitude) for step in node.steps):
         assert (name, leaf.path) in lost

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import pytest
@@ -155,10 +156,16 @@ def test_scanners_and_encoders_agree_with_the_examples(name: str) -> None:
             assert any(_scanned(variant, message, example) for variant in protocol.variants()), message
 
 
+@cache
+def _scanner(variant: Any, direction: Any) -> Any:
+    return make_scanner([variant], direction=direction)
+
+
 def _scanned(variant: Any, message: Any, example: Example) -> bool:
     if message.name not in variant.messages:
         return False
-    scanner: Any = make_scanner([variant], direction=message.direction if variant.link != "can" else None)
+    scanner = _scanner(variant, message.direction if variant.link != "can" else None)
+    scanner.reset()
     if variant.link == "can":
         words = [example.word] if example.request is None else [example.request, example.word]
         records = scanner.feed([frame_of(word) for word in words])[len(words) - 1 :]

@@ -62,5 +62,5 @@ def test_several_motors_are_not_known() -> None:
 def test_what_does_not_fit_is_refused(angle: dict[str, float]) -> None:
     """Degrees have 15 bits; a hundred hundredths are a degree."""
     whole = {"negative": 0, "degrees": 0, "hundredths": 0, **angle}
-    with pytest.raises(FieldError, match="degrees|hundredths"):
+    with pytest.raises(FieldError, match=r"degrees|hundredths"):
         hubovia.encode("Joint", motor=0, angle=whole)

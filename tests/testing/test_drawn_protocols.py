@@ -7,7 +7,7 @@ from typing import Any
 from hypothesis import given, settings
 
 from aces_bus.protocol import Protocol, make_scanner
-from aces_bus.testing import strategies
+from aces_bus.testing import laws, strategies
 from aces_bus.testing._protocols import Link, draw_spec, protocol_of
 from aces_bus.testing._source import spread
 from aces_bus.testing.fuzz import Fuzzer
@@ -61,7 +61,9 @@ def test_a_drawn_protocol_is_one(protocol: Any) -> None:
     """It has messages, and a scanner."""
     assert isinstance(protocol, Protocol)
     assert protocol.declared
-    assert make_scanner([protocol.variant()]).feed([] if protocol.link == "can" else b"") == []
+    for variant, way in laws.wires(protocol):
+        scanner: Any = make_scanner([variant], direction=way)
+        assert scanner.feed([] if protocol.link == "can" else b"") == []
 
 
 def test_a_spec_is_what_its_source_gives() -> None:

@@ -90,7 +90,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_ft"
-rate_hz = 25
+rate_hz = 50
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D12" }
@@ -98,21 +98,17 @@ old = { link = "can", protocol = "hubo", dialect = "D08" }
 
 [devices]
 FT_RF = { driver = "hubo_ft", bus = "lower", credentials = { board = 0x30, sensor = 1 }, kind = "foot" }
-FT_LF = { driver = "hubo_ft", bus = "lower", credentials = { board = 0x31, sensor = 2 }, kind = "foot" }
 FT_RH = { driver = "hubo_ft", bus = "lower", credentials = { board = 0x35, sensor = 6 }, kind = "ft" }
 OLD_RF = { driver = "hubo_ft", bus = "old", credentials = { board = 0x30, sensor = 1 }, kind = "foot" }
-OLD_RH = { driver = "hubo_ft", bus = "old", credentials = { board = 0x35, sensor = 6 }, kind = "ft" }
 
 [sensors]
 RFFT = { kind = "force_torque", device = "FT_RF", signs = [-1, -1, 1] }
 TILT_R = { kind = "tilt", device = "FT_RF" }
-LFFT = { kind = "force_torque", device = "FT_LF" }
 RHFT = { kind = "force_torque", device = "FT_RH", matrix = [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.1]] }
 OLD_RFFT = { kind = "force_torque", device = "OLD_RF", matrix = [
     [0.0722, -0.0002, -0.0007], [0.0012, 0.0740, -0.0014], [-0.0562, 0.0469, 0.3234],
 ] }
 OLD_TILT = { kind = "tilt", device = "OLD_RF" }
-OLD_RHFT = { kind = "force_torque", device = "OLD_RH" }
 """
 
 driver = Driver(

@@ -54,7 +54,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_imu"
-rate_hz = 25
+rate_hz = 50
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D12" }
@@ -62,7 +62,6 @@ old = { link = "can", protocol = "hubo", dialect = "D08" }
 
 [devices]
 IMU_0 = { driver = "hubo_imu", bus = "lower", credentials = { board = 0x32, sensor = 3 }, kind = "imu" }
-IMU_1 = { driver = "hubo_imu", bus = "lower", credentials = { board = 0x33, sensor = 4 }, kind = "imu" }
 OLD_0 = { driver = "hubo_imu", bus = "old", credentials = { board = 0x32, sensor = 3 }, kind = "imu" }
 
 [devices.OLD_1]
@@ -73,8 +72,7 @@ kind = "imu"
 settings = { name_info_tail = "0000000000" }
 
 [sensors]
-IMU0 = { kind = "imu", device = "IMU_0" }
-IMU1 = { kind = "imu", device = "IMU_1", signs = [-1, 1, -1, 1] }
+IMU0 = { kind = "imu", device = "IMU_0", signs = [-1, 1, -1, 1] }
 OLD0 = { kind = "imu", device = "OLD_0" }
 # 750 digits are 1 g, which is as many radians for small angles; 100 digits are 1 °/s: the twin's own scales
 OLD1 = { kind = "imu", device = "OLD_1", matrix = [

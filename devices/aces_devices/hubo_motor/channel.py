@@ -105,9 +105,7 @@ class Channel:
         stall = {1: 8.0, 2: 8.0, 5: 0.25}.get(kind if isinstance(kind, int) else 0, 1.0)
         motor = Motor(speed=5.0) if kind == "neck" else Motor.of_ratio(ratio, stall_current=stall)
         lower, upper = self._stops()
-        self.joint = MotorJoint(
-            motor, now, position=min(max(start, lower), upper), lower=lower, upper=upper
-        )
+        self.joint = MotorJoint(motor, now, position=min(max(start, lower), upper), lower=lower, upper=upper)
         self._gains = (self.joint.stiffness, self.joint.damping)
         self.powered(now)
 
@@ -226,7 +224,9 @@ class Channel:
     def count(self, now: int) -> int:
         """What the encoder says."""
         self.sync(now)
-        return int(self.raw(self.joint.q) - self.offset + (1e-6 if self.raw(self.joint.q) >= self.offset else -1e-6))
+        return int(
+            self.raw(self.joint.q) - self.offset + (1e-6 if self.raw(self.joint.q) >= self.offset else -1e-6)
+        )
 
     def zero_here(self, now: int) -> None:
         """The encoder counts from here."""
@@ -287,7 +287,9 @@ class Channel:
 
     # ------------------------------------------------------------------ home search
 
-    def begin_search(self, now: int, *, offset: float | None = None, side: int | None = None, index: bool = True) -> None:
+    def begin_search(
+        self, now: int, *, offset: float | None = None, side: int | None = None, index: bool = True
+    ) -> None:
         """Search home; `offset` and `side` (±1) are the stored ones where None."""
         self.sync(now)
         stored = self.stored

@@ -49,6 +49,12 @@ class HuboMotor(Homing, Compliance):
         if self.dialect == "D12" and self.kind != "neck":
             actions |= _D12
         soft = [axis.joint.compliance is not None for axis in self.axes if axis.joint is not None]
-        if self.dialect == "D12" and self.kind in (1, 2) and soft and all(soft) and self.set_message == "Reference":
+        if (
+            self.dialect == "D12"
+            and self.kind in (1, 2)
+            and soft
+            and all(soft)
+            and self.set_message == "Reference"
+        ):
             actions |= _COMPLIANCE
         self.actions = actions  # type: ignore[misc]

@@ -89,6 +89,8 @@ RF5 = { device = "EJMC4", channel = 3, command = "duty", max_duty = 15, home = {
 #: The vendor's sheet alone: D08's robot without the hand, which that sheet has no status of.
 D08X = "\n".join(
     line
-    for line in D08.replace('dialect = "D08"', 'dialect = "D08X"').replace("boards_d08", "boards_d08x").splitlines()
+    for line in D08.replace('dialect = "D08"', 'dialect = "D08X"')
+    .replace("boards_d08", "boards_d08x")
+    .splitlines()
     if "EJMC4" not in line
 )

@@ -98,7 +98,9 @@ def scan(host: Any, job: Job) -> Steps:
         host.unknown_handlers.remove(unknown)
         for probe in probes.values():
             host.remove(probe.name)
-    found = [config for board, config in own.items() if config.driver == "hubo_motor" and _is_heard(host, config)]
+    found = [
+        config for board, config in own.items() if config.driver == "hubo_motor" and _is_heard(host, config)
+    ]
     for board, probe in probes.items():
         if probe.is_there:
             found.append(_config(host, board, probe, table.get(board), dialect))

@@ -166,7 +166,9 @@ class Storage(Switching):
             for axis in axes:
                 blocks: dict[int, Any] = {}
                 for block in BLOCKS:
-                    blocks[block] = yield from self._block(selector(axis.channel, block), f"Parameters{block}")
+                    blocks[block] = yield from self._block(
+                        selector(axis.channel, block), f"Parameters{block}"
+                    )
                     asked += 1
                     job.progress = asked / whole
                 channels[axis.name] = channel_parameters(blocks)

@@ -158,7 +158,9 @@ class HuboMotorTwin(Twin):
     def _count(self, channel: Channel, now: int) -> int:
         if self._frozen:
             channel.sync(now)
-            return self._frozen.get(channel.number, 0) if channel.number in self._frozen else channel.count(now)
+            return (
+                self._frozen.get(channel.number, 0) if channel.number in self._frozen else channel.count(now)
+            )
         return channel.count(now)
 
     @on("SendEncoder")
@@ -223,7 +225,9 @@ class HuboMotorTwin(Twin):
                 motors.append({"drive": [], "home": 0, "errors": []})
         else:
             for channel, errors in zip(self.channels, looked, strict=True):
-                short = [name for name in ("jam", "saturated", "big_error", "encoder_error") if name in errors]
+                short = [
+                    name for name in ("jam", "saturated", "big_error", "encoder_error") if name in errors
+                ]
                 motors.append(channel.drive_flags() + short)
         self.reply(status.reply[0], motor=motors)
 
@@ -349,7 +353,11 @@ class HuboMotorTwin(Twin):
         mode = request.mode
         for channel in self.channels:
             channel.sync(now)
-            new = "current" if mode in ("current", "torque") or (mode == "hybrid" and channel.number) else "position"
+            new = (
+                "current"
+                if mode in ("current", "torque") or (mode == "hybrid" and channel.number)
+                else "position"
+            )
             if new != channel.mode:
                 channel.mode = new
                 channel.reference = 0 if new == "current" else channel.count(now)

@@ -94,7 +94,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_power"
-rate_hz = 25
+rate_hz = 50
 
 [buses]
 upper = { link = "can", protocol = "hubo", dialect = "D12" }

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sin
-from typing import Any, Final
+from typing import Final
 
 from aces_bus.device import Robot, World
 from aces_bus.errors import UnknownNameError
@@ -57,20 +57,11 @@ class Body:
 
     def __init__(self, world: World, robot: Robot, build: Build = BUILD) -> None:
         self.world, self.build = world, build
-        self._names = {side: [_name(robot, side + one) for one in _LEG] for side in "RL"}
-        self._models: list[list[Any]] | None = None
-        self._known = -1
+        # Looked up in each update: a board that reboots may register other models.
+        self._names = [[_name(robot, side + one) for one in _LEG] for side in "RL"]
         self._at = -HOLD
         self.roll = self.pitch = self.roll_rate = self.pitch_rate = 0.0
         self.feet = {"R": Foot(), "L": Foot()}
-
-    def _legs(self) -> list[list[Any]]:
-        """The models of the legs' joints; looked up anew while joints are still being registered."""
-        joints = self.world.joints
-        if self._models is None or len(joints) != self._known:
-            self._known = len(joints)
-            self._models = [[joints.get(name or "") for name in self._names[side]] for side in "RL"]
-        return self._models
 
     def update(self, now: int) -> None:
         """Compute the pose, unless that was done within the last millisecond."""
@@ -78,9 +69,11 @@ class Body:
         if passed < HOLD:
             return
         build = self.build
-        legs = [
-            [0.0 if model is None else model.position(now) for model in models] for models in self._legs()
-        ]
+        joints = self.world.joints
+        legs: list[list[float]] = []
+        for names in self._names:
+            models = [joints.get(name) for name in names]
+            legs.append([0.0 if model is None else model.position(now) for model in models])
         pitches = [hip + knee + ankle for hip, knee, ankle, _, _ in legs]
         rolls = [hip + ankle for _, _, _, hip, ankle in legs]
         pitch, roll = -sum(pitches) / 2, -sum(rolls) / 2
@@ -112,8 +105,8 @@ def body_of(world: World, robot: Robot) -> Body:
     return found
 
 
-def _name(robot: Robot, alias: str) -> str | None:
+def _name(robot: Robot, alias: str) -> str:
     try:
         return robot.joint(alias).name
     except UnknownNameError:
-        return None
+        return ""

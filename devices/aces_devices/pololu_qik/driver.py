@@ -250,7 +250,7 @@ drives = { link = "serial", protocol = "pololu_qik", baud = 38_400 }
 
 [devices]
 QIK1 = { driver = "pololu_qik", bus = "drives", credentials = { id = 1 }, channels = 2, settings = { answers = true } }
-QIK3 = { driver = "pololu_qik", bus = "drives", credentials = { id = 3 }, channels = 2, settings = { answers = true, bits = 8, timeout_s = 0.5 } }
+QIK3 = { driver = "pololu_qik", bus = "drives", credentials = { id = 3 }, settings = { answers = true, bits = 8 } }
 QIK5 = { driver = "pololu_qik", bus = "drives", credentials = { id = 5 }, channels = 2 }
 
 [joints]

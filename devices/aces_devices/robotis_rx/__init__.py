@@ -17,7 +17,7 @@ line = { link = "serial", protocol = "robotis", baud = 1_000_000 }
 
 [devices]
 S1 = { driver = "robotis_rx", bus = "line", model = "RX-28", credentials = { id = 1 }, settings = { health_s = 0.1 } }
-S2 = { driver = "robotis_rx", bus = "line", model = "RX-64", credentials = { id = 2 }, settings = { health_s = 0.1, motion = true } }
+S2 = { driver = "robotis_rx", bus = "line", model = "RX-64", credentials = { id = 2 }, settings = { motion = true } }
 S3 = { driver = "robotis_rx", bus = "line", model = "RX-10", credentials = { id = 3 }, settings = { health_s = 0.1 } }
 
 [joints]

@@ -67,8 +67,15 @@ class RobotisRX(RegisterDevice):
     together_overhead = AROUND
     streamed = frozenset(("goal_position",))
     remembers = frozenset(
-        ("torque_enable", "led", "moving_speed", "torque_limit", "lock", "punch")
-        + tuple(f"{side}_compliance_{what}" for side in ("cw", "ccw") for what in ("margin", "slope"))
+        (
+            "torque_enable",
+            "led",
+            "moving_speed",
+            "torque_limit",
+            "lock",
+            "punch",
+            *(f"{side}_compliance_{what}" for side in ("cw", "ccw") for what in ("margin", "slope")),
+        )
     )
     actions: ClassVar[Mapping[str, str]] = {
         "enable": "hold the present position: goal there, then torque on",
@@ -118,7 +125,9 @@ class RobotisRX(RegisterDevice):
     def _signals(self, owner: str) -> None:
         direction, zero = self.direction, self.zero
         slow = max(0.1, 5 * self.health_s)
-        motion = {"owner": owner} if self.config.settings.get("motion") else {"owner": owner, "stale_s": slow}
+        motion: dict[str, Any] = {"owner": owner}
+        if not self.config.settings.get("motion"):
+            motion["stale_s"] = slow
         span = sorted((direction * (end - zero)) for end in (0.0, TOP * STEP))
         joint = self.joints[0] if self.joints else None
         if joint is not None:
@@ -188,9 +197,7 @@ class RobotisRX(RegisterDevice):
         )
         self.register_signal("moving", "moving", to_si=bool, doc="Whether it is on its way.", **rest)
         own: dict[str, Any] = {"stale_s": slow}
-        self.register_signal(
-            "temperature", "present_temperature", unit="°C", doc="Inside the servo.", **own
-        )
+        self.register_signal("temperature", "present_temperature", unit="°C", doc="Inside the servo.", **own)
         self.register_signal("voltage", "present_voltage", unit="V", doc="Supply.", **own)
         self.register_signal(
             "torque_limit",
@@ -388,9 +395,13 @@ class RobotisRX(RegisterDevice):
         codec = self.codec("id")
         data = codec.pack(codec.raw(number))
         self.check_write("id", confirm)
-        taken = [d.name for d in self.host.devices.values() if d is not self and d.credentials.get("id") == number]
+        taken = [
+            d.name for d in self.host.devices.values() if d is not self and d.credentials.get("id") == number
+        ]
         if taken:
-            raise CallerError(f"{self.name}: id {number} is {taken[0]}'s on this line: two servos would answer")
+            raise CallerError(
+                f"{self.name}: id {number} is {taken[0]}'s on this line: two servos would answer"
+            )
 
         def steps(job: Job) -> Steps:
             # Which of its two ids acknowledges is not stated: the new one is asked.

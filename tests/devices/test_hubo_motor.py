@@ -1,0 +1,552 @@
+"""Hubo's motor boards, driver and twin together: the conformance kit, and what only such boards do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from aces_bus.assembly import VirtualRobot
+from aces_bus.device import UNKNOWN, Host, Job, Robot, one_each, parse_robot
+from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
+from aces_bus.hardware.wire import Recorder
+from aces_bus.testing.conformance import driver_tests, run_check
+from aces_devices.hubo_motor import driver
+from aces_devices.hubo_motor.example import D08, D08X, D12, D12_THREE
+from aces_devices.hubo_motor.scan import channels_by_length, name_of
+from aces_devices.hubo_motor.storage import BoardParameters, selector
+
+test_driver = driver_tests(driver)
+
+
+@pytest.mark.parametrize(
+    "check", ["declared", "quiet_before", "heard", "set", "reboot", "absent", "actions", "scan"]
+)
+def test_other_boards_are_as_good(check: str) -> None:
+    """The three-channel boards of D12 and the boards of both readings of D08 do what those of the example do."""
+    run_check(check, driver, examples=(D12_THREE, D08, D08X))
+
+
+def robot_of(text: str = D12, **changes: str) -> Robot:
+    """An example robot, with some words replaced."""
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    robot, problems = parse_robot(text, "test.toml")
+    assert robot is not None, problems
+    return robot
+
+
+def only(text: str, *boards: str) -> str:
+    """An example without its other boards."""
+    lines = text.splitlines()
+    names = {line.split()[0] for line in lines if line.startswith(("JMC", "EJMC"))} - set(boards)
+    return "\n".join(
+        line
+        for line in lines
+        if line.split()[:1] not in [[n] for n in names] and not any(f'"{n}"' in line for n in names)
+    )
+
+
+LIMB = only(D12, "JMC0")
+
+
+def made(text: str = LIMB, rate_hz: float | None = 100, **options: Any) -> VirtualRobot:
+    return VirtualRobot(robot_of(text), rate_hz=rate_hz, load=lambda _: driver, **options)
+
+
+def up(robot: VirtualRobot) -> None:
+    """Past the start's hold-off, everything enabled."""
+    robot.advance(0.9)
+    robot.rig.each("enable").wait()
+    robot.advance(0.1)
+
+
+def references(robot: VirtualRobot, run: Callable[[], object]) -> list[tuple[int, bytes]]:
+    """The reference frames that stand on the wire while something happens."""
+    (wire,) = robot.wires.values()
+    recorder = Recorder(wire)  # type: ignore[arg-type]
+    run()
+    return [(now, frame.data) for now, frame in recorder.heard if 0x10 <= frame.arbitration_id < 0x40]
+
+
+# ---------------------------------------------------------------------- enabling and references
+
+
+def test_no_reference_goes_out_within_the_hold_off() -> None:
+    """Enabling waits until 0.8 s after the start; the first reference is where the joints are."""
+    with made() as robot:
+        job = robot.devices["JMC0"].enable()
+        assert references(robot, lambda: robot.advance(0.79)) == []
+        assert not job.is_over
+        first = references(robot, lambda: robot.advance(0.2))
+        assert job.state == "done"
+        assert first[0] == (pytest.approx(800e6, abs=12e6), bytes(6))
+
+
+def test_each_tick_has_one_reference_frame_a_board() -> None:
+    """Set-points of both motors, given at any time, are one frame; without new ones the last is repeated."""
+    with made() as robot:
+        up(robot)
+
+        def run() -> None:
+            for n in range(10):
+                robot["RHY.position"].set(0.01 * n)
+                robot["RHR.position"].set(-0.01 * n)
+                robot.advance(0.01)
+            robot.advance(0.1)
+
+        frames = references(robot, run)
+        assert len(frames) == 20
+        assert len({data for _, data in frames[10:]}) == 1
+
+
+def test_a_frame_a_channel_is_what_a_user_may_ask_for() -> None:
+    """The rule of coalescing can be replaced: one frame a set-point costs twice the references."""
+    counts: list[int] = []
+    for rules in (None, {"Reference": one_each}):
+        with made(rules=rules) as robot:
+            up(robot)
+            counts.append(len(references(robot, lambda: robot.advance(0.5))))
+    assert counts == [50, 100]
+
+
+def test_what_is_set_while_disabled_is_told_and_never_sent() -> None:
+    """A set-point of a board that is not enabled moves nothing, then or later."""
+    with made() as robot:
+        robot.advance(1.0)
+        robot["RHY.position"].set(0.5)
+        assert robot.events.count("not sent", "JMC0") == 1
+        up(robot)
+        robot.advance(0.5)
+        assert robot["RHY.position"].value == 0.0
+
+
+def test_a_board_can_wait_for_all_its_channels() -> None:
+    """With `trigger`, a set-point waits for the other channel's, as acesHubo did; single motors are sent at once."""
+    with made(LIMB.replace("settings = {", "settings = { trigger = true,")) as robot:
+        up(robot)
+        robot["RHY.position"].set(0.2)
+        before = references(robot, lambda: robot.advance(0.1))
+        assert {data for _, data in before} == {bytes(6)}
+        robot["RHR.position"].set(-0.05)
+        after = references(robot, lambda: robot.advance(0.1))
+        assert after[-1][1].hex() == "567c00e03e80"
+
+
+def test_the_reference_filter_arrives() -> None:
+    """hubo-ach's filter, (39 old + new) ÷ 40, smooths a step and ends exactly at it."""
+    with made(LIMB.replace("settings = {", "settings = { filter = 40,")) as robot:
+        up(robot)
+        robot["RHY.position"].set(0.2)
+        frames = references(robot, lambda: robot.advance(8.0))
+        steps = [int.from_bytes(data[:3], "little") for _, data in frames]
+        assert steps[0] == 31830 // 40
+        assert steps[-1] == 31830
+        assert all(b >= a for a, b in zip(steps, steps[1:], strict=False))
+
+
+def test_velocity_is_from_instants() -> None:
+    """A lost encoder reply does not double the velocity: it is the difference over the time that really passed."""
+    with made() as robot:
+        up(robot)
+        robot["RHY.position"].set(1.5)
+        robot.advance(0.5)
+        steady = robot["RHY.velocity"].value
+        assert 0 < steady <= 6.4
+        robot.twins["JMC0"].fault("loses", 2)
+        robot.advance(0.02)
+        assert robot["RHY.velocity"].value == pytest.approx(steady, rel=0.15)
+
+
+def test_a_joint_without_its_gear_is_refused() -> None:
+    """A board cannot follow positions of a joint whose counts nobody knows, and says which."""
+    text = LIMB.replace("gear = [10, 25],", "")
+    with pytest.raises(CallerError, match="RHY needs gear"):
+        made(text)
+
+
+def test_a_board_of_no_known_kind_is_refused() -> None:
+    """Four channels are none of Hubo's boards; the kinds that exist are listed."""
+    with pytest.raises(UnknownNameError, match="hand"):
+        made(LIMB.replace("channels = 2", "channels = 4"))
+
+
+# ---------------------------------------------------------------------- status
+
+
+def test_alarms_name_the_joint_and_the_bit() -> None:
+    """A fault of one motor is told once with its joint, and again when it is over."""
+    with made() as robot:
+        up(robot)
+        robot.twins["JMC0"].fault("motor_fail_0", 2)
+        robot.advance(1.0)
+        (alarm,) = robot.events.of("alarm")
+        assert (alarm.device, alarm.detail) == ("JMC0", "RHR: motor_fail_0")
+        assert robot["RHR.errors"].value == ("motor_fail_0",)
+        assert robot["RHY.errors"].value == ()
+        robot.twins["JMC0"].fault("motor_fail_0", on=False)
+        robot.devices["JMC0"].clear_errors().wait()
+        robot.advance(0.5)
+        assert [event.detail for event in robot.events.of("alarm over")] == ["RHR: motor_fail_0"]
+
+
+def test_a_rebooted_board_moves_nothing_until_it_is_enabled_again() -> None:
+    """Control off although enabled: told as rebooted, references end, values are forgotten; enabling brings it back."""
+    with made() as robot:
+        up(robot)
+        robot["RHY.position"].set(0.4)
+        robot.advance(1.0)
+        robot.twins["JMC0"].reboot()
+        robot.advance(0.5)
+        assert robot.events.count("rebooted", "JMC0") == 1
+        place = robot.simulation.world.joints["RHY"].position(robot.clock.now())
+        assert references(robot, lambda: robot.advance(1.0)) == []
+        assert robot.simulation.world.joints["RHY"].position(robot.clock.now()) == place
+        assert robot["RHY.position"].value == 0.0  # its encoder counts from there
+        assert robot.devices["JMC0"].is_enabled is False
+        robot.devices["JMC0"].enable().wait()
+        robot["RHY.position"].set(0.1)
+        robot.advance(1.0)
+        assert robot["RHY.position"].value == pytest.approx(0.1, abs=2e-3)
+
+
+def test_a_lost_home_is_a_reboot() -> None:
+    """A home flag that was 6 and is not any more means that the board does not know where its joints are."""
+    with made() as robot:
+        robot.devices["JMC0"].home().wait(30)
+        robot.advance(0.5)
+        robot.twins["JMC0"].fault("amnesia", 1)
+        robot.advance(0.5)
+        (event,) = robot.events.of("rebooted")
+        assert event.detail == "RHY lost its home"
+
+
+def test_a_board_that_switches_itself_off_is_no_reboot() -> None:
+    """A failed driver is an alarm: the error says so, and references end."""
+    with made() as robot:
+        up(robot)
+        robot.twins["JMC0"].fault("fet_fault", 0)
+        robot.advance(0.5)
+        assert robot.events.count("rebooted") == 0
+        assert "driver_fault" in robot.events.of("alarm")[0].detail
+        assert references(robot, lambda: robot.advance(0.2)) == []
+        with pytest.raises(DeviceError, match="driver_fault"):
+            robot.devices["JMC0"].enable().wait()
+
+
+def test_a_board_off_the_bus_is_told_and_comes_back() -> None:
+    """Silence is named; values are unknown meanwhile."""
+    with made() as robot:
+        robot.advance(0.5)
+        robot.twins["JMC0"].fault("can_error")
+        robot.advance(0.5)
+        assert robot.events.count("silent", "JMC0") == 1
+        assert robot["RHY.position"].value is UNKNOWN
+        robot.twins["JMC0"].fault("can_error", on=False)
+        robot.advance(0.5)
+        assert robot["RHY.position"].value == 0.0
+
+
+# ---------------------------------------------------------------------- homing
+
+
+def test_homing_finds_the_true_zero() -> None:
+    """After a search the encoder says what the joint's angle is; before, it counts from where the power came."""
+    with made() as robot:
+        robot.advance(0.5)
+        joint = robot.simulation.world.joints["RHY"]
+        assert robot["RHY.position"].value == 0.0
+        assert abs(joint.position(robot.clock.now())) > 1e-3
+        job = robot.devices["JMC0"].home()
+        robot.advance(0.3)
+        assert 0 < job.progress < 1
+        assert job.wait(30) == ["RHY", "RHR"]
+        robot.advance(0.3)
+        assert robot["RHY.home"].value == "homed"
+        assert robot["RHY.homed"].value is True
+        up(robot)
+        robot["RHY.position"].set(0.3)
+        robot.advance(1.0)
+        assert joint.position(robot.clock.now()) == pytest.approx(0.3, abs=2e-3)
+
+
+def test_no_board_of_the_bus_is_sent_references_after_a_home_command() -> None:
+    """hubo-ach sends none for 3 s after a home command; a homed joint's set-point is 0 then."""
+    with made(only(D12, "JMC0", "JMC1")) as robot:
+        up(robot)
+        robot["RHP.position"].set(0.1)
+        robot["RHY.position"].set(0.2)
+        robot.advance(0.5)
+        robot.devices["JMC0"].home("RHY")
+        robot.advance(0.005)
+        assert references(robot, lambda: robot.advance(2.9)) == []
+        robot.advance(4.0)
+        assert robot["RHY.position"].value == pytest.approx(0.0, abs=1e-3)
+        assert robot["RHP.position"].value == pytest.approx(0.1, abs=1e-3)
+        assert len(references(robot, lambda: robot.advance(0.1))) == 20
+
+
+@pytest.mark.parametrize("fault", ["jam", "no_switch", "no_index"])
+def test_a_home_search_that_fails_says_why(fault: str) -> None:
+    """A blocked motor, a switch that never closes, an index that never comes: no home within the time, with the reason."""
+    with made(LIMB.replace("settings = {", "settings = { home_timeout_s = 12,")) as robot:
+        robot.advance(0.5)
+        robot.twins["JMC0"].fault(fault, 1)
+        job = robot.devices["JMC0"].home("RHY")
+        with pytest.raises(DeviceError, match=r"JMC0: no home within 12 s: RHY \(home flag 0") as failed:
+            job.wait(30)
+        assert fault != "jam" or "jam" in str(failed.value)
+        robot.twins["JMC0"].fault(fault, on=False)
+        assert robot.devices["JMC0"].home("RHY").wait(30) == ["RHY"]
+
+
+def test_an_old_board_is_tried_again() -> None:
+    """D08 tells a failed search by 10; the driver tries legs twice, then fails; a search that ends well is told by 5."""
+    with made(only(D08, "JMC0")) as robot:
+        robot.advance(0.5)
+        (wire,) = robot.wires.values()
+        recorder = Recorder(wire)  # type: ignore[arg-type]
+        robot.twins["JMC0"].fault("jam", 1)
+        with pytest.raises(DeviceError, match="RHY found no home in 2 tries"):
+            robot.devices["JMC0"].home("RHY").wait(60)
+        assert sum(frame.data[:2] == b"\x00\x11" for frame in recorder.frames()) == 2
+        robot.twins["JMC0"].fault("jam", on=False)
+        assert robot.devices["JMC0"].home().wait(60) == ["RHY", "RHR"]
+        robot.advance(0.5)
+        assert robot["RHY.homed"].value is True
+        now = robot.clock.now()
+        joints = robot.simulation.world.joints
+        assert [joints[name].position(now) for name in ("RHY", "RHR")] == pytest.approx([0, 0], abs=1e-4)
+
+
+def test_stopping_ends_a_home_search() -> None:
+    """`stop_motion` cancels the job and switches control off; the joint stays where it was."""
+    with made() as robot:
+        robot.advance(0.5)
+        job = robot.devices["JMC0"].home()
+        robot.advance(0.2)
+        robot.devices["JMC0"].stop_motion()
+        robot.advance(0.05)
+        place = robot.simulation.world.joints["RHY"].position(robot.clock.now())
+        robot.advance(2.0)
+        assert robot.simulation.world.joints["RHY"].position(robot.clock.now()) == place
+        with pytest.raises(DeviceError, match="cancelled"):
+            job.wait(1)
+
+
+# ---------------------------------------------------------------------- what is stored
+
+
+def test_parameters_are_read_beside_the_currents() -> None:
+    """Blocks and currents share an identifier; with currents polled, all blocks are read right, and put together."""
+    text = LIMB.replace("current_s = 0.5", "current_s = 0.02")
+    with made(text) as robot:
+        robot.advance(0.5)
+        board = robot.devices["JMC0"]
+        board.set_limits("RHY", lower=-1.0, upper=1.5).wait()
+        stored = board.parameters().wait()
+        assert isinstance(stored, BoardParameters)
+        hip = stored.channels["RHY"]
+        assert (hip.kp, hip.ki, hip.kd, hip.resolution) == (200, 0, 500, 4000)
+        assert (hip.lower_limit, hip.lower_limit_enabled) == (-159154, True)
+        assert (hip.upper_limit, hip.upper_limit_enabled) == (238732, True)
+        assert hip.home_offset == round(0.2 * 159154.943) - 1 or hip.home_offset == int(0.2 * 159154.943)
+        assert stored.channels["RHR"].lower_limit_enabled is False
+        assert (stored.number, stored.board_type) == (0, 2)
+        robot.advance(0.5)
+        assert robot["RHY.current"].value == 0.0
+        assert not robot.rig.hosts["upper"].unknown
+
+
+def test_parameters_are_written_and_the_others_kept() -> None:
+    """A command that writes several at once carries the stored values of those that were not given."""
+    with made() as robot:
+        robot.advance(0.3)
+        board = robot.devices["JMC0"]
+        board.set_parameters("RHR", home_offset=-70000, dead_zone=3, search_mode="switch").wait()
+        board.set_parameters(jam_time=250, max_error=5000).wait()
+        board.set_gains("RHR", kp=150, kd=400).wait()
+        stored = board.parameters().wait()
+        roll = stored.channels["RHR"]
+        assert (roll.home_offset, roll.dead_zone, roll.search_mode, roll.search_limit) == (
+            -70000,
+            3,
+            "switch",
+            60,
+        )
+        assert (roll.kp, roll.kd) == (150, 400)
+        assert (stored.jam_time, stored.saturation_time, stored.max_error) == (250, 500, 5000)
+        assert stored.channels["RHY"].kp == 200
+
+
+def test_parameters_survive_a_reboot_and_not_defaults() -> None:
+    """What is stored outlives the power; loading the defaults, once confirmed, does not spare it."""
+    with made() as robot:
+        robot.advance(0.3)
+        board = robot.devices["JMC0"]
+        board.set_gains("RHY", kp=90, kd=80).wait()
+        robot.twins["JMC0"].reboot()
+        assert board.parameters().wait().channels["RHY"].kp == 90
+        with pytest.raises(CallerError, match="confirm"):
+            board.initialise(False)
+        board.initialise(True)
+        assert board.parameters().wait().channels["RHY"].kp == 200
+
+
+def test_a_board_gets_another_number() -> None:
+    """After SetBoardNumber driver and board go on under the new one."""
+    with made() as robot:
+        robot.advance(0.3)
+        board = robot.devices["JMC0"]
+        with pytest.raises(CallerError, match="0x2f"):
+            board.set_board_number(0x30, True)
+        board.set_board_number(0x04, True)
+        robot.advance(0.5)
+        assert robot["RHY.position"].value is not UNKNOWN
+        assert board.credentials["board"] == 4
+
+
+def test_selectors_leave_room_for_the_boards_own_blocks() -> None:
+    """6 × channel + n, and 5 more from channel 3 on: 20, 21 and 22 stay free (facts, section 8)."""
+    used = [selector(channel, block) for channel in range(5) for block in range(1, 7)]
+    assert used[:3] == [1, 2, 3]
+    assert selector(3, 1) == 24
+    assert not {20, 21, 22} & set(used)
+    assert len(set(used)) == 30
+
+
+def test_reading_parameters_of_an_absent_board_ends() -> None:
+    """Three tries, then a `NoReplyError` that names the board."""
+    with made() as robot:
+        robot.twins["JMC0"].power(False)
+        robot.advance(0.1)
+        with pytest.raises(NoReplyError, match="JMC0"):
+            robot.devices["JMC0"].parameters().wait(5)
+
+
+def test_limits_in_the_board_hold_whatever_is_sent() -> None:
+    """A limit that is enabled in the board stops a reference, and the status says which end it was."""
+    with made() as robot:
+        up(robot)
+        robot.devices["JMC0"].set_limits("RHY", lower=-0.1, upper=0.1).wait()
+        robot["RHY.position"].set(0.5)
+        robot.advance(1.5)
+        assert robot["RHY.position"].value == pytest.approx(0.1, abs=2e-3)
+        assert robot["RHY.errors"].value == ("above_maximum",)
+
+
+def test_clearing_errors_does_not_lose_the_zero_by_accident() -> None:
+    """The command that clears errors sets encoders to zero: away from zero it must be asked for."""
+    with made() as robot:
+        up(robot)
+        robot["RHY.position"].set(0.3)
+        robot.advance(1.0)
+        board = robot.devices["JMC0"]
+        with pytest.raises(DeviceError, match="RHY at 0.299"):
+            board.clear_errors().wait()
+        place = robot.simulation.world.joints["RHY"].position(robot.clock.now())
+        board.clear_errors(zero=True).wait()
+        robot.advance(0.5)
+        assert abs(robot["RHY.position"].value) < 1e-3
+        assert robot.simulation.world.joints["RHY"].position(robot.clock.now()) == pytest.approx(
+            place, abs=1e-3
+        )
+
+
+# ---------------------------------------------------------------------- modes, sounds, compliance
+
+
+def test_beeps_and_alarms_are_heard() -> None:
+    """Beeps in steps of 0.1 s, alarms by number; what no board can do is refused."""
+    with made() as robot:
+        board, twin = robot.devices["JMC0"], robot.twins["JMC0"]
+        board.beep(0.3)
+        board.alarm(3)
+        robot.advance(0.1)
+        assert [seconds for _, seconds in twin.beeps] == [0.3]
+        assert [sound for _, sound in twin.alarms] == ["sound_3"]
+        with pytest.raises(CallerError, match=r"25\.5"):
+            board.beep(60)
+        with pytest.raises(CallerError, match="0 to 4"):
+            board.alarm(9)
+
+
+def test_an_old_board_says_what_it_cannot_do() -> None:
+    """Actions of D12 are not listed for D08, and refused with the dialect."""
+    with made(only(D08, "JMC0")) as robot:
+        board = robot.devices["JMC0"]
+        assert "parameters" not in board.actions
+        assert "home" in board.actions
+        with pytest.raises(CallerError, match="D08"):
+            board.parameters()
+        with pytest.raises(CallerError, match="torque"):
+            board.set_control_mode("current")
+
+
+def test_fingers_of_a_drc_hand_are_given_currents() -> None:
+    """In hybrid mode the wrist follows positions and the fingers push; in position mode another message goes out."""
+    with made(only(D12_THREE, "EJMC1")) as robot:
+        up(robot)
+        robot["RWR.position"].set(0.2)
+        robot["RH1.current"].set(0.05)
+        robot.advance(1.0)
+        assert robot["RWR.position"].value == pytest.approx(0.2, abs=2e-3)
+        assert "current_mode" in robot["RH1.status"].value
+        assert robot["RH1.position"].value > 0.5
+        robot.devices["EJMC1"].set_control_mode("position")
+        robot.advance(0.5)
+        names = {type(twin).__name__ for twin in robot.twins.values()}
+        assert names == {"HuboMotorTwin"}
+        assert "current_mode" not in robot["RH1.status"].value
+        robot["RWR.position"].set(-0.1)
+        robot.advance(1.0)
+        assert robot["RWR.position"].value == pytest.approx(-0.1, abs=2e-3)
+
+
+def test_a_compliant_joint_gives_way_and_becomes_rigid_again() -> None:
+    """Compliance sends duties and no references; the joint goes softly toward its set-point; rigid again, it holds it."""
+    with made(rate_hz=200) as robot:
+        up(robot)
+        board = robot.devices["JMC0"]
+        with pytest.raises(UnknownNameError):
+            board.home("LKN")
+        board.set_compliance().wait()
+        robot["RHY.position"].set(0.3)
+        silent = references(robot, lambda: robot.advance(2.0))
+        assert silent == []
+        soft = robot["RHY.position"].value
+        assert 0.2 < soft < 0.3
+        assert 0 < robot["RHY.duty"].value <= 8
+        board.set_compliance(False).wait(30)
+        robot.advance(3.0)
+        assert robot["RHY.position"].value == pytest.approx(0.3, abs=2e-3)
+        assert robot["RHY.duty"].value == 0
+
+
+# ---------------------------------------------------------------------- scanning
+
+
+def test_boards_are_told_apart_by_their_answers() -> None:
+    """A scan with a table that is wrong for these boards takes the number of channels from the answers' lengths."""
+    from aces_protocols.hubo.spec import hubo
+
+    robot = made(D12)
+    robot.simulation.open()
+    (port,) = robot.ports("scan").values()
+    wrong = {"channels": {0x00: 5, 0x24: 2}, "sensors": {}}
+    host = Host(port, [hubo.variant("D12", wrong)])
+    host.open()
+    found = Job(robot.clock, "scan", lambda job: driver.scan(host, job)).wait(10)  # type: ignore[misc]
+    assert [(c.name, c.credentials["board"], c.channels) for c in found] == [
+        ("JMC0", 0x00, 2),
+        ("JMC1", 0x01, 2),  # one and two channels answer alike
+        ("EJMC4", 0x24, 5),
+    ]
+    assert not host.devices
+
+
+def test_names_and_lengths() -> None:
+    """JMC0 to JMC15, EJMC0 from 0x20; 8, 6 and 4 bytes are two, three and one channel, 6 and 4 together five."""
+    assert [name_of(n) for n in (0x0B, 0x23, 0x15)] == ["JMC11", "EJMC3", "BOARD_0x15"]
+    assert [channels_by_length(x, "D12") for x in ([8], [6], [4], [6, 4], [])] == [2, 3, 1, 5, None]
