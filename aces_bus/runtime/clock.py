@@ -14,7 +14,6 @@ from typing import Any, Protocol, TypeVar
 
 from ..errors import CallerError
 
-
 T = TypeVar("T")
 
 

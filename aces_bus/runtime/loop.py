@@ -20,7 +20,6 @@ from typing import Any, Protocol, Self, TypeVar
 from ..errors import CallerError
 from .clock import Clock, RealClock, Timer
 
-
 T = TypeVar("T")
 
 

@@ -217,7 +217,7 @@ class ThreadTasks(Tasks):
 
 
 def run_at(priority: int) -> bool:
-    """Have the calling thread run with `SCHED_FIFO`; whether the system allows it (Linux: CAP_SYS_NICE or an rtprio limit)."""
+    """Have the calling thread run with `SCHED_FIFO`; whether the system allows it (Linux: CAP_SYS_NICE, an rtprio limit)."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(99, max(1, priority))))
     except (AttributeError, OSError):

@@ -113,7 +113,8 @@ def check_declared(stand: Stand) -> None:
     for device, _ in stand.mine(robot):
         for one in device.signals.values():
             owner, _, name = one.name.partition(".")
-            assert owner and name, f"{one.name} is not OWNER.name"
+            assert owner, f"{one.name} is not OWNER.name"
+            assert name, f"{one.name} is not OWNER.name"
             if one.lower is not None and one.upper is not None:
                 assert one.lower < one.upper, f"{one.name} has limits {one.lower}…{one.upper}"
         for action, doc in device.actions.items():

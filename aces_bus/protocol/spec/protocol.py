@@ -38,7 +38,8 @@ class Protocol:
     `dialects` maps names to what they are; `dialect` is the default one. `configurations` maps a name to its tables, each
     from a captured number to an entry (`{"hubo2": {"channels": {0x00: 2, …}}}`); `configuration` is the default one.
     `broadcast` gives the value of a captured field that addresses every device. `bitrate` (CAN) is
-    in bit/s, `baud` (serial) in baud; `half_duplex`: all share one pair of wires, and who was asked answers next. `source` says where the facts come from.
+    in bit/s, `baud` (serial) in baud; `half_duplex`: all share one pair of wires, and who was asked answers next. `source`
+    says where the facts come from.
     """
 
     def __init__(
