@@ -6,6 +6,9 @@
     │   ├── FieldError         a value does not fit its field: says field, value and range
     │   ├── CaptureError       a file cannot be used as a capture: says file and what would work
     │   ├── StateError         a state was asked for what it cannot know (aces_bus.state)
+    │   ├── EquationError      an equation is wrong: says line and column (aces_bus.controller)
+    │   ├── MachineError       a state machine's table is wrong: says phase and row (aces_bus.controller)
+    │   ├── TrajectoryError    a file of set-points is wrong: says file:line (aces_bus.controller)
     │   └── RobotError         a robot file is wrong: says file:line of everything that is (aces_bus.device)
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
     ├── DeviceError            a device did not do what its protocol promises

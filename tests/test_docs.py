@@ -14,6 +14,7 @@ PAGES = [
     "CONTRIBUTING.md",
     "docs/architecture.md",
     "docs/captures.md",
+    "docs/controllers.md",
     "docs/checking.md",
     "docs/devices.md",
     "docs/language.md",

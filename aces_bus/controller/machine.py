@@ -155,6 +155,7 @@ class StateMachine(Controller):
         self.transitions = 0
         self.trail: deque[tuple[int, str, str]] = deque(maxlen=64)
         self._events: deque[str] = deque(maxlen=64)  # filled from any thread
+        self._kinds = {row.on for row in self.table if row.on}
         self._singles = 0
         self._rooms: list[_Room] = []
         self._room: _Room | None = None
@@ -208,7 +209,8 @@ class StateMachine(Controller):
 
     def handle(self, event: EventLike) -> None:
         """An event: the rows with `on` of its kind are tried at the next step."""
-        self._events.append(event.kind)
+        if event.kind in self._kinds:  # so that a flood of others pushes none of these out
+            self._events.append(event.kind)
 
     # ---- the interpreter --------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -116,9 +116,10 @@ def connect(
     if not hosts:
         raise CallerError(f"robot {robot.name} has no active device")
     rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)
+    drivers = {name: load(name) for name in dict.fromkeys(config.driver for config in _active(robot))}
     for config in _active(robot):
         host = hosts[config.bus]
-        driver = load(config.driver)
+        driver = drivers[config.driver]
         device = driver.device(host, config, robot, host.variants[driver.protocol])
         host.add(device)
         rig.devices[config.name] = device
@@ -177,9 +178,10 @@ def simulate(
     if not buses:
         raise CallerError(f"robot {robot.name} has no active device")
     world = World(next(iter(buses.values())).clock, seed)
+    drivers = {name: load(name) for name in dict.fromkeys(config.driver for config in _active(robot))}
     for config in _active(robot):
         twins = buses[config.bus]
-        driver = load(config.driver)
+        driver = drivers[config.driver]
         twins.add(driver.twin(twins, config, robot, twins.variants[driver.protocol], world))
     return Simulation(robot, world, buses)
 
@@ -194,11 +196,20 @@ def _active(robot: Robot) -> list[DeviceConfig]:
 def spoken_on(robot: Robot, load: Loader = load_driver) -> dict[str, Protocol]:
     """The main protocol of each bus that has active devices: that of the file, or that of its first device's driver."""
     found: dict[str, Protocol] = {}
-    for config in _active(robot):
-        protocol = _protocol_of(robot, config, load)
+    for config, protocol in _spoken(robot, load):
         if config.bus not in found or protocol.name == robot.buses[config.bus].protocol:
             found[config.bus] = protocol
     return found
+
+
+def _spoken(robot: Robot, load: Loader) -> Iterator[tuple[DeviceConfig, Protocol]]:
+    """The active devices, each with what it speaks; what is installed is looked up once a driver."""
+    known: dict[tuple[str, str], Protocol] = {}
+    for config in _active(robot):
+        key = (config.driver, robot.protocol_of(config)[0])
+        if key not in known:
+            known[key] = _protocol_of(robot, config, load)
+        yield config, known[key]
 
 
 def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
@@ -228,13 +239,12 @@ def variants_of(robot: Robot, bus: str) -> list[Variant]:
 def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str, list[Variant]]:
     """The protocols of each bus that has active devices, with the robot's own tables."""
     found: dict[str, dict[str, Variant]] = {}
-    for config in _active(robot):
+    for config, protocol in _spoken(robot, load):
         if config.bus not in ports:
             raise CallerError(
                 f"robot {robot.name}: no port for bus {config.bus} (there are: {', '.join(ports) or 'none'})"
             )
         name, dialect = robot.protocol_of(config)
-        protocol = _protocol_of(robot, config, load)
         variant = protocol.variant(dialect, robot.tables(protocol) or None)
         other = found.setdefault(config.bus, {}).setdefault(name, variant)
         if other is not variant:

@@ -15,7 +15,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from ..errors import CallerError
 from ..protocol import Unknown as UnknownWord
-from ..protocol import Variant, make_scanner
+from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol.spec.message import Message
 from .port import Port
 
@@ -71,7 +71,9 @@ class Station(Generic[M]):
         self._tagged: dict[tuple[str, str], tuple[Message, dict[str, int], Callable[..., Any]]] = {}
         #: A datagram is whole: what it leaves incomplete, the next one does not continue.
         self._feed: Callable[[Any], list[Any]] = (
-            self.scanner.datagram if port.link == "datagram" else self.scanner.feed
+            self.scanner.datagram
+            if port.link == "datagram" and isinstance(self.scanner, StreamScanner)
+            else self.scanner.feed
         )
         self._is_can = port.link == "can"
         self._is_open = False

@@ -92,13 +92,14 @@ class SerialNode:
 class _Chunk:
     """Bytes that one node sends without a gap."""
 
-    __slots__ = ("byte_ns", "data", "done", "end", "garbled", "node", "others", "start")
+    __slots__ = ("byte_ns", "data", "done", "end", "garbled", "is_split", "node", "others", "start")
 
     def __init__(self, node: SerialNode, data: bytes, start: int, byte_ns: int) -> None:
         self.node, self.data, self.start, self.byte_ns = node, data, start, byte_ns
         self.end = start + len(data) * byte_ns
-        #: How many bytes have arrived.
+        #: How many bytes have arrived; whether they do so one by one.
         self.done = 0
+        self.is_split = False
         #: Who else was on the wire meanwhile, and which bytes met theirs.
         self.others: list[_Chunk] = []
         self.garbled: set[int] = set()
@@ -118,6 +119,15 @@ class _Chunk:
                 shift = abs(other.start + index * other.byte_ns - start) * BITS // self.node.wire.byte_ns
                 byte &= (other.data[index] << shift | (1 << shift) - 1) & 0xFF
         return byte
+
+
+def _collide(one: _Chunk, other: _Chunk) -> None:
+    """Both are on the wire at once: the bytes that meet are garbled."""
+    for mine, theirs in ((one, other), (other, one)):
+        mine.others.append(theirs)
+        fresh = set(mine.meets(theirs)) - mine.garbled
+        mine.garbled |= fresh
+        mine.node.collisions += len(fresh)
 
 
 class SerialWire:
@@ -167,20 +177,29 @@ class SerialWire:
         """Bytes go on the wire, which may be busy with others' on a half-duplex line."""
         now = self.clock.now()
         flying = self._flying = [other for other in self._flying if other.end > now]
-        if self.half_duplex:
-            for other in flying:
-                if other.node is not chunk.node and other.start < chunk.end and chunk.start < other.end:
-                    for one, two in ((chunk, other), (other, chunk)):
-                        one.others.append(two)
-                        fresh = set(one.meets(two)) - one.garbled
-                        one.garbled |= fresh
-                        one.node.collisions += len(fresh)
+        whole = self._noise is None and all(node.whole for node in self.nodes)
+        for other in flying:
+            if other.node is not chunk.node and other.start < chunk.end and chunk.start < other.end:
+                if self.half_duplex:
+                    _collide(chunk, other)
+                elif len(self.nodes) == 2:
+                    continue  # nobody hears both
+                whole = False
+                self._split(other)
         flying.append(chunk)
-        arrive = partial(self._arrive, chunk)
-        if self._noise is None and all(node.whole for node in self.nodes):
-            self.clock.post(chunk.end, arrive)
+        if whole:
+            self.clock.post(chunk.end, partial(self._arrive, chunk))
+        else:
+            self._split(chunk)
+
+    def _split(self, chunk: _Chunk) -> None:
+        """Let a chunk arrive byte by byte from now on: others' bytes come between its own."""
+        if chunk.is_split:
             return
-        for number in range(1, len(chunk.data) + 1):
+        chunk.is_split = True
+        self._arrive(chunk)
+        arrive = partial(self._arrive, chunk)
+        for number in range(chunk.done + 1, len(chunk.data) + 1):
             self.clock.post(chunk.start + number * chunk.byte_ns, arrive)
 
     def catch_up(self) -> None:

@@ -87,6 +87,8 @@ def test_an_event_takes_its_row_at_the_next_step() -> None:
     run(machine, states, 80, 1)
     assert machine.phase == "down"
     machine.handle(ControlEvent("bus-off", 0, "can0"))
+    for _ in range(1_000):
+        machine.handle(ControlEvent("limited", 0, "can0"))
     run(machine, states, 81, 1)
     assert machine.phase == "over"
 

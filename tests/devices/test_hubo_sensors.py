@@ -46,12 +46,12 @@ def sensors_of(name: str) -> Robot:
     return msgspec.structs.replace(robot, devices=kept)
 
 
-def assembled(robot: Robot | str, **options: Any) -> VirtualRobot:
+def assembled(robot: Robot | str, seed: int = 0) -> VirtualRobot:
     if isinstance(robot, str):
         found, problems = parse_robot(robot)
         assert found is not None, problems
         robot = found
-    return VirtualRobot(robot, **{"rate_hz": 50, "load": DRIVERS.__getitem__, **options})
+    return VirtualRobot(robot, rate_hz=50, load=DRIVERS.__getitem__, seed=seed)
 
 
 def stand(robot: VirtualRobot, **angles: float) -> None:

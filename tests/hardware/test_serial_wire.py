@@ -97,6 +97,45 @@ def test_noise_is_counted_and_repeats(data: bytes, seed: int) -> None:
         assert joined(first[0]) == data
 
 
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2), st.integers(0, 400_000), st.binary(min_size=1, max_size=9)), max_size=8
+    ),
+    st.booleans(),
+    st.none() | st.tuples(st.integers(0, 2), st.integers(0, 400_000), st.booleans()),
+)
+def test_whole_chunks_are_the_same_bytes(
+    sends: list[tuple[int, int, bytes]], half: bool, plug: tuple[int, int, bool] | None
+) -> None:
+    """Nodes that take chunks hear the bytes that others hear one by one, in their order, each piece at its last byte's end."""
+
+    def run(whole: bool) -> tuple[list[Bytes], tuple[int, ...]]:
+        clock = VirtualClock()
+        wire = SerialWire(clock, baud=1_000_000, half_duplex=half)
+        heard: list[Bytes] = [[], [], []]
+        nodes = [
+            wire.attach(received=lambda data, now, place=place: place.append((data, now)), whole=whole)  # type: ignore[misc]
+            for place in heard
+        ]
+        for number, instant, data in sends:
+            clock.call_at(instant, lambda number=number, data=data: nodes[number].send(data))  # type: ignore[misc]
+        if plug is not None:
+            clock.call_at(plug[1], lambda: setattr(nodes[plug[0]], "is_connected", plug[2]))
+        clock.advance(10_000_000)
+        collisions = tuple(node.collisions for node in nodes)
+        return heard, (wire.bytes, wire.garbled, *collisions)
+
+    bytewise, counts = run(False)
+    chunks, same = run(True)
+    assert same == counts
+    for one, other in zip(bytewise, chunks, strict=True):
+        assert joined(other) == joined(one)
+        at = 0
+        for data, instant in other:
+            at += len(data)
+            assert one[at - 1][1] == instant
+
+
 def test_an_unplugged_node_is_silent_and_deaf() -> None:
     """What it sends meanwhile is gone."""
     clock = VirtualClock()

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol import Unknown
+from aces_bus.protocol import StreamScanner, Unknown
 from aces_protocols.pololu_qik.records import (
     Coast,
     Configuration,
@@ -68,9 +68,9 @@ def test_an_argument_has_seven_bits() -> None:
     found = [*scanner.feed(bytes.fromhex("AA 01 08 AA 05 00 00")), *scanner.close()]
     assert [one.reason for one in found] == ["unknown", "unknown", "skipped"]
     assert scanner.counts.decoded == 0
-    for fields in ({"id": 128, "speed": 0}, {"id": 1, "speed": 128}):
+    for number, speed in ((128, 0), (1, 128)):
         with pytest.raises(FieldError):
-            pololu_qik.encode("SetSpeed", motor=0, reverse=0, high=0, **fields)
+            pololu_qik.encode("SetSpeed", id=number, motor=0, reverse=0, high=0, speed=speed)
 
 
 def test_format_bytes_must_be_right() -> None:
@@ -83,7 +83,7 @@ def test_format_bytes_must_be_right() -> None:
 def test_an_answer_is_its_requests() -> None:
     """One byte means what was asked, of whom it was asked; without a request it means nothing."""
     scanner = pololu_qik.scanner(direction="from device", everything=True)
-    asked = [
+    asked: list[tuple[str, dict[str, Any], Any, str, Any, int]] = [
         ("GetFirmware", {}, Firmware, "version", "1", 0x31),
         ("GetConfiguration", {"parameter": "pwm"}, Configuration, "value", 0x31, 0x31),
         ("SetConfiguration", {"parameter": "pwm", "value": 9}, ConfigurationSet, "result", "bad_value", 2),
@@ -123,6 +123,7 @@ def test_both_ways_on_one_line() -> None:
 def test_a_command_that_never_ends_is_given_up() -> None:
     """After a pause longer than the gap the rest does not come; what follows is read."""
     scanner = pololu_qik.scanner(direction="to device")
+    assert isinstance(scanner, StreamScanner)
     assert scanner.feed(b"\xaa\x01\x04\x00", 0.0) == []
     assert scanner.idle(0.2) == []
     (record,) = scanner.feed(bytes.fromhex("AA 01 04 01 01 55 2A"), 0.3)

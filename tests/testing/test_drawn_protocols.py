@@ -13,7 +13,7 @@ from aces_bus.testing._source import spread
 from aces_bus.testing.fuzz import Fuzzer
 
 #: Specs in the short run and in the long one: each is compiled, which costs more than fuzzing it.
-SHORT, LONG = 8, 300
+SHORT, LONG = 6, 300
 
 
 def test_drawn_protocols_keep_the_laws() -> None:

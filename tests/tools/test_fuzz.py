@@ -56,13 +56,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_good_protocol_passes_and_says_what_was_reached(aces: Aces, here: Path) -> None:
     """Status 0, a table of messages, and one line that sums up."""
-    result = aces("fuzz", "good.py", "--examples", "320", "--seed", "1")
+    result = aces("fuzz", "good.py", "--examples", "256", "--seed", "1")
     assert result.status == 0
     assert re.search(r"^good: 2/2 messages, 4/4 fields, 2/2 named values, 4/4 templates$", result.out, re.M)
     assert re.search(r"^  Level +\d+ +2/2 +2/2 +-$", result.out, re.M)
     assert re.search(r"^  framing good: accepted \d+, cut off \d+, .*wrong check \d+$", result.out, re.M)
     assert "nothing was left out" in result.out
-    assert result.summary["examples"] == 320
+    assert result.summary["examples"] == 256
     assert result.err.endswith("seed=1: no failure\n")
 
 
@@ -135,8 +135,8 @@ def test_json_says_everything(aces: Aces, here: Path) -> None:
 
 def test_several_processes_do_the_same_examples(aces: Aces, here: Path) -> None:
     """With --jobs, as many examples and words, and the same coverage."""
-    one = aces("fuzz", "good.py", "--examples", "512", "--seed", "9")
-    two = aces("fuzz", "good.py", "--examples", "512", "--seed", "9", "--jobs", "2")
+    one = aces("fuzz", "good.py", "--examples", "256", "--seed", "9")
+    two = aces("fuzz", "good.py", "--examples", "256", "--seed", "9", "--jobs", "2")
     assert (one.status, two.status) == (0, 0)
     assert (one.summary["words"], one.summary["checks"]) == (two.summary["words"], two.summary["checks"])
     assert one.out == two.out
@@ -170,21 +170,31 @@ def test_a_wrong_call_says_what_is_wrong(aces: Aces, here: Path, arguments: list
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_ctrl_c_ends_with_the_summary(here: Path, jobs: str) -> None:
+def test_ctrl_c_ends_with_the_summary(here: Path) -> None:
     """Status 130, the numbers so far, and no process left."""
     program = "from aces_tools.main import main; import sys; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", program, "fuzz", "good.py", "--minutes", "5", "--jobs", jobs, "--corpus", "kept"]
+    command = [
+        sys.executable,
+        "-c",
+        program,
+        "fuzz",
+        "good.py",
+        "--minutes",
+        "5",
+        "--jobs",
+        "2",
+        "--corpus",
+        "kept",
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         limit = time.monotonic() + 30
         while not (here / "kept").exists() and time.monotonic() < limit:
             time.sleep(0.02)  # until it is at work: it keeps its first scenes at once
         running.send_signal(signal.SIGINT)
-        out, err = running.communicate(timeout=30)
+        _, err = running.communicate(timeout=30)
     assert running.returncode == 130, err
     assert "Traceback" not in err
     assert err.splitlines()[-1].startswith("interrupted: examples=")
-    assert "messages" in out
 
 
 def test_help_names_the_laws_and_imports_little(aces: Aces) -> None:

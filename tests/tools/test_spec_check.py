@@ -103,7 +103,7 @@ def test_protocols_named_together_share_a_bus(aces: Aces, written: Path) -> None
     result = aces("spec", "check", "sound.py", "other.py")
     assert result.status == 1
     assert "other B collides with sound A (sound.py:4) if they share a bus: both accept 005#00" in result.out
-    assert "to see it: aces spec explain sound other '005#00'" in result.out
+    assert "to see it: aces spec explain sound.py other.py '005#00'" in result.out
     assert aces("spec", "check", "sound.py", "other.py", "--apart").status == 0
     Path("both.py").write_text(SOUND + other)
     assert "collides" in aces("spec", "check", "both.py").out

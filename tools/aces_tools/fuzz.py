@@ -148,7 +148,7 @@ def run(arguments: argparse.Namespace) -> int:
     numbers = tally.numbers(is_over)
     if arguments.json:
         print(as_json(job.names, numbers, tally.found, tally.coverage()))
-    elif not arguments.quiet and not budget.is_single:
+    elif tally.examples and not arguments.quiet and not budget.is_single:
         print(table(tally.coverage(), terminal_width()))
     say(tally.summary(is_over), who="")
     return 1 if tally.found else 130 if is_over else 0
@@ -249,8 +249,7 @@ class Tally:
         self.began = time.monotonic()
         self.examples = self.checks = self.words = 0
         self.found: list[Found] = []
-        self._kept: dict[int, int] = {}
-        self._reached: dict[int, Done] = {}
+        self._latest: dict[int, Done] = {}
         self._is_shown = not arguments.quiet and not arguments.json
         self._is_terminal = sys.stderr is not None and sys.stderr.isatty()
         self._next = self.began + (STEP_S if self._is_terminal else LOG_S)
@@ -261,8 +260,9 @@ class Tally:
         self.examples += done.examples
         self.checks += done.checks
         self.words += done.words
-        self._kept[done.process] = done.kept
-        self._reached[done.process] = done
+        last = self._latest.get(done.process)
+        if last is None or last.turn < done.turn:  # they may come out of order
+            self._latest[done.process] = done
         known = {(f.law, f.protocol) for f in self.found}
         fresh = [f for f in done.found if (f.law, f.protocol) not in known]
         self.found += fresh
@@ -282,7 +282,7 @@ class Tally:
         from aces_bus.testing._coverage import Coverage
 
         whole = Coverage()
-        for done in self._reached.values():
+        for done in self._latest.values():
             whole.reached += Counter(done.reached)
             whole.expected |= done.expected
         return whole
@@ -329,7 +329,7 @@ class Tally:
     def summary(self, is_over: bool) -> str:
         """The run in one line."""
         failed = f"{len(self.found)} failed" if self.found else "no failure"
-        kept = sum(self._kept.values())
+        kept = sum(done.kept for done in self._latest.values())
         return (
             f"{'interrupted: ' if is_over else ''}examples={self.examples} checks={self.checks} words={self.words} "
             f"seconds={self.seconds:.1f} rate={self.rate:.0f}/min seed={self.job.seed}"

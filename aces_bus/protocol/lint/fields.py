@@ -50,11 +50,11 @@ def _unit(field: Written) -> Iterator[Finding]:
     for adapter in field.adapters:
         unit = getattr(adapter, "unit", "")
         if isinstance(unit, str) and unit and not is_unit(unit):
-            yield _finding(_unit_level(field), "unit", field, _unit_text(unit))
+            yield _finding(_doubt(field), "unit", field, _unit_text(unit))
 
 
-def _unit_level(field: Written) -> Level:
-    # Whoever wrote a database is not the one who reads it: there a strange unit is only worth knowing.
+def _doubt(field: Written) -> Level:
+    # Whoever wrote a database is not the one who reads it: there it is only worth knowing.
     return "warning" if field.base.file.endswith(".py") else "note"
 
 
@@ -102,7 +102,7 @@ def _outside(
     if high < least - step or low > most + step:
         yield _finding("error", "range", field, f"{shown} is outside {bits}")
     elif (low < least - step and not isinf(low)) or (high > most + step and not isinf(high)):
-        yield _finding("warning", "range", field, f"{shown} goes beyond {bits}")
+        yield _finding(_doubt(field), "range", field, f"{shown} goes beyond {bits}")
 
 
 def _short(number: float) -> str:

@@ -105,7 +105,12 @@ class _Decider:
                 groups.setdefault((identifier, message.extended, message.fd), []).append(message)
         found: list[Identified] = []
         decided: dict[tuple[str, ...], tuple[list[Signal], int, list[Message]]] = {}
-        for (identifier, _, _), messages in groups.items():
+        for (identifier, is_extended, is_fd), messages in groups.items():
+            if is_fd and (identifier, is_extended, False) in groups:
+                for message in messages:
+                    reason = "CAN FD with identifiers that classic frames have, too: left out there"
+                    self._lose(message.name, "", reason)
+                continue
             names = tuple(message.name for message in messages)
             if names not in decided:
                 decided[names] = _Group(messages, self.losses).signals()

@@ -302,6 +302,12 @@ class Storage(Switching):
         self.only_d12("a number that can be changed")
         if number not in range(0x30):
             raise CallerError(f"{self.name}: motor boards have the numbers 0x00 to 0x2f, not {number:#04x}")
+        table = self.variant.tables.get("channels", {})
+        if table.get(number) != self.kind:
+            raise CallerError(
+                f"{self.name}: the robot's file must list board {number:#04x} (inactive) with kind {self.kind}, or its"
+                " answers will not be understood"
+            )
         self._confirmed(confirm, "two boards with one number cannot be told apart again")
         self.quiet()
         ticket = self.tell("SetBoardNumber", number=number, period=period_ms)

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import degrees
 from typing import Any, ClassVar
 
@@ -55,7 +56,7 @@ class Motor(Device):
                 unit="rad",
                 owner=joint.name,
                 set="Joint.angle",
-                from_si=lambda position, joint=joint: self._angle(joint, position),
+                from_si=partial(self._angle, joint),
                 lower=joint.lower,
                 upper=joint.upper,
                 doc="where the PC is told to move it; nothing tells where it is",

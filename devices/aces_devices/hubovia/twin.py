@@ -62,8 +62,8 @@ class MotorTwin(Twin):
         self._sync(now)
         told = request.angle
         size = told.degrees + told.hundredths
-        self.angle = -size if told.negative else size
-        self._goal = radians(self.angle)
+        angle = -size if told.negative else size
+        self.angle, self._goal = angle, radians(angle)
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """See `Twin.fault`."""

@@ -146,7 +146,7 @@ class Qik(Device):
         """Set a parameter, for good. Fails with `DeviceError` when the device refuses it."""
 
         def steps(job: Job) -> Steps:
-            fields = {"parameter": parameter, "value": value}
+            fields: dict[str, Any] = {"parameter": parameter, "value": value}
             if not self.answers:
                 ticket = self.tell("SetConfiguration", **fields)
                 yield ticket

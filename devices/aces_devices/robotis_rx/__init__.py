@@ -10,7 +10,7 @@ from .twin import RobotisRXTwin
 
 EXAMPLE = """\
 name = "robotis_rx_example"
-rate_hz = 50
+rate_hz = 25
 
 [buses]
 line = { link = "serial", protocol = "robotis", baud = 1_000_000 }

@@ -68,11 +68,13 @@ class Checked:
     findings: list[Finding] = field(default_factory=list)
     #: What is wrong with the call, not with a spec.
     complaint: str = ""
+    #: What shares a bus: label of a variant → how the command line names it.
+    labels: dict[str, str] = field(default_factory=dict)
 
 
 def run(arguments: argparse.Namespace) -> int:
     names = list(dict.fromkeys(arguments.names))
-    variants: list[Variant] = []
+    variants: dict[Variant, str] = {}
     done: dict[int, None] = {}
     results: list[Checked] = []
     for name in names:
@@ -84,8 +86,9 @@ def run(arguments: argparse.Namespace) -> int:
                 done[id(protocol)] = None
                 result.findings += check_protocol(protocol) + _of_database(protocol)
     if not arguments.apart and len(variants) > 1:
-        found = Checked(" + ".join(variant.label for variant in variants))
-        found.findings += _unallowed(check_wire(variants, "warning", " if they share a bus"))
+        found = Checked(" + ".join(variants.values()))
+        found.labels = {variant.label: name for variant, name in variants.items()}
+        found.findings += _unallowed(check_wire(list(variants), "warning", " if they share a bus"))
         if found.findings:
             results.append(found)
     for result in results:
@@ -105,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
 # ---------------------------------------------------------------------- from names to findings
 
 
-def _check(name: str, result: Checked, variants: list[Variant]) -> None:
+def _check(name: str, result: Checked, variants: dict[Variant, str]) -> None:
     """Load what a name names; what fails while loading is a finding where it has a line."""
     try:
         if _is_robot(name):
@@ -113,7 +116,7 @@ def _check(name: str, result: Checked, variants: list[Variant]) -> None:
             return
         for protocol_name in _every(name):
             chosen = named(protocol_name)
-            variants.append(chosen.variant())
+            variants.setdefault(chosen.variant(), protocol_name)
             result.protocols.append(chosen.protocol)
     except SystemExit as ended:
         result.complaint = f"{name}: the file ends the program ({ended.code!r}); a spec only declares"
@@ -283,7 +286,7 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
             level = paint(_STYLES[one.level], f"{one.level}:")
             print(f"{one.place}: {level} {one.text} {paint('place', f'[{one.rule}]')}")
             if one.witness is not None and one.rule == "collision":
-                spoken = " ".join(name for name in result.name.split(" + ") if name in one.text)
+                spoken = " ".join(name for label, name in result.labels.items() if f"{label} " in one.text)
                 print(f"    to see it: aces spec explain {spoken or result.name} '{one.witness}'")
         if not result.complaint:
             print(f"{result.name}: {_summary(result, hidden)}")

@@ -74,6 +74,8 @@ class Done:
     checks: int = 0
     words: int = 0
     process: int = 0
+    #: Which of its process's tasks it was: what was reached is told as a whole each time.
+    turn: int = 0
     reached: dict[Feature, int] = field(default_factory=dict)
     expected: set[Feature] = field(default_factory=set)
     found: list[Found] = field(default_factory=list)
@@ -111,8 +113,7 @@ class Worker:
         )
         self.fuzzer.keeps = job.corpus is not None
         self._done = Done()
-        self._failures = 0
-        self._kept = 0
+        self._failures = self._kept = self._turn = 0
         self.todo = corpus_files(job.corpus) if job.corpus is not None else ()
 
     def do(self, task: Task) -> Done:
@@ -130,12 +131,14 @@ class Worker:
         fuzzer.kept.clear()
         found = [told(self.job, failure) for failure in fuzzer.failures[self._failures :]]
         self._failures = len(fuzzer.failures)
+        self._turn += 1
         self._done = Done(fuzzer.examples, fuzzer.checks, fuzzer.words, kept=self._kept)
         return Done(
             fuzzer.examples - before.examples,
             fuzzer.checks - before.checks,
             fuzzer.words - before.words,
             os.getpid(),
+            self._turn,
             dict(fuzzer.coverage.reached),
             set(fuzzer.coverage.expected),
             found,
