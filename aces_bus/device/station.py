@@ -14,8 +14,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from ..errors import CallerError
-from ..protocol import Unknown as UnknownWord
 from ..protocol import StreamScanner, Variant, make_scanner
+from ..protocol import Unknown as UnknownWord
 from ..protocol.spec.message import Message
 from .port import Port
 

@@ -210,9 +210,10 @@ class SerialWire:
     def _arrive(self, chunk: _Chunk) -> None:
         """Hand over the bytes whose end has come."""
         first = chunk.done
-        last = chunk.done = min(len(chunk.data), (self.clock.now() - chunk.start) // chunk.byte_ns)
+        last = min(len(chunk.data), (self.clock.now() - chunk.start) // chunk.byte_ns)
         if first >= last:
             return
+        chunk.done = last
         self.bytes += last - first
         if not chunk.node.is_connected:
             return

@@ -84,7 +84,11 @@ def test_a_current_is_held() -> None:
 
 @given(
     st.lists(st.integers(0, 300_000_000), min_size=0, max_size=20),
-    st.lists(st.tuples(st.sampled_from(["follow", "drive", "free", "push"]), st.floats(-1, 1)), min_size=1, max_size=5),
+    st.lists(
+        st.tuples(st.sampled_from(["follow", "drive", "free", "push"]), st.floats(-1, 1)),
+        min_size=1,
+        max_size=5,
+    ),
 )
 def test_who_looks_and_when_changes_nothing(looks: list[int], orders: list[tuple[str, float]]) -> None:
     """The same orders at the same instants end in the same place, bit by bit, however often somebody asked."""

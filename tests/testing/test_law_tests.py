@@ -20,7 +20,7 @@ from aces_bus.testing._saved import load, save
 from aces_bus.testing._source import spread
 
 #: A spec whose adapter loses what is above a thousand.
-SPEC = '''
+SPEC = """
 from construct import Adapter, Byte, Int16ul, Struct, this
 from aces_bus.protocol import Protocol, Sum
 
@@ -35,7 +35,7 @@ class Clipped(Adapter):
         return obj
 
 packet("Level", payload=Struct("tank" / Byte, "level" / Clipped(Int16ul)))
-'''
+"""
 
 
 def _run(folder: Path, test: str, *options: str) -> subprocess.CompletedProcess[str]:
@@ -84,7 +84,9 @@ def test_a_saved_scene_is_read_back_to_the_bit(made: Protocol, tmp_path: Path) -
         assert [plain(p.values) for p in again.packets] == [plain(p.values) for p in scene.packets]
 
 
-@pytest.mark.parametrize("damage", ["", "{}", "[]", '{"aces scene": 2}', "\x00", '{"aces scene": 1, "direction": "up"}'])
+@pytest.mark.parametrize(
+    "damage", ["", "{}", "[]", '{"aces scene": 2}', "\x00", '{"aces scene": 1, "direction": "up"}']
+)
 def test_what_is_no_scene_says_so(damage: str, tmp_path: Path) -> None:
     """A file of something else is named, whatever is in it."""
     (tmp_path / "x.json").write_text(damage)

@@ -213,8 +213,8 @@ def _all(job: Job, budget: _Budget, jobs: int) -> Generator[Done, None, None]:
 
     for name in job.names:
         places(name)  # complains here, and not in another process
+    worker_of.cache_clear()  # an earlier run in this process is none of ours, nor of the processes that we start
     if jobs == 1 or budget.is_single:
-        worker_of.cache_clear()
         for task in budget.tasks():
             yield work(job, task)
         return

@@ -27,7 +27,7 @@ class ForceTorqueTwin(SensorTwin):
     """A board of a foot or hand.
 
     `feed(now)` gives (mx, my, fz) in N·m and N, `tilt_feed(now)` (roll, pitch, az) in rad and g, in place of the body.
-    Noise (standard deviation): 0.02 N·m, 0.2 N, 0.03°, 1/375 g.
+    Noise (standard deviation): 0.02 N·m, 0.2 N, 0.03°, 1/250 g.
     """
 
     feed: Feed | None = None

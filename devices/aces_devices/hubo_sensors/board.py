@@ -213,8 +213,8 @@ def _times(factor: float) -> Callable[[Any], Any]:
 def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.01) -> Steps:
     """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
 
-    D12 asks for board information (which repeats the usual period of 5 ms to the board), D08 for the D/A offsets, which
-    changes nothing. What kind a board number is, the protocol's table knows.
+    Nothing is set: D12 boards are asked for data, D08 boards for their D/A offsets. What kind a board number is, the
+    protocol's table knows.
     """
     variant = host.variants["hubo"]
     old = variant.dialect != "D12"
@@ -226,9 +226,15 @@ def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout
         try:
             if old:
                 yield probe.ask("DaOffsetQuery", reply="DaOffset", timeout_s=timeout_s, retries=1)
+            elif table[board] == "imu":
+                yield probe.ask("ImuRequest", reply="Imu", timeout_s=timeout_s, retries=1, select="imu")
             else:
                 yield probe.ask(
-                    "GetBoardInfo", reply="SensorBoardInfo", timeout_s=timeout_s, retries=1, period=5
+                    "ForceTorqueRequest",
+                    reply="ForceTorque",
+                    timeout_s=timeout_s,
+                    retries=1,
+                    mode="ft_scaled",
                 )
         except NoReplyError:
             continue

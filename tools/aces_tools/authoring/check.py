@@ -184,7 +184,9 @@ def _check_robot(name: str, result: Checked) -> None:
                 continue  # the robot's own check has said so
             protocol = named(protocol_name).protocol
             chosen = dialect if dialect is not None else robot.dialect(protocol_name)
-            wire.append(protocol.variant(chosen, robot.tables(protocol) or None))
+            variant = protocol.variant(chosen, robot.tables(protocol) or None)
+            wire.append(variant)
+            result.labels[variant.label] = protocol_name
             if protocol not in result.protocols:
                 result.protocols.append(protocol)
         result.findings += _unallowed(check_wire(wire, "error", f" on bus {bus_name!r} of {name}"))
