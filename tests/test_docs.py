@@ -17,6 +17,7 @@ PAGES = [
     "docs/controllers.md",
     "docs/checking.md",
     "docs/devices.md",
+    "docs/exporting.md",
     "docs/language.md",
     "docs/robots.md",
     "docs/states.md",

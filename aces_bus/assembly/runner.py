@@ -5,21 +5,31 @@
 3. A controller's set-points go down together, on the thread of the buses.
 4. Each controller has a guard and a supervisor: limits of the robot's file, a dead-man, reactions to events. When a guard
    trips, the devices that its controller drives are stopped as declared.
+5. On threads, a controller that does not come back from a step is found by the buses' own thread, which stops its devices.
+   No wait here is without an end.
+
+Controllers are stepped with the instants that their cycles were due: they and their guards see even steps, however late
+a thread woke up. Set-points that come after the end, or after a trip, go nowhere.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, TypeVar
 
-from ..controller import ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
+from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
+from ..controller.events import Listeners
 from ..controller.guard import Action, Bounds
-from ..device import UNKNOWN, DeviceEvent, Rig
-from ..errors import AcesError, CallerError, DeviceError
-from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualTasks
+from ..device import UNKNOWN, Device, DeviceEvent, Rig
+from ..device.ticket import together
+from ..errors import CallerError, DeviceError
+from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
 from .states import States
+
+T = TypeVar("T")
 
 #: Priorities of components where nobody says otherwise (the paper's order: control above logging).
 CONTROL, LOGGING = 40, 5
@@ -29,6 +39,12 @@ DEAD_PERIODS = 5
 HEARD_S = 5.0
 #: Time for the last words to leave before a bus is closed (ns).
 LAST_WORDS = 20_000_000
+#: Seconds that any one part of an end may take.
+PATIENCE_S = 2.0
+#: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
+WATCH, LOOK = 20_000_000, 1_000_000
+#: What fails again and again is told this often (ns).
+TELL_EVERY = 1_000_000_000
 
 
 class Recorder(Protocol):
@@ -68,11 +84,14 @@ class Recorder(Protocol):
 
 @dataclass
 class Ended:
-    """How a run ended: `reason` "" for its time being up; `tripped` controllers with why."""
+    """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
+    end itself.
+    """
 
     reason: str
     tripped: dict[str, str]
     seconds: float
+    failed: list[str] = field(default_factory=list[str])
 
 
 class Runner:
@@ -107,8 +126,17 @@ class Runner:
         self.events: deque[Any] = deque(maxlen=1024)
         self.handlers: list[Callable[[Any], None]] = []
         self.set_points = 0
+        #: The last set-points, by state.
+        self.given: dict[str, float] = {}
         self.supervisors: list[Supervisor] = []
-        self._stopped: set[str] = set()
+        #: Controller → why it was stopped.
+        self._stopped: dict[str, str] = {}
+        #: Controller → the instant at which it began a step that is not over yet.
+        self._inside: dict[str, int] = {}
+        self._told: dict[str, int] = {}
+        self._setters: dict[str, Callable[[float], None]] = {}
+        self._failed_at_end: list[str] = []
+        self._is_bound = False
         self._seconds = 0.0
         #: What is done before the buses are opened and after they are closed: loops, twins.
         self.before: list[Callable[[], Any]] = []
@@ -118,9 +146,10 @@ class Runner:
         self._phase: Literal["new", "ready", "running", "over"] = "new"
         self._began = 0
         self._reason = ""
-        names = {controller.name for controller in controllers}
-        if len(names) < len(controllers):
-            raise CallerError("two controllers have one name")
+        names = [one.name for one in (*controllers, *loggers)]
+        double = {name for name in names if names.count(name) > 1}
+        if double:
+            raise CallerError(f"two controllers or loggers have one name: {', '.join(sorted(double))}")
         for controller in controllers:
             supervisor = self._supervised(controller, reactions, guard, on_trip)
             self.supervisors.append(supervisor)
@@ -141,6 +170,7 @@ class Runner:
         on_trip: Action,
     ) -> Supervisor:
         if isinstance(controller, Supervisor):
+            self._listen(controller)
             return controller
         bounds: Mapping[str, Bounds] = {}
         if guard:
@@ -159,33 +189,67 @@ class Runner:
             unlisted="pass",
             name=controller.name,
         )
-        return Supervisor(controller, made, reactions)
+        # What a log cannot take is no reason to stop a robot, unless somebody says so.
+        supervisor = Supervisor(controller, made, {"log failed": IGNORE, **(reactions or {})})
+        self._listen(supervisor)
+        return supervisor
+
+    def _listen(self, supervisor: Supervisor) -> None:
+        """What controller, guard and supervisor tell is among the events."""
+        for listeners in (
+            getattr(supervisor.controller, "listeners", None),
+            supervisor.guard.listeners,
+            supervisor.listeners,
+        ):
+            if isinstance(listeners, Listeners):
+                listeners.add(self._note)
+
+    def _task_of(self, name: str) -> Task:
+        return next(task for task in self.tasks.tasks if task.name == name)
 
     def _stepper(self, supervisor: Supervisor) -> Callable[[int], None]:
-        step, states = supervisor.step, self.states
-        clock = self.clock
+        step, name, guard = supervisor.step, supervisor.name, supervisor.guard
+        given_last, set_all, inside = self.given, self._give, self._inside
         is_direct = not isinstance(self.tasks, ThreadTasks)
+        task: Task | None = None
 
         def run(now: int) -> None:
-            given = step(now)
-            if supervisor.guard.tripped is not None and supervisor.name not in self._stopped:
+            nonlocal task
+            if task is None:
+                task = self._task_of(name)
+            if not is_direct:
+                inside[name] = now
+            given = step(now - task.lateness_ns)
+            if not is_direct:
+                inside.pop(name, None)
+            if guard.tripped is not None and name not in self._stopped:
                 self._trip(supervisor)
             if not given:
                 return
             self.set_points += len(given)
+            given_last.update(given)
             if not self.drives:
                 return
             if is_direct:
-                for name, value in given.items():
-                    states[name].set(value)
+                set_all(supervisor, given)
             else:
-                clock.call_soon(lambda: self._give(given))
+                self.clock.call_soon(lambda: set_all(supervisor, given))
 
         return run
 
-    def _give(self, given: Mapping[str, float]) -> None:
+    def _give(self, supervisor: Supervisor, given: Mapping[str, float]) -> None:
+        """Hand set-points down, on the buses' thread; those of a run that is over, or of whom was stopped, are not."""
+        if self._phase != "running":
+            return
+        stopped = supervisor.name in self._stopped
+        if stopped and (supervisor.guard.tripped is None or supervisor.guard.tripped.action != "hold"):
+            return
+        setters = self._setters
         for name, value in given.items():
-            self.states[name].set(value)
+            give = setters.get(name)
+            if give is None:
+                give = setters[name] = self.states[name].set
+            give(value)
 
     # ------------------------------------------------------------------ errors
 
@@ -197,7 +261,14 @@ class Runner:
                 supervisor.handle(event)
 
     def _failed(self, task: Task, error: BaseException) -> None:
-        event = ControlEvent("raised", self.clock.now(), task.name, f"{type(error).__name__}: {error}"[:500])
+        """A component raised: a logger, as controllers have supervisors for that."""
+        now = self.clock.now()
+        if now - self._told.get(task.name, -TELL_EVERY) < TELL_EVERY:
+            return
+        self._told[task.name] = now
+        is_log = any(logger.name == task.name for logger in self.loggers)
+        kind = "log failed" if is_log else "raised"
+        event = ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500])
         self._note(event)
         for supervisor in self.supervisors:
             supervisor.handle(event)
@@ -207,30 +278,59 @@ class Runner:
         for handler in self.handlers:
             handler(event)
 
+    def _fault(self, source: str, error: BaseException | str) -> None:
+        """Something of the end went wrong; the end goes on."""
+        said = error if isinstance(error, str) else f"{type(error).__name__}: {error}"[:500]
+        self._failed_at_end.append(f"{source}: {said}")
+        self._note(ControlEvent("failed", self.clock.now(), source, said))
+
     def _trip(self, supervisor: Supervisor) -> None:
         """A guard has stopped motion: what its controller drives is stopped too, as declared."""
         trip = supervisor.guard.tripped
         assert trip is not None
         if not trip.latched:
             return
-        self._stopped.add(supervisor.name)
-        self._note(ControlEvent("trip", self.clock.now(), supervisor.name, trip.reason))
-        if not self.drives or trip.action == "hold":
-            return
-        self.clock.call_soon(lambda: self._stop_devices(supervisor))
+        self._stopped[supervisor.name] = trip.reason
+        if self.drives and trip.action != "hold":
+            self.clock.call_soon(lambda: self._stop_devices(self.driven(supervisor)))
 
-    def _stop_devices(self, supervisor: Supervisor) -> None:
-        writes = getattr(supervisor.controller, "writes", ())
-        driven: set[str] = set()
-        for name in writes:
-            if name in self.states:
-                driven.add(self.rig.device(self.states.whole(name).partition(".")[0]).name)
-        for device in self.rig.devices.values():
-            if not driven or device.name in driven:
-                try:
-                    device.stop_motion()
-                except AcesError as error:
-                    self._note(ControlEvent("failed", self.clock.now(), device.name, str(error)))
+    def _watch(self) -> None:
+        """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
+        if self._phase != "running":
+            return
+        self.clock.call_in(WATCH, self._watch)
+        now = self.clock.now()
+        for supervisor in self.supervisors:
+            began = self._inside.get(supervisor.name, now)
+            limit = supervisor.guard.dead_man_s
+            if limit is None or now - began <= limit * 1e9 or supervisor.name in self._stopped:
+                continue
+            reason = f"its step has not come back for {(now - began) / 1e9:.3f} s"
+            action = supervisor.guard.action
+            self._stopped[supervisor.name] = reason
+            supervisor.guard.trip(reason, action)
+            self._note(ControlEvent("trip", now, supervisor.name, f"{action}: {reason}"))
+            if self.drives and action != "hold":
+                self._stop_devices(self.driven(supervisor))
+
+    def driven(self, supervisor: Supervisor) -> list[Device]:
+        """The devices that a controller gives set-points to; all of them where it does not say."""
+        names = {
+            self.rig.device(self.states.whole(name).partition(".")[0]).name
+            for name in supervisor.writes
+            if name in self.states
+        }
+        return [d for d in self.rig.devices.values() if not names or d.name in names]
+
+    def _stop_devices(self, devices: Collection[Device]) -> list[Any]:
+        """Have devices stop what moves, each whatever the others do; the tickets and jobs of that."""
+        told: list[Any] = []
+        for device in devices:
+            try:
+                told.append(device.stop_motion())
+            except Exception as error:  # a driver's code: the other devices are stopped all the same
+                self._fault(device.name, error)
+        return [one for one in told if one is not None]
 
     # ------------------------------------------------------------------ running
 
@@ -242,15 +342,22 @@ class Runner:
         self.stop("the program left it")
 
     def open(self) -> None:
-        """Open the buses, and wait until every polled device has been heard or `HEARD_S` are over."""
-        for begin in self.before:
-            begin()
-        self.clock.call(self.rig.open)
-        if not self.drives:
-            self._phase = "ready"
-            return
-        polled = [device for device in self.rig.devices.values() if device.polls]
-        self.clock.wait(lambda: all(device.last_heard is not None for device in polled), round(HEARD_S * 1e9))
+        """Open the buses, and wait until every polled device has been heard or `HEARD_S` are over.
+
+        Whatever opening raises comes out, with all closed again.
+        """
+        try:
+            for begin in self.before:
+                begin()
+            self.clock.call(self.rig.open)
+            if any(host.rate_hz for host in self.rig.hosts.values()):
+                polled = [device for device in self.rig.devices.values() if device.polls]
+                self.clock.wait(
+                    lambda: all(device.last_heard is not None for device in polled), round(HEARD_S * 1e9)
+                )
+        except BaseException:
+            self.stop("it could not be opened")
+            raise
         self._phase = "ready"
 
     @property
@@ -258,13 +365,28 @@ class Runner:
         """The polled devices that were never heard."""
         return [d.name for d in self.rig.devices.values() if d.polls and d.last_heard is None]
 
-    def do(self, action: str, timeout_s: float = 60.0) -> None:
-        """Have all devices do something ("enable", "home") and wait; raises `DeviceError` with who failed."""
-        self.clock.call(lambda: self.rig.each(action)).wait(timeout_s)
+    def do(
+        self, action: str, timeout_s: float = 60.0, *, devices: Collection[Device] | None = None
+    ) -> list[str]:
+        """Have devices do something ("enable", "home") and wait; those that have it, by name.
+
+        `devices` None: all of the robot's. Raises `DeviceError` with who failed.
+        """
+        some = self.rig.devices.values() if devices is None else devices
+        able = [device for device in some if action in device.actions]
+
+        def begin() -> Any:
+            jobs = [getattr(device, action)() for device in able]
+            return together(
+                self.clock, f"{self.rig.robot.name} {action}", [job for job in jobs if job is not None]
+            )
+
+        self.clock.call(begin).wait(timeout_s)
+        return [device.name for device in able]
 
     def start(self) -> None:
         """Start controllers and loggers. Raises `UnknownNameError` for a state that the robot has not."""
-        self.clock.call(self._bind)
+        self.bind()
         now = self.clock.now()
         self._began = now
         for logger in self.loggers:
@@ -272,12 +394,23 @@ class Runner:
         for supervisor in self.supervisors:
             supervisor.start(now)
         self._phase = "running"
+        if isinstance(self.tasks, ThreadTasks):
+            self.clock.call(self._watch)
         self.tasks.start()
+
+    def bind(self) -> None:
+        """Give controllers and loggers their states; may be done before the buses are opened. Raises as `start`."""
+        if not self._is_bound:
+            if self._phase == "new":
+                self._bind()
+            else:
+                self.clock.call(self._bind)
+            self._is_bound = True
 
     def _bind(self) -> None:
         for supervisor in self.supervisors:
             supervisor.bind(self.states)
-            for name in getattr(supervisor.controller, "writes", ()):
+            for name in supervisor.writes:
                 state = self.states[name]
                 if not state.is_writable:
                     raise CallerError(f"{supervisor.name} gives set-points for {name}, which is read-only")
@@ -290,52 +423,108 @@ class Runner:
         return (self.clock.now() - self._began) / 1e9 if self._phase == "running" else 0.0
 
     def run(self, seconds: float | None = None, until: Callable[[], bool] | None = None) -> Ended:
-        """Start, let it run until its time is up, `until()` holds or every controller has tripped, and stop."""
-        if self._phase == "new":
-            self.open()
-        self.start()
-        end = None if seconds is None else self._began + round(seconds * 1e9)
+        """Start, let it run until its time is up, `until()` holds or every controller has been stopped, and stop.
 
-        def is_over() -> bool:
-            if until is not None and until():
-                return True
-            return bool(self.supervisors) and len(self._stopped) == len(self.supervisors)
+        `until` is asked every millisecond. What it raises comes out, with motion stopped and all closed.
+        """
+        try:
+            if self._phase == "new":
+                self.open()
+            self.start()
+            end = None if seconds is None else self._began + round(seconds * 1e9)
 
-        left = (1 << 62) if end is None else end - self.clock.now()
-        if self.clock.wait(is_over, max(0, left)) and self._stopped:
-            self._reason = "every controller was stopped"
+            def is_over() -> bool:
+                if self._stopped and len(self._stopped) == len(self.supervisors):
+                    self._reason = "every controller was stopped"
+                    return True
+                return until is not None and until()
+
+            self._let_pass(is_over, (1 << 62) if end is None else end)
+        except BaseException as error:
+            self.stop(f"{type(error).__name__}: {error}".rstrip(": "))
+            raise
         return self.stop(self._reason)
+
+    def _let_pass(self, is_over: Callable[[], bool], end: int) -> None:
+        clock = self.clock
+        if not isinstance(clock, VirtualClock):
+            clock.wait(is_over, max(0, end - clock.now()))
+            return
+        while not is_over():  # asked once a millisecond, not after each event
+            if clock.next_event is None and end >= 1 << 62:
+                raise CallerError("nothing will ever happen here, and the run has no end: give it one")
+            if clock.now() >= end:
+                return
+            clock.advance_to(min(end, clock.now() + LOOK))
 
     def stop(self, reason: str = "") -> Ended:
         """Stop controllers, motion, buses, logs; in this order, whatever fails on the way."""
         if self._phase == "over":
             return self.ended(reason)
-        seconds = self.seconds
+        self._seconds = self.seconds
         was, self._phase = self._phase, "over"
-        self.tasks.stop()
-        now = self.clock.now()
-        for supervisor in self.supervisors:
-            if was == "running":
-                supervisor.stop(now)
-        if was in ("ready", "running") and self.drives:
+        interrupted: BaseException | None = None
+
+        def part(source: str, action: Callable[[], Any]) -> None:
+            nonlocal interrupted
             try:
-                self.clock.call(self.rig.stop_motion).wait(2.0)
-                self.clock.wait(lambda: False, LAST_WORDS)
-            except (DeviceError, CallerError) as error:
-                self._note(ControlEvent("failed", self.clock.now(), "stop", str(error)))
-        self.rig.close()
+                action()
+            except Exception as error:  # whatever it is, the rest is done
+                self._fault(source, error)
+            except BaseException as error:  # Ctrl-C: the rest is done, and then it is told
+                interrupted = error
+
+        now = self.clock.now()
+        if was == "running":
+            part("tasks", self.tasks.stop)
+            for supervisor in self.supervisors:
+                part(supervisor.name, lambda one=supervisor: one.stop(now))  # type: ignore[misc]
+        if was != "new" and self.drives:
+            part("stop", self._stop_motion)
+        part("buses", lambda: self._in_time(self.rig.close))
         for end in self.after:
-            end()
+            part("end", end)
         for logger in self.loggers:
             if was == "running":
-                logger.stop(self.clock.now())
-        self._seconds = seconds
+                part(logger.name, lambda one=logger: one.stop(self.clock.now()))  # type: ignore[misc]
+        if interrupted is not None:
+            raise interrupted
         return self.ended(reason)
+
+    def _stop_motion(self) -> None:
+        told = self._in_time(lambda: self._stop_devices(self.rig.devices.values()))
+        try:
+            together(self.clock, f"{self.rig.robot.name} stop", told).wait(PATIENCE_S)
+        except DeviceError as error:
+            self._fault("stop", str(error))
+        self.clock.wait(lambda: False, LAST_WORDS)
+
+    def _in_time(self, action: Callable[[], T]) -> T:
+        """Do it on the buses' thread, which may hang or be gone: then, after a while, here."""
+        clock = self.clock
+        if not isinstance(clock, Loop):
+            return action()
+        done: Future[T] = Future()
+
+        def run() -> None:
+            if done.set_running_or_notify_cancel():
+                try:
+                    done.set_result(action())
+                except BaseException as error:  # it is raised where it was asked for
+                    done.set_exception(error)
+
+        clock.call_soon(run)
+        try:
+            return done.result(PATIENCE_S)
+        except TimeoutError:
+            if done.cancel():
+                return action()
+            raise
 
     def ended(self, reason: str = "") -> Ended:
         """How it ended."""
-        tripped = {s.name: s.reason for s in self.supervisors if s.reason}
-        return Ended(reason, tripped, self._seconds)
+        tripped = {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
+        return Ended(reason or self._reason, tripped, self._seconds, list(self._failed_at_end))
 
     def unknown_states(self) -> list[str]:
         """Those states in use that have no fresh value."""

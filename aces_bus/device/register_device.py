@@ -186,26 +186,26 @@ class RegisterDevice(Device):
 
     # ------------------------------------------------------------------ by name
 
-    def read(self, first: str, last: str | None = None, *, raw: bool = False) -> Job:
-        """Ask for a register, or for all from `first` to `last` in one request.
+    def read(self, name: str, last: str | None = None, *, raw: bool = False) -> Job:
+        """Ask for a register, or for all from it to `last` in one request.
 
         The result is the value in the sheet's unit (`raw`: the number), or a dict of them by name. Raises
         `UnknownNameError` and `CallerError`; fails with `NoReplyError`, or `DeviceError` when the device refuses.
         """
-        span, fields = self._span(first, last or first)
-        self._must_answer(f"reading {first}")
+        span, fields = self._span(name, last or name)
+        self._must_answer(f"reading {name}")
 
         def steps(job: Job) -> Steps:
             record = yield self._ask(self._read_message, span, **fields)
-            self._raise_refusal(record, f"reading {first}")
+            self._raise_refusal(record, f"reading {name}")
             data = getattr(record, self.payload)
             found: dict[str, Any] = {}
             for at, codec in span.codecs:
                 (number,) = codec.unpack_from(data, at)
                 found[codec.name] = number if raw else codec.value(number)
-            return found if last is not None else found[first]
+            return found if last is not None else found[name]
 
-        return self.job(f"read {first}", steps)
+        return self.job(f"read {name}", steps)
 
     def read_all(self, *, raw: bool = False) -> Job:
         """The whole table, in one request: name → value."""

@@ -145,11 +145,12 @@ class Coverage:
         if named is None:
             named = self._named[message] = _named(message)
         for field in message.fields:
-            value = getattr(record, field, None)
+            value: Any = getattr(record, field, None)
             what = f"{message.name}.{field}" if value is not None else f"{message.name}.{field} (absent)"
             self.reached[protocol, "field", what] += 1
             if field in named:
-                for one in value if isinstance(value, (list, tuple)) else (value,):
+                values: Any = value if isinstance(value, (list, tuple)) else (value,)
+                for one in values:
                     if (text := named[field].get(one)) is not None:
                         self.reached[protocol, "value", f"{message.name}.{field}={text}"] += 1
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import construct as c
+import msgspec
 
 from ..errors import AcesError, CallerError, CaptureError
 from ..frame import Frame
@@ -250,7 +251,8 @@ def _loaded(said: Any) -> Loaded:
 def _word(said: Any) -> Any:
     if isinstance(said, str):
         return bytes.fromhex(said)
-    return Frame(**{**said, "data": bytes.fromhex(said.get("data", ""))})
+    about: dict[str, Any] = {**said, "data": bytes.fromhex(said.get("data", ""))}
+    return msgspec.convert(msgspec.to_builtins(Frame(**about)), Frame)  # a frame of other types raises
 
 
 def _packet(bench: Bench, said: Mapping[str, Any]) -> Packet | None:

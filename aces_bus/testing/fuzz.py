@@ -158,7 +158,7 @@ class Fuzzer:
     # ------------------------------------------------------------------ running
 
     def run(self, examples: int, first: int = 0, *, most: int | None = None) -> list[Failure]:
-        """Judge `examples` examples from number `first` on; the failures among them, shrunk. It ends with `most` failures."""
+        """Judge `examples` examples from number `first` on; gives the failures among them. It ends with `most` failures."""
         before = len(self.failures)
         for number in range(first, first + examples):
             if most is not None and len(self.failures) >= most:

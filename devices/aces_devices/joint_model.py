@@ -29,8 +29,8 @@ AMBIENT = 25.0
 class Motor:
     """A motor with its gear, on the joint's side.
 
-    `speed`: without load at full duty (rad/s); `time_constant`: of that speed (s); `stall_current`: at full duty, blocked (A);
-    `friction`: the share of the full duty that Coulomb friction takes; `heating`: °C/s for each A²; `cooling`: s.
+    `speed`: without load at full duty (rad/s); `time_constant`: of that speed (s); `stall_current`: at full duty, blocked
+    (A); `friction`: the share of the full duty that Coulomb friction takes; `heating`: °C/s for each A²; `cooling`: s.
     """
 
     speed: float = 6.0

@@ -5,15 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 import msgspec
 import pytest
 
 from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Device, DeviceConfig, Robot, Twin, load_robot, parse_robot
+from aces_bus.device import DeviceConfig, Robot, load_robot, parse_robot
 from aces_bus.errors import FieldError
 from aces_bus.frame import Frame
 from aces_bus.hardware.wire import Recorder
@@ -26,6 +27,7 @@ from aces_devices.hubo_motor.shapes import SHAPES
 from aces_protocols.hubo.spec import hubo
 
 
+@cache
 def made(text: str) -> Robot:
     robot, problems = parse_robot(text, "test.toml")
     assert robot is not None, problems
@@ -34,14 +36,14 @@ def made(text: str) -> Robot:
 
 def one_board(board: int, kind: int | str, dialect: str, joints: str = "", settings: str = "{}") -> Robot:
     channels = kind if isinstance(kind, int) else 3
-    named = f', kind = "{kind}"' if isinstance(kind, str) else ""
+    kinds = f"channels = {channels}" + (f', kind = "{kind}"' if isinstance(kind, str) else "")
     return made(
         f"""
 name = "one"
 [buses]
 can = {{ link = "can", protocol = "hubo", dialect = "{dialect}" }}
 [devices]
-B = {{ driver = "hubo_motor", bus = "can", credentials = {{ board = {board} }}, channels = {channels}{named}, settings = {settings} }}
+B = {{ driver = "hubo_motor", bus = "can", credentials = {{ board = {board} }}, {kinds}, settings = {settings} }}
 [joints]
 {joints}
 """
@@ -75,7 +77,7 @@ class Bench:
 
 
 @contextmanager
-def bench(robot: Robot) -> Iterator[Bench]:
+def bench(robot: Robot) -> Generator[Bench]:
     with VirtualRobot(robot, load=lambda _: driver) as virtual:
         yield Bench(virtual)
 
@@ -121,13 +123,13 @@ def play(b: Bench, message: Message, example: Example) -> tuple[list[str], list[
     """Have the one end send an example: what stood on the wire, and what the other end read."""
     fields = {name: value for name, value in example.fields.items() if name != "board"}
     host = b.robot.rig.hosts["can"]
-    end: Device | Twin = b.twin if message.direction == "to device" else b.device
+    end: Any = b.twin if message.direction == "to device" else b.device
     heard: list[Any] = []
-    receive = type(end).receive
+    receive = end.receive
 
     def note(record: Any, instant: int) -> None:
         heard.append(record)
-        receive(end, record, instant)
+        receive(record, instant)
 
     if example.request is not None:
         request = Frame(example.request.identifier or 0, example.request.data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_protocols.hubo.spec import hubo
 
 
+@cache
 def robot_of(text: str) -> Robot:
     robot, problems = parse_robot(text, "test.toml")
     assert robot is not None, problems

@@ -319,6 +319,10 @@ def test_a_new_id_is_used_at_once() -> None:
             device.set_id(2, confirm=True)
         with pytest.raises(FieldError):
             device.set_id(254, confirm=True)
+        robot.rig.hosts["line"].remove("S2")  # still there, and not in this program
+        with pytest.raises(DeviceError, match="answers to id 2 already"):
+            device.set_id(2, confirm=True).wait()
+        assert robot.twins["S1"]["id"] == 1
         device.set_id(9, confirm=True).wait()
         assert robot.twins["S1"]["id"] == 9
         missed = robot.rig.hosts["line"].counts.missed
@@ -333,7 +337,7 @@ def test_another_speed_and_the_factorys_make_it_deaf_here() -> None:
         robot.advance(0.1)
         one, two = robot.devices["S1"], robot.devices["S2"]
         with pytest.raises(CallerError, match="confirm"):
-            two.factory_reset()
+            two.factory_reset(confirm=False)
         one.set_baud(500_000, confirm=True).wait()
         two.factory_reset(confirm=True).wait()
         robot.advance(0.5)

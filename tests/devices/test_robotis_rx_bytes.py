@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from aces_bus.assembly import VirtualRobot
 from aces_bus.capture import open_capture
@@ -156,6 +158,8 @@ def test_checksums_that_the_manual_prints_wrongly() -> None:
         ("FF FF 01 04 02 2B 0A C3", "FF FF 01 02 08 F4"),  # a Read beyond the table: range
         ("FF FF 01 04 03 19 02 DC", "FF FF 01 02 08 F4"),  # LED 2
         ("FF FF 01 04 03 2B 20 AC", "FF FF 01 02 08 F4"),  # present temperature can only be read
+        ("FF FF 01 04 03 25 01 D1", "FF FF 01 02 08 F4"),  # nor its upper half
+        ("FF FF 01 04 03 1F 03 D5", "FF FF 01 02 02 FA"),  # the upper half of a goal: 768 and what was there
         ("FF FF 01 05 03 1E 90 03 45", "FF FF 01 02 02 FA"),  # a goal beyond the angle limit
         ("FF FF FE 02 01 FE", "FF FF 01 02 00 FC"),  # a Ping to everybody is answered
         ("FF FF FE 04 02 2B 01 CF", ""),  # a Read to everybody is not
@@ -165,9 +169,26 @@ def test_checksums_that_the_manual_prints_wrongly() -> None:
 def test_what_a_servo_answers(request_: str, answer: str) -> None:
     """Each error bit, and who is not answered."""
     line = Line(1)
-    line.twins["S1"]["ccw_angle_limit"] = 800
+    line.twins["S1"]["ccw_angle_limit"] = 700
     line.host.port.send(bytes.fromhex(request_))
     assert line.said()[1] == answer
+
+
+@settings(max_examples=30)
+@given(st.lists(st.binary(min_size=1, max_size=300), max_size=4), st.booleans())
+def test_no_bytes_stop_a_line(pieces: list[bytes], framed: bool) -> None:
+    """Whatever stands on the line, from either side, driver and twin go on."""
+    line = Line(1)
+    for piece in pieces:
+        if framed:
+            body = bytes((1, min(len(piece), 250) + 1)) + piece[:250]
+            piece = b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+        line.host.port.send(piece)
+        line.robot.simulation.buses["line"].port.send(piece)
+        line.robot.advance(0.1)
+    twin = line.twins["S1"]
+    assert len(twin.table) == 50
+    assert twin["goal_position"] <= 1023
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])

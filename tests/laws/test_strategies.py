@@ -77,7 +77,9 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
             decoded += scanner.counts.decoded
             total += scanner.counts.total
         assert 0.3 < decoded / total < 0.95
-        assert len(reasons) >= 2
+        # Where every byte alone is a packet nothing is skipped and nothing is malformed.
+        bare = all(m.framing is not None and m.framing.max_size == 1 for m in variant.facing(direction))
+        assert len(reasons) >= (1 if bare else 2)
 
 
 def test_a_wire_shrinks_to_little() -> None:

@@ -328,3 +328,18 @@ def test_a_scaled_number_of_64_bits_is_sent_exactly() -> None:
     made.message("Exact", id=1, payload=Struct("n" / Quantity(Int64ul, scale=2, offset=1)))
     raw = (1 << 64) - 3
     assert bytes(made.encode("Exact", n=2 * raw + 1).data) == raw.to_bytes(8, "little")
+
+
+@pytest.mark.parametrize("size", [2, 3, 4, 8])
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_layouts_only_field_keeps_its_byte_order(size: int, *, signed: bool) -> None:
+    """A field that filled a layout of order "msb" was taken for little-endian bytes, live and in columns."""
+    made = Protocol("full", link="can")
+    made.message("Full", id=1, payload=BitLayout(size, "a" / bits(8 * size, signed=signed), order="msb"))
+    data = bytes(range(0x81, 0x81 + size))
+    wanted = int.from_bytes(data, "big", signed=signed)
+    (record,) = made.scanner().feed([Frame(1, data)])
+    assert record.a == wanted
+    assert made.decode([Frame(1, data)])["Full"]["a"].values.tolist() == [wanted]
+    assert bytes(made.encode("Full", a=wanted).data) == data
+    assert made["Full"].payload.parse(data).a == wanted

@@ -22,7 +22,8 @@ from construct import Byte, Int16ul, Struct, this
 from aces_bus.protocol import Enumeration, Protocol, Sum
 
 good = Protocol("good", link="serial", dialects={"a": "one", "b": "other"})
-packet = good.framing(sync=b"\\xaa", header=Struct("length" / Byte, "kind" / Byte), size=this.length + 4, max_size=40, check=Sum())
+head = Struct("length" / Byte, "kind" / Byte)
+packet = good.framing(sync=b"\\xaa", header=head, size=this.length + 4, max_size=40, check=Sum())
 packet("Level", match={"kind": 1}, payload=Struct("level" / Int16ul, "mode" / Enumeration(Byte, off=0, on=1)))
 packet("Reset", match={"kind": 2}, dialect="b")
 """

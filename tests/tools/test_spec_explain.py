@@ -86,6 +86,18 @@ def test_a_frame_of_a_recording(aces: Aces, tmp_path: Path) -> None:
     assert "has 52 frames" in aces("spec", "explain", "hubo", file, "--at", "52").err
 
 
+def test_a_frame_far_into_a_recording(aces: Aces, tmp_path: Path) -> None:
+    """Frames are read one by one, whatever the recording's size; standard input and packed files too."""
+    import gzip
+
+    file = tmp_path / "long.log.gz"
+    line = "(0.0) can0 063#78000000FCFFFFFF\n"
+    file.write_bytes(gzip.compress((line * 60_000 + "(0.1) can0 064#01000000FCFFFFFF\n").encode(), 1))
+    result = aces("spec", "explain", "hubo", file, "--at", "60000")
+    assert result.status == 0
+    assert "→ hubo.Encoder(board=4, position=[1, -4])" in result.out
+
+
 def test_both_directions_of_a_recording(aces: Aces, tmp_path: Path) -> None:
     """A log that says which way bytes went has a stream each way; what was asked is no part of the replies' offsets."""
     file = tmp_path / "session.slog"

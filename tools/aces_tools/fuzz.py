@@ -5,9 +5,9 @@
   aces fuzz hubo --law oracle --law 3 --seed 7 --examples 100000
   aces fuzz my_spec.py --corpus fuzz/ --json
 
-Each example is a scene: valid packets, damaged ones, garbage, silences, requests
-of ours, cut into chunks; all laws (docs/fuzzing.md) are asked of it. A scene that
-breaks one is made as small as it can be, drawn, and saved as a capture.
+Each example is a scene: valid packets, damaged ones, garbage, silences, our own
+requests, cut into chunks; all laws (docs/fuzzing.md) are asked of it. A scene
+that breaks one is made as small as it can be, drawn, and saved as a capture.
 """
 
 from __future__ import annotations

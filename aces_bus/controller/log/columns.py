@@ -84,6 +84,10 @@ def check_columns(where: str, names: Iterable[str]) -> None:
         raise CallerError(f"{where}: {len(listed)} columns; a log has at most {MOST_COLUMNS}")
     seen: set[str] = set()
     for name in listed:
+        if not name.isprintable() or len(name) > LONGEST_NAME:
+            raise CallerError(
+                f"{where}: {name[:80]!r} cannot be the name of a column; give the state another"
+            )
         # As SQLite compares them.
         key = name.casefold()
         if key in seen or key == "time":
@@ -95,7 +99,7 @@ def check_columns(where: str, names: Iterable[str]) -> None:
 def number_of(value: Any) -> float:
     """A value as a float, NaN when it is none that is finite."""
     if value.__class__ is float:
-        return value if -_INFINITY < value < _INFINITY else NAN  # type: ignore[no-any-return]
+        return value if -_INFINITY < value < _INFINITY else NAN
     if value is None:
         return NAN
     try:

@@ -4,8 +4,8 @@
    closed, with all rows, and the journal goes.
 2. Whoever was killed leaves the journal: `read_log("walk.parquet")` reads it, `recover` makes the Parquet file of it.
 
-Columns `time` (float64, seconds since the start) and the log's own, null where unknown; units in the fields' metadata, the rest
-as JSON under `aces_log` in the schema's. Needs the extra `[columns]` (pyarrow).
+Columns `time` (float64, seconds since the start) and the log's own, null where unknown; units in the fields' metadata, the
+rest as JSON under `aces_log` in the schema's. Needs the extra `[columns]` (pyarrow).
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def recover(path: str) -> int:
                 schema,
                 compression="zstd",
                 use_dictionary=False,
-                column_encoding={name: "BYTE_STREAM_SPLIT" for name in schema.names},
+                column_encoding=dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT"),
             ) as writer:
                 kept: list[Any] = []
                 waiting = 0

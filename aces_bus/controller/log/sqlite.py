@@ -4,8 +4,8 @@
    opens the database next finds them.
 2. When the log is closed there is one file, without a write-ahead log beside it.
 
-`log(time REAL, "RHY" REAL, "RHY(rate)" REAL, …)`: seconds since the start, and NULL for unknown. `columns(place, name, state,
-attribute, unit)`, `about(key, value)`: robot, rate_hz, clock, start_ns, wall_ns (ns since 1970), and all of it as JSON.
+`log(time REAL, "RHY" REAL, "RHY(rate)" REAL, …)`: seconds since the start, and NULL for unknown. `columns(place, name,
+state, attribute, unit)`, `about(key, value)`: robot, rate_hz, clock, start_ns, wall_ns (ns since 1970), and all of it as JSON.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ class SqliteSink(Sink):
         run("BEGIN")
         columns = "".join(f", {quoted(name)} REAL" for name in about.names)
         run(f"CREATE TABLE log (time REAL NOT NULL{columns})")
-        run("CREATE TABLE columns (place INTEGER PRIMARY KEY, name TEXT, state TEXT, attribute TEXT, unit TEXT)")
+        run(
+            "CREATE TABLE columns (place INTEGER PRIMARY KEY, name TEXT, state TEXT, attribute TEXT, unit TEXT)"
+        )
         run("CREATE TABLE about (key TEXT PRIMARY KEY, value)")
         self._database.executemany(
             "INSERT INTO columns VALUES (?, ?, ?, ?, ?)",

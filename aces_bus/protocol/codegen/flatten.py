@@ -455,7 +455,10 @@ class _Builder:
         bits = tuple(8 * self.offset + q for q in slot.positions)
         if not inner.is_float:
             kind: Any = "int" if inner.signed else "uint"
-            return p.Scalar(kind, self.offset, layout.size, "little", bits, tuple(steps), unit), doc
+            # A field that is its whole layout may be plain bytes, the highest first.
+            is_big = layout.size > 1 and bits == p.big_endian_bits(self.offset, layout.size)
+            way: Any = "big" if is_big else "little"
+            return p.Scalar(kind, self.offset, layout.size, way, bits, tuple(steps), unit), doc
         start, size = min(bits) // 8, len(bits) // 8
         for order in ("little", "big"):
             if bits == _int_bits(start, size, order):

@@ -77,7 +77,7 @@ class Scalar:
         run = tuple(range(8 * self.offset, 8 * (self.offset + self.size)))
         if self.bits == run:
             return self.order == "little" or self.size == 1
-        return self.bits == big_endian_bits(self.offset, self.size)
+        return self.order == "big" and self.bits == big_endian_bits(self.offset, self.size)
 
 
 def big_endian_bits(offset: int, size: int) -> tuple[int, ...]:

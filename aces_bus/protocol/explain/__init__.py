@@ -7,7 +7,7 @@
 >>> attempt.verdict, [step.what for step in attempt.steps]
 ('Ping', ['sync', 'sync', 'id', 'length', 'instruction', 'check'])
 >>> sorted(death.template for death in attempt.steps[3].died)
-['Read', 'RegWrite', 'SyncWrite', 'Write']
+['Read', 'RegWrite', 'Write']
 """
 
 from __future__ import annotations

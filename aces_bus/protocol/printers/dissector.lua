@@ -329,7 +329,7 @@ local function read(message, bytes, size, id, extra)
   if message.id and not captured(message.id, id, values) then return nil end
   for _, constant in ipairs(message.constants) do
     local byte = bytes[constant[1]]
-    if byte and both(byte, constant[2]) ~= constant[3] then return nil end
+    if byte and (constant[2] == 255 and byte or both(byte, constant[2])) ~= constant[3] then return nil end
   end
   for _, one in ipairs(message.one_of) do
     if one.last < size and not is_among(number(bytes, one.pieces), one.values) then return nil end

@@ -29,6 +29,7 @@ class ImuBoard(SensorBoard):
             self.ask_for(Poll("SensorRequestD08", reply="ImuD08", fields={"mode": "all"}))
             self.motion_of_old(sensor)
             return
+        self.lacks("init")
         self.ask_for(Poll("ImuRequest", reply="Imu", fields={"select": "imu"}))
         self.axes(sensor, "Imu", [(name, name, unit, _DEGREE) for name, unit in MOTION])
 

@@ -3,10 +3,10 @@
 1. The joint is where it is; the encoder counts from wherever it was when the power came. A home search finds the true zero.
 2. All that happens, happens at whole milliseconds: nothing depends on when somebody looks.
 
-The home switch and the index are placed so that a search with the robot file's offset and direction ends at the joint's true
-zero: index = −offset in raw counts, the switch half a motor turn before it, active on the side that the search goes to. Where
-the file has none (D12: they live in the board), they are 0.2 rad from zero, or half way to a nearer stop, searched clockwise.
-Raw counts grow counter-clockwise.
+The home switch and the index are placed so that a search with the robot file's offset and direction ends at the joint's
+true zero: index = −offset in raw counts, the switch half a motor turn before it, active on the side that the search goes
+to. Where the file has none (D12: they live in the board), they are 0.2 rad from zero, or half way to a nearer stop,
+searched clockwise. Raw counts grow counter-clockwise.
 """
 
 from __future__ import annotations
@@ -200,9 +200,7 @@ class Channel:
     def apply(self, now: int) -> None:
         """Make the joint do what switches, mode and set-points say."""
         joint = self.joint
-        if self.search is not None:
-            joint.free(now)
-        elif not self.driver_on:
+        if self.search is not None or not self.driver_on:
             joint.free(now)
         elif self.pwm is not None:
             most = self.stored.max_pwm / 100

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Poll
@@ -45,7 +45,7 @@ class BoardCore(Device):
     """What all parts of the driver share: the channels, what is heard of them, what they are to be told."""
 
     protocol = "hubo"
-    streams: ClassVar[tuple[str, ...]] = (
+    streams: ClassVar[Collection[str]] = (
         "Reference",
         "Reference3D08",
         "ReferenceHand",
@@ -92,7 +92,7 @@ class BoardCore(Device):
         self._filtering = False
         self._held_until = 0
         #: The message of set-points while enabled: positions, or duties for boards whose joints are commanded so.
-        self.set_message = self._declare_signals()
+        self.set_message: str | None = self._declare_signals()
         self._hearers: dict[str, Callable[[Any, int], None]] = {}
         self._declare_polls(settings)
 
@@ -517,13 +517,18 @@ class BoardCore(Device):
         until = self.clock.now() + round(duration_s * 1e9)
         if until > self._held_until:
             self._held_until = until
-            if self.set_message is not None and self.set_message == self.shape.reference:
+            if self.set_message is not None and self.follows:
                 self.hold(self.set_message, duration_s)
+
+    @property
+    def follows(self) -> bool:
+        """Whether its set-points are references, not duties."""
+        return self.set_message is not None and self.set_message != self.shape.pwm
 
     def quiet(self) -> None:
         """No set-points any more."""
         self.is_streaming = self.is_enabled = self.is_compliant = self._filtering = False
-        for message in (self.shape.reference, self.shape.pwm):
+        for message in (self.set_message, self.shape.pwm):
             if message is not None:
                 self.drop(message)
         self._awaited.clear()

@@ -23,12 +23,14 @@ _D12 = {
     "parameters": "read all that is stored in the board",
     "set_parameters": "write stored parameters of a joint or the board, name=value",
     "set_limits": "the board's own position limits, lower= upper= (rad)",
+    "override_gains": "scale the gains of the first two motors, in %",
     "switching_mode": "free_wheeling=True: the motor turns freely",
     "beep": "beep for some seconds",
     "alarm": "alarm sound 1 to 4; 0 is silence",
     "initialise": "load the board's defaults, confirm=True; its calibration is lost",
     "set_board_number": "give the board another number, confirm=True",
 }
+_INFO = {"board_info": "ask the board what it is; tells it its period"}
 _COMPLIANCE = {"set_compliance": "let the joints give way (on), or be rigid again (off)"}
 
 
@@ -48,6 +50,8 @@ class HuboMotor(Homing, Compliance):
             actions |= _ZERO
         if self.dialect == "D12" and self.kind != "neck":
             actions |= _D12
+        if self.knows_name():
+            actions |= _INFO
         soft = [axis.joint.compliance is not None for axis in self.axes if axis.joint is not None]
         if (
             self.dialect == "D12"

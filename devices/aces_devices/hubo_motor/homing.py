@@ -93,7 +93,7 @@ class Homing(BoardCore):
     def _arrived(self, axes: list[Axis]) -> None:
         """Set-points are zero now."""
         for axis in axes:
-            if self.is_streaming and axis.joint is not None and self.set_message == self.shape.reference:
+            if self.is_streaming and axis.joint is not None and self.follows:
                 self.give(axis, axis.to_counts(0.0))
 
     # ------------------------------------------------------------------ D12
@@ -107,7 +107,7 @@ class Homing(BoardCore):
             yield self.tell("Home", channel="all" if whole else f"channel_{axis.channel}")
         if self.kind == "hand":
             for _ in range(2):
-                yield self.tell("ControlMode", mode="hybrid")
+                yield self.tell("ControlMode", mode=self.hand_mode)
         first = {axis.channel: axis.count for axis in axes}
         moved: set[int] = set()
         waiting, rested = list(axes), dict.fromkeys((axis.channel for axis in axes), began)
@@ -211,7 +211,8 @@ class Homing(BoardCore):
             yield self.tell("DriverSwitch", state="on")
             yield self.tell("ControlOn")
         status = self.shape.status
-        assert status is not None and self.shape.home is not None
+        assert status is not None
+        assert self.shape.home is not None
         for done, axis in enumerate(axes):
             tries = self.tries()
             for attempt in range(1, tries + 1):
@@ -249,7 +250,7 @@ class Homing(BoardCore):
     def zero_encoder(self, joint: str | None = None) -> Job:
         """Make the present position of a joint, or of all, the encoder's zero. Errors are cleared too (D12)."""
         axes = self.chosen(joint)
-        if self.kind in ("neck", 5) and not self.shape.gains:
+        if self.kind == "neck" or not self.shape.encoders:
             raise CallerError(f"{self.name} (kind {self.kind}) has no encoder to set to zero")
 
         def steps(job: Job) -> Steps:

@@ -77,8 +77,8 @@ def scan(host: Any, job: Job) -> Steps:
 
     def unknown(word: Any, instant: int) -> None:
         identifier = word.meta.identifier
-        for base in (_ENCODER, _STATUS) if identifier is not None else ():
-            probe = probes.get(identifier - base)
+        for base in (_ENCODER, _STATUS):
+            probe = None if identifier is None else probes.get(identifier - base)
             if probe is not None:
                 probe.is_there = True
                 if base == _ENCODER:
@@ -98,9 +98,7 @@ def scan(host: Any, job: Job) -> Steps:
         host.unknown_handlers.remove(unknown)
         for probe in probes.values():
             host.remove(probe.name)
-    found = [
-        config for board, config in own.items() if config.driver == "hubo_motor" and _is_heard(host, config)
-    ]
+    found = [config for config in own.values() if config.driver == "hubo_motor" and _is_heard(host, config)]
     for board, probe in probes.items():
         if probe.is_there:
             found.append(_config(host, board, probe, table.get(board), dialect))
@@ -109,15 +107,17 @@ def scan(host: Any, job: Job) -> Steps:
 
 def _requests(dialect: str, host: Any) -> list[tuple[str, dict[str, Any] | None]]:
     """What is asked, in order; None: of those that have not answered, with the period."""
+    asked: list[tuple[str, dict[str, Any] | None]]
     if dialect == "D12":
-        asked: list[tuple[str, dict[str, Any] | None]] = [
+        asked = [
             ("SendEncoder", {"selector": "normal"}),
             ("SendEncoder", {"selector": "upper"}),
             ("SendStatus", {}),
         ]
         # Twice: a bus loses words.
         return [*asked, *asked, ("GetBoardInfo", None)]
-    return [("SendEncoderD08", {}), ("SendStatus", {})] * 2 + [("NameInfo5", None)]
+    asked = [("SendEncoderD08", {}), ("SendStatus", {})]
+    return [*asked, *asked, ("NameInfo5", None)]
 
 
 def _tell(probe: _Probe, message: str, fields: dict[str, Any] | None) -> None:

@@ -24,9 +24,23 @@ PAUSE = 2_000_000
 class Switching(BoardCore):
     """Enable, disable, gains, modes."""
 
+    _enable_job: Job | None = None
+
     def enable(self) -> Job:
         """Follow set-points from now on, beginning where the joints are. Waits for a hold-off to end."""
-        return self.job("enable", self._enabling)
+        self._stop_enabling()
+        self._enable_job = self.job("enable", self._enabling)
+        return self._enable_job
+
+    def _stop_enabling(self) -> None:
+        if self._enable_job is not None:
+            self._enable_job.cancel()
+            self._enable_job = None
+
+    @property
+    def hand_mode(self) -> str:
+        """What a DRC-Hubo hand's fingers are given: currents (hybrid), or positions."""
+        return "position" if self.set_message == "ReferenceHandPosition" else "hybrid"
 
     def _enabling(self, job: Job) -> Steps:
         shape = self.shape
@@ -47,7 +61,7 @@ class Switching(BoardCore):
             yield self.tick_ns()
         job.progress, job.text = 0.6, "switches"
         if self.kind == "hand":
-            yield self.tell("ControlMode", mode="hybrid")
+            yield self.tell("ControlMode", mode=self.hand_mode)
         if shape.has_driver_switch:
             yield self.tell("DriverSwitch", state="on")
         if shape.has_switches:
@@ -61,7 +75,7 @@ class Switching(BoardCore):
         if self.set_message == self.shape.pwm:
             return 0
         if self.shape.references[axis.channel].startswith("finger"):
-            return 0.0
+            return 0.0 if self.hand_mode == "hybrid" else 0
         if self.kind == "neck":
             return self._neck(axis)(axis.to_rad(axis.count or 0))
         return axis.count or 0
@@ -78,6 +92,7 @@ class Switching(BoardCore):
 
     def _seeing_enabled(self, job: Job) -> Steps:
         assert self.shape.status is not None
+        off: list[str] = []
         for _ in range(10):
             yield 2 * PAUSE
             yield self.ask("SendStatus", reply=self.shape.status.reply)
@@ -99,8 +114,7 @@ class Switching(BoardCore):
             yield self.ask(self.shape.name_info or "", reply="NameInfoReply", **fields)
         for axis in self.axes:
             if axis.joint is not None and axis.joint.gains is not None:
-                for ticket in self._gain_tickets(axis, None, None, None, False):
-                    yield ticket
+                yield from self._gain_tickets(axis, None, None, None, False)
 
     def _name_info(self) -> dict[str, Any] | None:
         period = self.config.settings.get("period_ms")
@@ -120,7 +134,29 @@ class Switching(BoardCore):
         ):
             return None
         # A one-channel board has places for two.
-        return {"period": int(period), "limit": (turns + [0])[:2], "z_phase": (phases + [0])[:2]}
+        return {"period": int(period), "limit": [*turns, 0][:2], "z_phase": [*phases, 0][:2]}
+
+    def board_info(self) -> Ticket:
+        """Ask the board what it is; the answer (period, and what else it says) is the ticket's result.
+
+        The question also tells the board its period, from `period_ms` or the host's rate; in D08 also search limits and
+        index counts, which the robot's file must know. Raises `CallerError` where it does not.
+        """
+        if self.shape.name_info is None:
+            rate = self.host.rate_hz
+            usual = 5 if rate is None else max(1, min(255, round(1000 / rate)))
+            period = int(self.config.settings.get("period_ms", usual))
+            return self.ask("GetBoardInfo", reply="BoardInfo", period=period)
+        fields = self._name_info()
+        if fields is None:
+            raise CallerError(
+                f"{self.name}: NameInfo needs period_ms, and search_turns and z_phase of its joints"
+            )
+        return self.ask(self.shape.name_info, reply="NameInfoReply", **fields)
+
+    def knows_name(self) -> bool:
+        """Whether `board_info` can be asked."""
+        return self._name_info() is not None if self.shape.name_info is not None else self.kind != "neck"
 
     def disable(self) -> Job:
         """Control off, then drivers off; set-points are forgotten."""
@@ -137,6 +173,7 @@ class Switching(BoardCore):
 
     def stop_motion(self) -> Ticket | None:
         """No set-points any more, control off (duty off for boards without that), at once."""
+        self._stop_enabling()
         self.stop_homing()
         was_compliant = self.is_compliant
         self.quiet()
@@ -222,6 +259,11 @@ class Switching(BoardCore):
         for path, value in given.items():
             if self.is_streaming:
                 self.want_raw(other, path, value if path == "position" else 0)
+
+    def override_gains(self, first: int, second: int, seconds: float = 0.0) -> Ticket:
+        """Scale the gains of channels 0 and 1, in %, within so much time (D12; hubo-ach never tried it)."""
+        self.only_d12("a gain override")
+        return self.tell("GainOverride", gain=[first, second], time=round(1000 * seconds))
 
     def switching_mode(self, *, free_wheeling: bool) -> Ticket:
         """Non-complementary switching lets a motor wheel freely (D12)."""

@@ -59,10 +59,16 @@ class SensorBoard(Device):
         if sensor is not None and sensor.matrix is not None:
             self.made_of["ImuD08"] = self.products(sensor, MOTION[: len(sensor.matrix)])
 
+    def lacks(self, *actions: str) -> None:
+        """Offer fewer actions than the class: these mean nothing to this board."""
+        vars(self)["actions"] = {name: doc for name, doc in self.actions.items() if name not in actions}
+
     def ask_for(self, *polls: Poll) -> None:
         """Poll for these, and let values be stale after five polls."""
         self.polls = polls
         self.alarms, self.made_of = set(), {}
+        if not self.is_old:
+            self.lacks("offsets")
         every = max((p.every_s for p in polls if p.every_s), default=None)
         period = every or (1 / self.host.rate_hz if self.host.rate_hz else 0.0)
         #: How old a value may be (s).

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Job, Poll, Steps
 from aces_bus.device.register_device import RegisterDevice
-from aces_bus.errors import CallerError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_protocols.robotis.control_table import ANGLE, ERRORS, SPEED
 from aces_protocols.robotis.spec import BROADCAST, control_table
 
@@ -82,7 +82,12 @@ class RobotisRX(RegisterDevice):
         "disable": "switch the torque off",
         "stop_motion": "hold the present position, or release the torque (setting `stop`)",
         "ping": "ask whether it is there; the names of its errors",
+        "read": "read a register, or all from it to `last`",
         "read_all": "read the whole control table",
+        "write": "write a register; what survives power-off with confirm=true",
+        "set_id": "give it another id, and see that it answers to it",
+        "set_baud": "give it another line speed; it is deaf on this line from then on",
+        "factory_reset": "everything as from the factory, id and line speed too",
     }
 
     # ------------------------------------------------------------------ declaration
@@ -198,7 +203,9 @@ class RobotisRX(RegisterDevice):
         self.register_signal("moving", "moving", to_si=bool, doc="Whether it is on its way.", **rest)
         own: dict[str, Any] = {"stale_s": slow}
         self.register_signal("temperature", "present_temperature", unit="°C", doc="Inside the servo.", **own)
-        self.register_signal("voltage", "present_voltage", unit="V", doc="Supply.", **own)
+        self.register_signal(
+            "voltage", "present_voltage", to_si=lambda raw: raw / 10, unit="V", doc="Supply.", **own
+        )
         self.register_signal(
             "torque_limit",
             "torque_limit",
@@ -404,6 +411,9 @@ class RobotisRX(RegisterDevice):
             )
 
         def steps(job: Job) -> Steps:
+            if number == self.credentials["id"]:
+                return
+            yield from self._is_free(number)
             # Which of its two ids acknowledges is not stated: the new one is asked.
             yield from self._try("Write", start=codec.address, data=data)
             self.host.renumber(self, id=number)
@@ -412,6 +422,17 @@ class RobotisRX(RegisterDevice):
 
         return self.job(f"set id {number}", steps)
 
+    def _is_free(self, number: int) -> Steps:
+        """Steps that fail when somebody answers to an id."""
+        probe = self.host.probe("robotis", id=number)
+        try:
+            yield probe.ask("Ping", reply=self.reply, timeout_s=self.timeout_s, retries=1)
+        except NoReplyError:
+            return
+        finally:
+            self.host.remove(probe.name)
+        raise DeviceError(f"{self.name}: a servo answers to id {number} already: two would answer")
+
     def set_baud(self, baud: float, *, confirm: bool = False) -> Job:
         """Give the servo another line speed. It is deaf here from then on: open the line at that speed."""
         codec = self.codec("baud_rate")
@@ -419,7 +440,7 @@ class RobotisRX(RegisterDevice):
         self.check_write("baud_rate", confirm)
         return self._told_and_forgotten("set baud", "Write", start=codec.address, data=data)
 
-    def factory_reset(self, *, confirm: bool = False) -> Job:
+    def factory_reset(self, *, confirm: bool) -> Job:
         """Everything as from the factory: id 1, 57 600 baud. It is another servo from then on: scan for it."""
         if not confirm:
             raise CallerError(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from struct import Struct
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from aces_bus.device import Twin, on
 from aces_bus.errors import CallerError
@@ -37,27 +37,47 @@ UNLOCKED = range(0x18, 0x24)
 PING, READ, WRITE = 1, 2, 3
 
 
-def _layout() -> dict[int, tuple[str, int, int, int, bool]]:
-    """By address: name, size, least and greatest raw number, whether it can be written."""
-    found: dict[int, tuple[str, int, int, int, bool]] = {}
+RANGE = 1 << ERRORS["range"]
+
+
+class Cell(NamedTuple):
+    """One register in the table: where, how, which raw numbers it may be given."""
+
+    name: str
+    address: int
+    codec: Struct
+    least: int
+    most: int
+    can_write: bool
+
+
+#: The greatest raw numbers of registers whose field says which there are, not up to where.
+MOST = {
+    "torque_enable": 1,
+    "led": 1,
+    "lock": 1,
+    "status_return_level": 2,
+    "alarm_led": 0x7F,
+    "alarm_shutdown": 0x7F,
+}
+
+
+def _cells() -> dict[int, Cell]:
+    """By address; a word has two."""
+    found: dict[int, Cell] = {}
     for register in control_table.values():
         field: Any = register.field
-        low, high = 0, (1 << 8 * register.size) - 1
-        if isinstance(field, Quantity) and field.raw_range is not None:
-            low, high = field.raw_range
-        elif register.name in ("torque_enable", "led", "lock"):
-            high = 1
-        elif register.name == "status_return_level":
-            high = 2
-        elif register.name in ("alarm_led", "alarm_shutdown"):
-            high = 0x7F
-        found[register.address] = (register.name, register.size, low, high, register.access != "read")
+        most = MOST.get(register.name, (1 << 8 * register.size) - 1)
+        least, most = (isinstance(field, Quantity) and field.raw_range) or (0, most)
+        codec = Struct("<H" if register.size == 2 else "B")
+        cell = Cell(register.name, register.address, codec, least, most, register.access != "read")
+        found.update(dict.fromkeys(range(cell.address, cell.address + codec.size), cell))
     return found
 
 
-LAYOUT = _layout()
+CELLS = _cells()
 #: By name: where a register stands, and how.
-PLACES = {r.name: (r.address, Struct("<H" if r.size == 2 else "B")) for r in control_table.values()}
+PLACES = {cell.name: (cell.address, cell.codec) for cell in CELLS.values()}
 
 
 class RobotisRXTwin(Twin):
@@ -237,7 +257,7 @@ class RobotisRXTwin(Twin):
     def _read(self, request: Any) -> None:
         end = request.start + request.count
         if end > SIZE or not request.count:
-            self._status(request, READ, 1 << ERRORS["range"])
+            self._status(request, READ, RANGE)
             return
         bits = self._measure()
         self._status(request, READ, 0, bytes(self.table[request.start : end]), bits)
@@ -293,29 +313,28 @@ class RobotisRXTwin(Twin):
     # ------------------------------------------------------------------ writing
 
     def _wrong(self, start: int, data: bytes) -> int:
-        """The error bits of a write: 0 when it may be done."""
+        """The error bits of a write: 0 when it may be done. Half a word is judged by the whole that it makes."""
         end = start + len(data)
-        at = start
         if not data or end > SIZE:
-            return 1 << ERRORS["range"]
-        limits = (self["cw_angle_limit"], self["ccw_angle_limit"])
+            return RANGE
+        limits = self["cw_angle_limit"], self["ccw_angle_limit"]
+        after = self.table[:]
+        after[start:end] = data
+        at = start
         while at < end:
-            found = LAYOUT.get(at)
-            if found is None:
-                at += 1  # a hole, or the upper half of a word that is written alone
+            if self["lock"] and at not in UNLOCKED:
+                return RANGE
+            cell = CELLS.get(at)
+            if cell is None:
+                at += 1  # a hole
                 continue
-            name, size, low, high, can_write = found
-            if not can_write or (self["lock"] and at not in UNLOCKED):
-                return 1 << ERRORS["range"]
-            if at + size <= end:
-                value = int.from_bytes(data[at - start : at - start + size], "little")
-                if name == "moving_speed" and self.is_endless:
-                    high = CLOCKWISE | TOP
-                if not low <= value <= high:
-                    return 1 << ERRORS["range"]
-                if name == "goal_position" and not self.is_endless and not limits[0] <= value <= limits[1]:
-                    return 1 << ERRORS["angle_limit"]
-            at += size
+            (value,) = cell.codec.unpack_from(after, cell.address)
+            most = CLOCKWISE | TOP if cell.name == "moving_speed" and self.is_endless else cell.most
+            if not cell.can_write or not cell.least <= value <= most:
+                return RANGE
+            if cell.name == "goal_position" and not self.is_endless and not limits[0] <= value <= limits[1]:
+                return 1 << ERRORS["angle_limit"]
+            at = cell.address + cell.codec.size
         return 0
 
     def _put(self, start: int, data: bytes) -> int:

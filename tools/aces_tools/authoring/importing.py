@@ -6,9 +6,8 @@
 
 What is not taken over is said on stderr, one line each with file, line and
 column, and stands as comments at the head of the source; the rest is there.
-Senders, receivers and cycle times become text of their message. The source
-has texts of the file (names, comments, units) as Python strings
-and nothing of it as code.
+Senders, receivers and cycle times become text of their message. Text of the
+file (comments, units, names of values) is only ever a string in the source.
 """
 
 from __future__ import annotations

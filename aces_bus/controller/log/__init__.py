@@ -1,0 +1,31 @@
+"""Logs: states sampled into a file that survives a kill, and files read back, the original framework's among them.
+
+`Logger("walk.parquet", ["RHY", "RHY(rate)"], rate_hz=200)` records; `read_log("walk.parquet")["RHY"]` reads. See
+docs/logging.md.
+"""
+
+from __future__ import annotations
+
+from .base import About, Row, Sink
+from .columns import ATTRIBUTES, Column, parse_column
+from .logger import Logger
+from .parquet import recover
+from .read import read_log
+from .sinks import FORMATS, log_format
+from .table import Log, LogError
+
+__all__ = [
+    "ATTRIBUTES",
+    "FORMATS",
+    "About",
+    "Column",
+    "Log",
+    "LogError",
+    "Logger",
+    "Row",
+    "Sink",
+    "log_format",
+    "parse_column",
+    "read_log",
+    "recover",
+]

@@ -1,0 +1,234 @@
+"""What `aces spec explain` explains: frames or bytes from a recording, standard input or the command line.
+
+1. What lies before the wanted place is read by the generated scanner, which is quick; the reference reads what is
+   explained, and so much before it that replies find their requests.
+2. Memory is bounded: of a stream `LARGEST` bytes are kept, frames come one by one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from aces_bus.capture import CanCapture, SerialCapture, open_capture
+from aces_bus.errors import CallerError
+from aces_bus.protocol import Unknown, Variant, make_scanner
+from aces_bus.protocol.explain import Attempt, Tracer
+from aces_bus.protocol.lint.examples import frame_of
+from aces_bus.protocol.spec.examples import parse_word
+
+Direction = Literal["to device", "from device", "both"]
+DIRECTIONS: dict[str | None, Direction | None] = {
+    "to": "to device",
+    "from": "from device",
+    "both": "both",
+    None: None,
+}
+#: Bytes of a stream that are read; frames are read one by one.
+LARGEST = 8 * 2**20
+#: Items before the wanted one that are read anew, so that replies find their requests.
+BEFORE = 64
+#: Bytes around the wanted one that are read anew at most, beside one packet on either side.
+SPAN = 16384
+
+
+@dataclass
+class Frames:
+    """The frames of a capture, one after the other."""
+
+    variants: Sequence[Variant]
+    frames: Iterable[Any]
+    label: str = ""
+    seen: int = 0
+    is_cut: bool = False
+
+    @property
+    def counted(self) -> str:
+        return f"{self.seen} frame{'' if self.seen == 1 else 's'}"
+
+    def attempts(self, at: int | None, count: int) -> list[Attempt]:
+        """The frames from `at` on. Those before are read as fast as they can be; requests are remembered."""
+        tracer = Tracer(self.variants)
+        interesting = tracer.interesting
+        scanner: Any = make_scanner(self.variants, everything=True)
+        found: list[Attempt] = []
+        first = at or 0
+        for number, frame in enumerate(self.frames):
+            self.seen = number + 1
+            if number < first:
+                (record,) = scanner.feed([frame])
+                if type(record) is not Unknown and type(record).__name__ in interesting:
+                    tracer.frames([frame])
+                continue
+            found.append(tracer.explain_frame(frame, number))
+            if len(found) == count:
+                break
+        return found
+
+
+@dataclass
+class Stream:
+    """The bytes of one direction, with what happened between them."""
+
+    variants: Sequence[Variant]
+    direction: Direction | None
+    label: str = ""
+    data: bytearray = field(default_factory=bytearray)
+    idle_at: list[int] = field(default_factory=list)
+    sent_at: list[tuple[int, bytes]] = field(default_factory=list)
+    is_cut: bool = False
+
+    @property
+    def largest(self) -> int:
+        """Bytes of the longest packet."""
+        return max((f.max_size for v in self.variants for f in v.protocol.framings), default=0)
+
+    @property
+    def counted(self) -> str:
+        return f"{len(self.data)} byte{'' if len(self.data) == 1 else 's'}"
+
+    def attempts(self, at: int | None, count: int) -> list[Attempt]:
+        """The decisions from the one that has byte `at` on."""
+        _check_direction(self.variants, self.direction)
+        data = bytes(self.data)
+        if at is not None and at >= len(data):
+            return []
+        tracer = Tracer(self.variants, direction=self.direction)
+        start, end = self._around(at or 0, count)
+        for offset, packet in self.sent_at:
+            if offset < start:
+                tracer.sent(packet)
+        attempts = tracer.explain_stream(
+            data[start:end],
+            idle_at=[offset - start for offset in self.idle_at if start <= offset <= end],
+            sent_at=[(offset - start, packet) for offset, packet in self.sent_at if start <= offset <= end],
+            base=start,
+            # What begins near a cut may end behind it: only the scanner knows, and is not asked here.
+            wanted=range(at or 0, len(data) if end == len(data) else end - self.largest),
+        )
+        return attempts[:count]
+
+    def _around(self, at: int, count: int) -> tuple[int, int]:
+        """From where to where the reference has to read: the scanner, which is quick, finds the decisions' borders."""
+        scanner: Any = make_scanner(self.variants, direction=self.direction, everything=True)
+        last: deque[int] = deque(maxlen=BEFORE)
+        behind = 0
+        events: list[tuple[int, bytes | None]] = [(offset, None) for offset in self.idle_at]
+        events += self.sent_at
+        events.sort(key=lambda event: (event[0], event[1] is not None))
+        done = 0
+        data = bytes(self.data)
+        pieces: list[tuple[int, bytes | Literal["end"] | None]] = [*events, (len(data), "end")]
+        for offset, event in pieces:
+            while done < offset:
+                step = min(4096, offset - done)
+                for item in scanner.feed(data[done : done + step]):
+                    if item.meta.offset + item.meta.size <= at:
+                        last.append(item.meta.offset)
+                    else:
+                        behind += 1
+                done += step
+                is_enough = behind > count + 1 or done > at + SPAN
+                if is_enough and done > at + self.largest:
+                    return _begin(last, at), min(len(data), done + 2 * self.largest)
+            if event is None:
+                scanner.idle()
+            elif isinstance(event, bytes):
+                scanner.sent(event)
+        return _begin(last, at), len(data)
+
+
+def _begin(borders: Iterable[int], at: int) -> int:
+    """The first border of decisions that is near enough; else the last one before `at`."""
+    listed = list(borders)
+    return next((border for border in listed if at - border <= SPAN), listed[-1] if listed else 0)
+
+
+def _check_direction(variants: Sequence[Variant], direction: Direction | None) -> None:
+    for variant in variants if direction is None else ():
+        clash = variant.needs_direction
+        if clash is not None and variant.link != "can":
+            raise CallerError(
+                f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
+                " say which way they went: --direction to (to the device), from, or both"
+            )
+
+
+def inputs_of(
+    capture: str, variants: Sequence[Variant], direction: Direction | None
+) -> Iterator[Frames | Stream]:
+    """What the capture holds, for the protocols of its link."""
+    can = [variant for variant in variants if variant.link == "can"]
+    streams = [variant for variant in variants if variant.link != "can"]
+    if capture.startswith("hex:"):
+        if not streams:
+            raise CallerError("hex: is for bytes of a stream; a CAN frame is written '063#78 00'")
+        stream = Stream(streams, direction)
+        try:
+            stream.data += bytes.fromhex(capture[4:].replace(",", " "))
+        except ValueError:
+            raise CallerError(f"{capture}: not hexadecimal bytes such as hex:FFFF0102") from None
+        yield stream
+        return
+    if re.match(r"\s*[0-9A-Fa-f]{1,8}#", capture):
+        if not can:
+            raise CallerError(
+                f"{capture}: a CAN frame, but no protocol that was named is for CAN; bytes: hex:FFFF01"
+            )
+        try:
+            words = [parse_word(text, is_can=True) for text in re.split(r"[;,]", capture) if text.strip()]
+        except ValueError as error:
+            raise CallerError(str(error)) from None
+        yield Frames(can, [frame_of(word) for word in words])
+        return
+    opened: CanCapture | SerialCapture
+    if not streams:
+        opened = open_capture(capture, link="can")
+    elif not can:
+        opened = open_capture(capture, link="serial")
+    else:
+        opened = open_capture(capture)
+    with opened:
+        if isinstance(opened, CanCapture):
+            yield Frames(can, (frame for frames in opened.batches(256) for frame in frames))
+        else:
+            yield from _streams(opened, streams, direction)
+
+
+def _streams(
+    capture: SerialCapture, variants: list[Variant], direction: Direction | None
+) -> Iterator[Stream]:
+    """The bytes of a serial capture: one stream a direction, requests going over to the replies'."""
+    found: dict[Direction | None, Stream] = {}
+    is_paired = any(m.reply_to or m.after for variant in variants for m in variant.messages.values())
+    requests: Any = make_scanner(variants, direction="to device") if is_paired else None
+    total = 0
+    for chunk in capture:
+        way: Direction | None = direction or chunk.direction
+        if not chunk.data:
+            for stream in found.values():
+                stream.idle_at.append(len(stream.data))
+            continue
+        stream = found.setdefault(way, Stream(variants, way, "" if way is None else way))
+        room = LARGEST - total
+        stream.data += chunk.data[:room]
+        total += len(chunk.data)
+        if way == "to device" and direction is None and requests is not None:
+            replies = found.setdefault("from device", Stream(variants, "from device", "from device"))
+            replies.sent_at += [
+                (len(replies.data), r.meta.raw) for r in requests.feed(chunk.data, chunk.time)
+            ]
+        if total >= LARGEST:
+            stream.is_cut = True
+            break
+    ways = [stream for stream in found.values() if stream.data]
+    for stream in ways:
+        if len(ways) == 1:
+            stream.label = ""
+        yield stream
+
+
+__all__ = ["DIRECTIONS", "LARGEST", "Direction", "Frames", "Stream", "inputs_of"]
