@@ -25,7 +25,7 @@ from ..controller.events import Listeners
 from ..controller.guard import Action, Bounds
 from ..device import UNKNOWN, Device, DeviceEvent, Rig
 from ..device.ticket import together
-from ..errors import CallerError, DeviceError
+from ..errors import AcesError, CallerError, DeviceError
 from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
 from .states import States
 
@@ -33,8 +33,8 @@ T = TypeVar("T")
 
 #: Priorities of components where nobody says otherwise (the paper's order: control above logging).
 CONTROL, LOGGING = 40, 5
-#: A controller that gives nothing for so many of its periods is taken for dead (at least 0.1 s).
-DEAD_PERIODS = 5
+#: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
+DEAD_PERIODS, DEAD_S = 5, 0.1
 #: Seconds in which devices must have been heard before controllers begin.
 HEARD_S = 5.0
 #: Time for the last words to leave before a bus is closed (ns).
@@ -134,6 +134,7 @@ class Runner:
         #: Controller → the instant at which it began a step that is not over yet.
         self._inside: dict[str, int] = {}
         self._told: dict[str, int] = {}
+        self._dead_men: dict[str, int] = {}
         self._setters: dict[str, Callable[[float], None]] = {}
         self._failed_at_end: list[str] = []
         self._is_bound = False
@@ -146,7 +147,7 @@ class Runner:
         self._phase: Literal["new", "ready", "running", "over"] = "new"
         self._began = 0
         self._reason = ""
-        names = [one.name for one in (*controllers, *loggers)]
+        names = [*(one.name for one in controllers), *(one.name for one in loggers)]
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise CallerError(f"two controllers or loggers have one name: {', '.join(sorted(double))}")
@@ -169,6 +170,10 @@ class Runner:
         guard: bool,
         on_trip: Action,
     ) -> Supervisor:
+        period = 1 / controller.rate_hz
+        dead_man = max(DEAD_S, DEAD_PERIODS * period) if guard else None
+        if dead_man is not None:
+            self._dead_men[controller.name] = round(dead_man * 1e9)
         if isinstance(controller, Supervisor):
             self._listen(controller)
             return controller
@@ -179,8 +184,6 @@ class Runner:
                 **known,
                 **{alias: known[name] for alias, name in self.rig.aliases.items() if name in known},
             }
-        period = 1 / controller.rate_hz
-        dead_man = max(0.1, DEAD_PERIODS * period) if guard else None
         made = Guard(
             bounds,
             period_s=period,
@@ -190,7 +193,7 @@ class Runner:
             name=controller.name,
         )
         # What a log cannot take is no reason to stop a robot, unless somebody says so.
-        supervisor = Supervisor(controller, made, {"log failed": IGNORE, **(reactions or {})})
+        supervisor = Supervisor(controller, made, {"log-failed": IGNORE, **(reactions or {})})
         self._listen(supervisor)
         return supervisor
 
@@ -267,7 +270,7 @@ class Runner:
             return
         self._told[task.name] = now
         is_log = any(logger.name == task.name for logger in self.loggers)
-        kind = "log failed" if is_log else "raised"
+        kind = "log-failed" if is_log else "raised"
         event = ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500])
         self._note(event)
         for supervisor in self.supervisors:
@@ -292,7 +295,10 @@ class Runner:
             return
         self._stopped[supervisor.name] = trip.reason
         if self.drives and trip.action != "hold":
-            self.clock.call_soon(lambda: self._stop_devices(self.driven(supervisor)))
+            self.clock.call_soon(lambda: self._stop_driven(supervisor))
+
+    def _stop_driven(self, supervisor: Supervisor) -> None:
+        self._stop_devices(self.driven(supervisor))
 
     def _watch(self) -> None:
         """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
@@ -302,8 +308,7 @@ class Runner:
         now = self.clock.now()
         for supervisor in self.supervisors:
             began = self._inside.get(supervisor.name, now)
-            limit = supervisor.guard.dead_man_s
-            if limit is None or now - began <= limit * 1e9 or supervisor.name in self._stopped:
+            if now - began <= self._dead_men.get(supervisor.name, now) or supervisor.name in self._stopped:
                 continue
             reason = f"its step has not come back for {(now - began) / 1e9:.3f} s"
             action = supervisor.guard.action
@@ -311,7 +316,7 @@ class Runner:
             supervisor.guard.trip(reason, action)
             self._note(ControlEvent("trip", now, supervisor.name, f"{action}: {reason}"))
             if self.drives and action != "hold":
-                self._stop_devices(self.driven(supervisor))
+                self._stop_driven(supervisor)
 
     def driven(self, supervisor: Supervisor) -> list[Device]:
         """The devices that a controller gives set-points to; all of them where it does not say."""
@@ -346,10 +351,11 @@ class Runner:
 
         Whatever opening raises comes out, with all closed again.
         """
+        self.bind()
         try:
             for begin in self.before:
                 begin()
-            self.clock.call(self.rig.open)
+            self.clock.call(self._open_hosts)
             if any(host.rate_hz for host in self.rig.hosts.values()):
                 polled = [device for device in self.rig.devices.values() if device.polls]
                 self.clock.wait(
@@ -359,6 +365,16 @@ class Runner:
             self.stop("it could not be opened")
             raise
         self._phase = "ready"
+
+    def _open_hosts(self) -> None:
+        for name, host in self.rig.hosts.items():
+            try:
+                host.open()
+            except AcesError:
+                raise
+            except Exception as error:  # whatever a backend or the system may raise
+                said = " ".join(str(error).split()) or type(error).__name__
+                raise CallerError(f"bus {name} cannot be opened: {said}") from error
 
     @property
     def missing(self) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.assembly import VirtualRobot
@@ -174,7 +174,6 @@ def test_what_a_servo_answers(request_: str, answer: str) -> None:
     assert line.said()[1] == answer
 
 
-@settings(max_examples=30)
 @given(st.lists(st.binary(min_size=1, max_size=300), max_size=4), st.booleans())
 def test_no_bytes_stop_a_line(pieces: list[bytes], framed: bool) -> None:
     """Whatever stands on the line, from either side, driver and twin go on."""

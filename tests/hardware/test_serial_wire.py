@@ -120,7 +120,8 @@ def test_whole_chunks_are_the_same_bytes(
         for number, instant, data in sends:
             clock.call_at(instant, lambda number=number, data=data: nodes[number].send(data))  # type: ignore[misc]
         if plug is not None:
-            clock.call_at(plug[1], lambda: setattr(nodes[plug[0]], "is_connected", plug[2]))
+            number, instant, on = plug
+            clock.call_at(instant, lambda: setattr(nodes[number], "is_connected", on))
         clock.advance(10_000_000)
         collisions = tuple(node.collisions for node in nodes)
         return heard, (wire.bytes, wire.garbled, *collisions)

@@ -76,9 +76,9 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
             reasons |= {item.kind for item in given if isinstance(item, Unknown)}
             decoded += scanner.counts.decoded
             total += scanner.counts.total
-        assert 0.3 < decoded / total < 0.95
-        # Where every byte alone is a packet nothing is skipped and nothing is malformed.
-        bare = all(m.framing is not None and m.framing.max_size == 1 for m in variant.facing(direction))
+        # Where every byte alone is a packet nothing is skipped or malformed, and noise weighs as much as a packet.
+        bare = any(m.framing is not None and m.framing.max_size == 1 for m in variant.facing(direction))
+        assert (0.2 if bare else 0.3) < decoded / total < 0.95
         assert len(reasons) >= (1 if bare else 2)
 
 

@@ -93,8 +93,12 @@ def _run(arguments: list[str]) -> int:
     actions: dict[str, tuple[str, str]] | None = getattr(module, "ACTIONS", None)
     if actions is not None:
         if len(arguments) < 2 or arguments[1] in ("-h", "--help"):
-            print(_help_of_actions(verb, str(module.__doc__), actions))
-            return 0 if len(arguments) > 1 else 2
+            text = _help_of_actions(verb, str(module.__doc__), actions)
+            if len(arguments) > 1:
+                print(text)
+                return 0
+            say(f"which action of 'aces {verb}'? {', '.join(actions)} (see 'aces {verb} --help')")
+            return 2
         if arguments[1] not in actions:
             raise UnknownNameError(f"action of 'aces {verb}'", arguments[1], actions)
         module = import_module(f"{__package__}.{actions[arguments[1]][0]}")

@@ -183,7 +183,7 @@ class BoardCore(Device):
                 upper=most,
                 doc="open-loop PWM as last set; boards do not report it",
             )
-        elif self.kind in (1, 2) and self.dialect == "D12":
+        elif self.kind in (1, 2) and self.dialect == "D12" and joint.compliance is not None:
             axis.duty = self.add_signal("duty", owner=owner, unit="%", doc="PWM as last sent while compliant")
         if axis.duty is not None:
             axis.duty.stale_after_ns = None

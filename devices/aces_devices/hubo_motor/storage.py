@@ -315,5 +315,5 @@ class Storage(Switching):
         return ticket
 
     def _confirmed(self, confirm: bool, why: str) -> None:
-        if not confirm:
+        if confirm is not True:
             raise CallerError(f"{self.name}: say confirm=True; {why}")
