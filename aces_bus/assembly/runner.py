@@ -43,6 +43,8 @@ LAST_WORDS = 20_000_000
 PATIENCE_S = 2.0
 #: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
 WATCH, LOOK = 20_000_000, 1_000_000
+#: Events of logs.
+OF_LOGS = ("log-failed", "log-dropped")
 #: What fails again and again is told this often (ns).
 TELL_EVERY = 1_000_000_000
 
@@ -138,6 +140,7 @@ class Runner:
         self._setters: dict[str, Callable[[float], None]] = {}
         self._failed_at_end: list[str] = []
         self._is_bound = False
+        self._logging: list[Recorder] = []
         self._seconds = 0.0
         #: What is done before the buses are opened and after they are closed: loops, twins.
         self.before: list[Callable[[], Any]] = []
@@ -158,6 +161,9 @@ class Runner:
                 controller.name, self._stepper(supervisor), rate_hz=controller.rate_hz, priority=CONTROL
             )
         for logger in self.loggers:
+            listeners = getattr(logger, "listeners", None)
+            if isinstance(listeners, Listeners):
+                listeners.add(self._tell_all)
             tasks.add(logger.name, logger.step, rate_hz=logger.rate_hz, priority=LOGGING)
         rig.on_event(self._happened)
 
@@ -193,7 +199,7 @@ class Runner:
             name=controller.name,
         )
         # What a log cannot take is no reason to stop a robot, unless somebody says so.
-        supervisor = Supervisor(controller, made, {"log-failed": IGNORE, **(reactions or {})})
+        supervisor = Supervisor(controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **(reactions or {})})
         self._listen(supervisor)
         return supervisor
 
@@ -270,8 +276,11 @@ class Runner:
             return
         self._told[task.name] = now
         is_log = any(logger.name == task.name for logger in self.loggers)
-        kind = "log-failed" if is_log else "raised"
-        event = ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500])
+        kind = OF_LOGS[0] if is_log else "raised"
+        self._tell_all(ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500]))
+
+    def _tell_all(self, event: ControlEvent) -> None:
+        """What components tell reaches every supervisor, too."""
         self._note(event)
         for supervisor in self.supervisors:
             supervisor.handle(event)
@@ -406,6 +415,7 @@ class Runner:
         now = self.clock.now()
         self._began = now
         for logger in self.loggers:
+            self._logging.append(logger)
             logger.start(now)
         for supervisor in self.supervisors:
             supervisor.start(now)
@@ -500,9 +510,8 @@ class Runner:
         part("buses", lambda: self._in_time(self.rig.close))
         for end in self.after:
             part("end", end)
-        for logger in self.loggers:
-            if was == "running":
-                part(logger.name, lambda one=logger: one.stop(self.clock.now()))  # type: ignore[misc]
+        for logger in self._logging:
+            part(logger.name, lambda one=logger: one.stop(self.clock.now()))  # type: ignore[misc]
         if interrupted is not None:
             raise interrupted
         return self.ended(reason)

@@ -507,3 +507,52 @@ def test_sounds(plus: VirtualRobot) -> None:
     assert twin.sound == "off"
     with pytest.raises(CallerError, match="there is no alarm 5"):
         power.alarm(5)
+
+
+# ---------------------------------------------------------------------- what the driver does not use
+
+
+@pytest.mark.parametrize(
+    ("mode", "force", "tilt"),
+    [
+        ("scaled", "ForceTorque", "Tilt"),
+        ("digital", "ForceTorqueDigits", "TiltDigits"),
+        ("scaled_tilt_digital", "ForceTorque", "TiltDigits"),
+        ("digital_tilt_scaled", "ForceTorqueDigits", "Tilt"),
+    ],
+)
+def test_all_forms_of_d12(mode: str, force: str, tilt: str) -> None:
+    """One request for force and tilt, in four mixtures, of one board or of all: the twins know them."""
+    with assembled(sensors_of("hubo2plus")) as robot:
+        robot.rig.close()
+        heard = listen(robot)
+        node = robot.wires["lower"].attach("bench")
+        encoder = robot.devices["FT_RF"].variant.encoder
+        requests = [robot.devices["FT_RF"].variant["SensorRequest"]] * 2
+        for request, sensor in zip(requests, (1, 0xFF), strict=True):
+            node.send(encoder.word(request, {"sensor": sensor, "mode": mode}))
+            robot.advance(0.01)
+        scanner = robot.devices["FT_RF"].variant.scanner(direction="both")
+        records = scanner.feed([frame for _, frame in heard["lower"].heard])
+        kinds = [type(record).__name__ for record in records]
+        assert kinds == ["SensorRequest", force, tilt, "SensorRequest", *[force] * 2, *[tilt] * 2]
+
+
+def test_bench_commands_of_d08(old: VirtualRobot) -> None:
+    """Single axes are nulled, averages are quieter, an analogue value shows in its offset."""
+    board, twin = old.devices["FT_RF"], old.twins["FT_RF"]
+    twin.feed = lambda now: (3.0, 4.0, 100.0)
+    old.advance(0.1)
+    board.tell("NullSensor", what="fz")
+    old.advance(0.1)
+    assert old["RFFT.fz_digits"].value == pytest.approx(0, abs=12)
+    assert abs(old["RFFT.my_digits"].value) > 20
+    noise = twin.groups["force"].noise
+    board.tell("DataType", type="average")
+    board.tell("DaOut", value=123)
+    old.advance(0.01)
+    assert twin.groups["force"].noise == noise / 2
+    pair = board.ask("OffsetQuery", reply="OffsetPair", axis="fz").wait()
+    assert pair.da == 123
+    assert pair.ad > 200
+    assert board.offsets().wait()["da"].mx == 123

@@ -107,7 +107,7 @@ def test_noise_is_counted_and_repeats(data: bytes, seed: int) -> None:
 def test_whole_chunks_are_the_same_bytes(
     sends: list[tuple[int, int, bytes]], half: bool, plug: tuple[int, int, bool] | None
 ) -> None:
-    """Nodes that take chunks hear the bytes that others hear one by one, in their order, each piece at its last byte's end."""
+    """Nodes that take chunks hear what others hear one by one, in that order, each piece at its last byte's end."""
 
     def run(whole: bool) -> tuple[list[Bytes], tuple[int, ...]]:
         clock = VirtualClock()

@@ -1,4 +1,4 @@
-"""Talk to one device, joint or sensor of a robot: read it, set it, watch it, have it do things.
+"""Talk to one device, joint or sensor of a robot: read, set, watch, do things.
 
   aces device                           the devices of $ACES_ROBOT, their joints
   aces device RHY                       what it has: signals, actions
@@ -11,8 +11,8 @@
   aces device JMC0 set_gains channel=0 kp=200 ki=0 kd=500 --tx
 
 With --robot hubo2plus --virtual nothing is needed: the robot's twins answer, in
-virtual time. Reading asks the device; whatever changes it needs --tx. Values are
-SI. A joint's name is enough: the device that has it is found.
+virtual time. Reading asks the device; whatever changes it needs --tx. Values
+are SI. A joint's name is enough: the device that has it is found.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Put a robot's simulated devices on a bus, for programs, drivers and people to talk to.
+"""Put a robot's simulated devices on a bus, for programs and people to talk to.
 
   aces sim hubo2plus                    serves its buses and stands on them;
                                         others join: -i aces -c unix:can0
-  aces sim minihubo_1                   its serial line becomes a pseudo-terminal
+  aces sim minihubo_1                   its serial line is a pseudo-terminal
   aces sim hubo2plus -i socketcan --bus lower=can0 --bus upper=can1
                                         on buses that are there
   aces sim robot.toml --fault JMC3:silent --fault JMC1:hot

@@ -135,7 +135,7 @@ class Motion:
 
 
 def _step(slope: int) -> int:
-    return next((step for step in (4, 8, 16, 32, 64, 128) if slope < 2 * step), 254)
+    return max((step for step in (4, 8, 16, 32, 64, 128, 254) if step <= slope), default=4)
 
 
 #: What a compliance slope acts as: 4, 8, 16, 32, 64, 128 or 254 (RX-28 manual).
