@@ -36,7 +36,9 @@ def main(seconds: float = 3.0) -> dict[str, float]:
     joints = [joint for joint in robot.joints.values() if joint.active]
     boards = {joint.device for joint in joints}
     sensors = [sensor for sensor in robot.sensors.values() if sensor.active]
-    print(f"{robot.name}: {len(joints)} joints on {len(boards)} boards, {len(sensors)} sensors, {len(robot.buses)} buses")
+    print(
+        f"{robot.name}: {len(joints)} joints on {len(boards)} boards, {len(sensors)} sensors, {len(robot.buses)} buses"
+    )
     with VirtualRobot(robot, rate_hz=RATE) as hubo:
         rig = hubo.rig
         rig.each("home").wait(120)
@@ -72,7 +74,9 @@ def main(seconds: float = 3.0) -> dict[str, float]:
             for host in rig.hosts.values()
             for turn in host.turns
         )
-        sent = sum(host.counts.set_points - before[name][0] for name, host in rig.hosts.items()) / cycles + motor
+        sent = (
+            sum(host.counts.set_points - before[name][0] for name, host in rig.hosts.items()) / cycles + motor
+        )
         alone = 2 * len(joints)  # a reference and an encoder request for each joint
         for name, host in rig.hosts.items():
             wire = hubo.wires[name]
@@ -81,10 +85,14 @@ def main(seconds: float = 3.0) -> dict[str, float]:
                 f" worst answer {host.counts.latency_ns / 1e6:.2f} ms, worst cycle {host.counts.cycle_ns / 1e6:.2f} ms"
             )
         print(f"requests of all kinds: {frames / cycles:.1f} a cycle")
-        print(f"joints: {sent:.1f} frames a cycle where one for each thing would be {alone}: {sent / alone:.2f}")
+        print(
+            f"joints: {sent:.1f} frames a cycle where one for each thing would be {alone}: {sent / alone:.2f}"
+        )
         print(f"furthest from its set-point: {worst:.3f} rad")
         missed = sum(host.counts.missed for host in rig.hosts.values())
-        print(f"unanswered: {missed}; events: {', '.join(sorted({event.kind for event in hubo.events.last})) or 'none'}")
+        print(
+            f"unanswered: {missed}; events: {', '.join(sorted({event.kind for event in hubo.events.last})) or 'none'}"
+        )
         return {"ratio": sent / alone, "missed": missed, "worst_rad": worst}
 
 

@@ -40,6 +40,7 @@ FLOORS: dict[str, set[str]] = {
     "state": {"runtime", "device"},
     "kinematics": set(),  # bodies as chains; numbers only
     "controller": {"runtime", "device", "state", "capture", "kinematics"},  # touches no frame and no byte
+    "access": {"runtime", "device", "state"},  # states for other programs
     "assembly": {"runtime", "protocol", "hardware", "device", "state", "controller", "capture"},  # floors put together
     "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
 }

@@ -551,6 +551,17 @@ class Runner:
         tripped = {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
         return Ended(reason or self._reason, tripped, self._seconds, list(self._failed_at_end))
 
+    @property
+    def stopped(self) -> dict[str, str]:
+        """Controllers that were stopped, with why."""
+        return dict(self._stopped)
+
+    @property
+    def used(self) -> list[str]:
+        """The states that controllers read or write, as they call them."""
+        names = [name for s in self.supervisors for name in (*s.writes, *s.states)]
+        return list(dict.fromkeys(names))
+
     def unknown_states(self) -> list[str]:
         """Those states in use that have no fresh value."""
         return [name for name, state in self.states._made.items() if state[0] is UNKNOWN]

@@ -100,7 +100,8 @@ class Twin:
     def __init__(
         self, twins: Twins, config: DeviceConfig, robot: Robot, variant: Variant, world: World
     ) -> None:
-        self.twins, self.config, self.robot, self.variant, self.world = twins, config, robot, variant, world
+        self.twins: Twins = twins
+        self.config, self.robot, self.variant, self.world = config, robot, variant, world
         self.name = config.name
         self.clock = twins.clock
         self.random = world.random(config.name)

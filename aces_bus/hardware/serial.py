@@ -20,6 +20,8 @@ from .gate import POLL_S, Gate
 OUTBOX = 1 << 20
 #: Bytes that are read at once.
 BLOCK = 4096
+#: So many answers that are no echo, and the adapter has none.
+ENOUGH = 2
 #: Seconds after which an echo that did not come is given up.
 ECHO_S = 0.5
 
@@ -42,7 +44,8 @@ class SerialGate(Gate[Heard]):
             records += scanner.feed(item.data, item.host_ns / 1e9)
 
     `url` is what pyserial opens: a port, `socket://host:port`, `rfc2217://…`, `loop://`. `baud` in bit/s. `half_duplex`: one
-    pair of wires for both ways; `echo` says whether the adapter hears itself (None: as `half_duplex`). `turnaround` is the
+    pair of wires for both ways; `echo` says whether the adapter hears itself (None: on a half-duplex line that is found out
+    with what is heard first, and `echo` says it from then on; else it does not). `turnaround` is the
     silence, in seconds, that must lie between what others say and what is sent. `keep_own` also hands own bytes to readers.
     """
 
@@ -69,6 +72,10 @@ class SerialGate(Gate[Heard]):
         self.url, self.baud = url, baud
         self.half_duplex = half_duplex
         self.echo = half_duplex if echo is None else echo
+        #: Whether the adapter hears itself is found out with what is heard first; what was heard of that so far.
+        self._is_unsure = half_duplex and echo is None
+        self._held = bytearray()
+        self._others = 0
         self.turnaround_ns = round(turnaround * 1e9)
         self.keep_own = keep_own
         self._options = options
@@ -85,6 +92,7 @@ class SerialGate(Gate[Heard]):
             self.url, baudrate=self.baud, timeout=POLL_S, write_timeout=5.0, **self._options
         )
         self._echo_due.clear()
+        self._held.clear()
         return port
 
     def _shut(self, bus: Any) -> None:
@@ -114,7 +122,9 @@ class SerialGate(Gate[Heard]):
     def _hear(self, data: bytes) -> None:
         now = self.clock.now()
         own = 0
-        if self._echo_due:
+        if self._is_unsure and self._echo_due:
+            data = self._find_out(data, now)
+        elif self._echo_due:
             own = self._take_echo(data, now)
         if own:
             self.counters.echoes += own
@@ -123,6 +133,30 @@ class SerialGate(Gate[Heard]):
             self._heard_at = now
             self.counters.received += len(data)
             self._put([Heard(data, now)])
+
+    def _find_out(self, data: bytes, now: int) -> bytes:
+        """Whether these bytes are our own, coming back; what of them is others'."""
+        with self._outgoing:
+            due = self._echo_due
+            data = bytes(self._held) + data
+            self._held.clear()
+            if now > self._echo_until:  # too late to tell anything
+                due.clear()
+                return data
+            both = min(len(data), len(due))
+            is_own = data[:both] == bytes(due[:both])
+            if is_own and len(data) < len(due):
+                self._held += data
+                return b""
+            due.clear()
+            if is_own:
+                self._is_unsure = False
+                self.counters.echoes += both
+                return data[both:]
+            self._others += 1  # one may be a collision
+            if self._others == ENOUGH:
+                self._is_unsure = self.echo = False
+            return data
 
     def _take_echo(self, data: bytes, now: int) -> int:
         """How many of these bytes are our own, coming back."""
@@ -181,6 +215,8 @@ class SerialGate(Gate[Heard]):
                 data = self._waiting.popleft()
                 self._size -= len(data)
                 if self.echo:
+                    if len(self._echo_due) > OUTBOX:
+                        self._echo_due.clear()  # nothing is heard at all
                     self._echo_due += data
                     bits = 10 * (len(self._echo_due) + len(data))
                     self._echo_until = (

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ..frame_table import FrameTable
 from ..protocol.scan.can import CanScanner
 from ..protocol.scan.record import Unknown
 from ..protocol.scan.stream import StreamScanner
@@ -29,6 +30,11 @@ def chunking(trial: Trial) -> None:
         trial.fail(3, how + first_difference("whole", trial.heard, "in pieces", pieces))
     if counts != trial.counts:
         trial.fail(3, f"{how}counts {counts} instead of {trial.counts}")
+    if trial.bench.is_can and trial.columns and not trial.scene.sent_at:
+        scanner: Any = trial.bench.scanner()
+        table = as_heard(scanner.feed_table(FrameTable.from_frames(trial.scene.words)), is_can=True)
+        if table != trial.heard:
+            trial.fail(3, "as a table: " + first_difference("whole", trial.heard, "the table", table))
 
 
 # ---------------------------------------------------------------------- 4

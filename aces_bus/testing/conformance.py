@@ -258,7 +258,7 @@ def check_misbehaviour(stand: Stand) -> None:
                 if stand.is_excused("misbehaviour", f"{device.name} {fault}"):
                     continue
                 before = dict(robot.events.counts)
-                twin.fault(fault, 0.2 if fault == "late" else None)
+                twin.fault(fault, 0.23 if fault == "late" else None)
                 robot.advance(SETTLE)
                 if kinds is not None and device.polls:
                     told = {

@@ -178,6 +178,28 @@ def test_a_board_of_no_known_kind_is_refused() -> None:
         made(LIMB.replace("channels = 2", 'channels = 2, kind = "foot"'))
 
 
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ("status_s = -1", "status_s is a number from 0 to 3600, not -1"),
+        ('filter = "long"', "filter is a number from 1"),
+        ("trigger = 1", "trigger is true or false"),
+        ("stauts_s = 1", "did you mean|status_s"),
+    ],
+)
+def test_settings_that_are_none_are_refused(settings: str, what: str) -> None:
+    """A misspelt or impossible setting is named with its board, and nothing starts."""
+    with pytest.raises(CallerError, match=what) as failed:
+        made(LIMB.replace("settings = { status_s = 0.25,", f"settings = {{ {settings},"))
+    assert "JMC0" in str(failed.value)
+
+
+def test_a_motor_is_not_given_what_it_cannot_follow() -> None:
+    """A speed is nothing that such a board takes, and the joint is named."""
+    with pytest.raises(CallerError, match="JMC0 cannot be given a speed for RHY"):
+        made(LIMB.replace("lower = -1.92", 'command = "speed", lower = -1.92'))
+
+
 # ---------------------------------------------------------------------- status
 
 

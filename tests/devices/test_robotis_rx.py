@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, Host, Job, Robot, parse_robot
+from aces_bus.device import UNKNOWN, Host, Job, Robot, parse_robot, simulate
 from aces_bus.errors import CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.robotis_rx import driver
@@ -369,6 +369,25 @@ def test_a_scan_finds_who_is_there() -> None:
         (3, "RX-28", {}),
     ]
     assert robot.clock.now() < 254 * 20e6
+
+
+def test_a_scan_names_an_id_that_two_have() -> None:
+    """Garbled answers are somebody's: the id is listed, and said to be twice there."""
+    robot = made(robot_of(servos=2))
+    twins = robot.simulation
+    other = simulate(robot.robot, robot.ports("other"), load={"robotis_rx": driver}.__getitem__)
+    other["S2"].power(False)
+    other["S1"].fault("overload")
+    scan = driver.scan
+    assert scan is not None
+    with twins, other:
+        (port,) = robot.ports("scan").values()
+        host = Host(port, list(robot.rig.hosts["line"].variants.values()))
+        host.open()
+        found = Job(robot.clock, "scan", lambda job: scan(host, job)).wait(60)
+    assert [config.credentials["id"] for config in found] == [1, 2]
+    assert "two servos with this id" in (found[0].doc or "")
+    assert (found[1].doc, found[1].model) == (None, "RX-28")
 
 
 def test_settings_that_cannot_be_are_refused() -> None:

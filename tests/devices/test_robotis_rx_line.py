@@ -78,6 +78,7 @@ def measure(
 ) -> Measured:
     """All joints follow set-points and are read, for a while."""
     before = options.pop("before", None)
+    note = options.pop("note", "")
     settings = {"return_delay_us": delay_us, **options.pop("settings", {})}
     robot = VirtualRobot(minihubo(**settings), rate_hz=rate_hz, budget=budget, load=LOAD, **options).open()
     robot.advance(0.1)
@@ -99,7 +100,7 @@ def measure(
     found = Measured(
         reads, whole, rate_hz, delay_us / 1e6, counts.set_points - syncs, counts.ticks - ticks, robot
     )
-    print(f"\n  {found}", end="")
+    print(f"\n  {note and f'{note}: '}{found}", end="")
     return found
 
 
@@ -122,7 +123,7 @@ def test_the_line_is_used(rate_hz: float, delay_us: int) -> None:
 
 def test_polls_keep_to_the_budget() -> None:
     """With half of each tick for polls, half of the reads; set-points go out all the same."""
-    found = measure(50, budget=0.5)
+    found = measure(50, budget=0.5, note="half a tick for polls")
     most = (0.5 / 50 - SYNC_BYTES * BYTE_S) / (READ_BYTES * BYTE_S + 500e-6) * 50
     assert 0.85 * most <= found.total <= 1.02 * most
     assert found.syncs == found.ticks
@@ -132,7 +133,7 @@ def test_polls_keep_to_the_budget() -> None:
 def test_noise_costs_what_it_hits(flip: float, share: float) -> None:
     """A garbled word costs its time-out and no more; it is told, and no wrong value is taken for a position."""
     settings = {"timeout_s": 0.002}
-    found = measure(50, settings=settings, noise={"servos": Noise(seed=3, flip=flip)})
+    found = measure(50, settings=settings, noise={"servos": Noise(seed=3, flip=flip)}, note=f"noise {flip:g}")
     assert found.total >= share * found.possible
     assert found.robot.events.count("malformed") > 0
     host = found.robot.rig.hosts["servos"]
@@ -149,12 +150,12 @@ def test_a_silent_servo_costs_its_time_outs() -> None:
     def hush(robot: VirtualRobot) -> None:
         robot.twins["S40"].fault("silent")
 
-    found = measure(50, before=hush)
+    found = measure(50, before=hush, note="one silent")
     others = Counter({name: n for name, n in found.reads.items() if name != "RAP"})
     assert found.reads["RAP"] == 0
     assert found.robot.events.count("silent", "S40") == 1
     assert min(others.values()) >= 0.75 * 50 * found.seconds
-    quick = measure(50, before=hush, settings={"timeout_s": 0.002})
+    quick = measure(50, before=hush, settings={"timeout_s": 0.002}, note="one silent, time-out 2 ms")
     assert min(n for name, n in quick.reads.items() if name != "RAP") >= 0.97 * 50 * quick.seconds
     assert not quick.robot["RAP.position"].value
     quick.robot.twins["S40"].fault("silent", on=False)
@@ -174,7 +175,7 @@ def test_two_servos_with_one_id_are_named() -> None:
         assert isinstance(twin, RobotisRXTwin)
         twin.motion.at = 900.0
 
-    found = measure(50, before=double, settings={"timeout_s": 0.002})
+    found = measure(50, before=double, settings={"timeout_s": 0.002}, note="two with one id")
     said = [event for event in found.robot.events.of("two answers") if event.device == "S40"]
     assert said
     assert "id 0x28" in said[0].detail
@@ -191,7 +192,7 @@ def test_a_servo_that_answers_with_another_id_is_named() -> None:
     def stray(robot: VirtualRobot) -> None:
         robot.twins["S40"].fault("wrong_number", 99)
 
-    found = measure(50, before=stray, settings={"timeout_s": 0.002})
+    found = measure(50, before=stray, settings={"timeout_s": 0.002}, note="one with another id")
     assert "id 0x63" in found.robot.events.of("stranger")[0].detail
     assert found.robot.events.count("silent", "S40") == 1
     assert found.reads["RAP"] == 0

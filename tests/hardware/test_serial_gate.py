@@ -93,10 +93,23 @@ def test_a_half_duplex_line_hears_itself(line: Line) -> None:
         assert gate.counters.echoes == 4
 
 
+def test_an_adapter_without_an_echo_is_found_out(line: Line) -> None:
+    """Answers that are not what was sent are heard whole, from the first one on, though they begin like it."""
+    with SerialGate(line.path, half_duplex=True) as gate:
+        inbox = gate.subscribe()
+        for _ in range(3):
+            gate.send(b"\xff\xff\x01\x02\x01\xfb")
+            assert len(os.read(line.master, 6)) == 6
+            os.write(line.master, b"\xff\xff\x01")
+            os.write(line.master, b"\x02\x00\xfc")
+            assert heard(inbox, 6) == b"\xff\xff\x01\x02\x00\xfc"
+        assert (gate.echo, gate.counters.echoes) == (False, 0)
+
+
 def test_a_collision_is_told(line: Line) -> None:
     """An echo that differs from what was sent is somebody else speaking: its bytes are heard."""
     seen = Seen()
-    gate = SerialGate(line.path, half_duplex=True)
+    gate = SerialGate(line.path, half_duplex=True, echo=True)
     gate.on_event(seen)
     with gate:
         inbox = gate.subscribe()

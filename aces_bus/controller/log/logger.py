@@ -44,8 +44,8 @@ class Logger:
     `states` are columns: "RHY", "RHY.velocity", "RHY(rate)", "RHY(integral)", "RHY(setpoint)", "RHY(age)"; or quantities
     themselves, such as `(torque * speed).named("power")`. The suffix of `path` says the format: .txt (the original's), .csv,
     .db or .sqlite, .parquet, .mcap; `format` says it where the suffix does not. An existing file is replaced, unless
-    `replace` is False. `queue_s` is how much waits for a slow disk before rows are dropped; `digits=6` writes text as the original
-    did. `clock` is by default that of the states.
+    `replace` is False. `queue_s` is how much waits for a slow disk before rows are dropped; `digits=6` writes text as the
+    original did. `clock` is by default that of the states.
 
     Raises `CallerError` for columns, rates and paths that cannot be.
 

@@ -5,7 +5,8 @@
 2. When the log is closed there is one file, without a write-ahead log beside it.
 
 `log(time REAL, "RHY" REAL, "RHY(rate)" REAL, …)`: seconds since the start, and NULL for unknown. `columns(place, name,
-state, attribute, unit)`, `about(key, value)`: robot, rate_hz, clock, start_ns, wall_ns (ns since 1970), and all of it as JSON.
+state, attribute, unit)`, `about(key, value)`: robot, rate_hz, clock, start_ns, wall_ns (ns since 1970), and all of it as
+JSON.
 """
 
 from __future__ import annotations

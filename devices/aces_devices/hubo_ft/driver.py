@@ -90,7 +90,7 @@ def _scan(host: Host, job: Job) -> Steps:
 
 EXAMPLE = """
 name = "hubo_ft"
-rate_hz = 50
+rate_hz = 30
 
 [buses]
 lower = { link = "can", protocol = "hubo", dialect = "D12" }

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from aces_bus.device import Driver
 
-from .core import SETTINGS
 from .driver import HuboMotor
 from .example import D12
 from .scan import scan
+from .settings import SETTINGS
 from .twin import HuboMotorTwin
 
 driver = Driver(

@@ -74,6 +74,11 @@ class BoardStored:
     temperature: int = 80
 
 
+def board_defaults(kind: int | str) -> BoardStored:
+    """What a board comes with. Fingers have far to go to their stop."""
+    return BoardStored(velocity_to_switch=40, velocity_to_offset=40) if kind == 5 else BoardStored()
+
+
 @dataclass
 class Search:
     """A home search under way: `phase` and which way (raw counts), `index` where the zero is counted from."""

@@ -16,35 +16,22 @@ from typing import Any, ClassVar
 from aces_bus.device import Device, Poll
 from aces_bus.device.coalesce import Want
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
+from aces_protocols.hubo.spec import hubo
 
 from .axis import Axis, joints_by_channel
+from .settings import Settings
 from .shapes import SHAPES, Shape
 
-#: No references for so long after the bus was opened, and after a home command (s); hubo-ach.
-START_HOLD, HOME_HOLD = 0.8, 3.0
 #: Status bits that are no error.
 _SWITCHES = ("driver_on", "control_on", "current_mode", "limit_switch")
 #: Home flags that say that a joint is homed: 6, and 2 of a wrist roll (hubo-ach).
 HOMED = ("homed", "wrist_roll_homed")
 
-SETTINGS = {
-    "period_ms": "what the board is told in NameInfo (D08) and GetBoardInfo (D12): ms between references",
-    "status_s": "how often the status is asked for (s, default 0.1)",
-    "current_s": "how often currents and temperature are asked for (s, default 0.1)",
-    "trigger": "true: set-points go out when all channels of the board have a new one (acesHubo); default false",
-    "filter": "length of hubo-ach's reference filter (40 there; default 1: none)",
-    "neck_counts": "what a neck servo's turn is divided by in references: 4096 (default) or hubo-ach's 4095",
-    "home_timeout_s": "how long a home search may take (s, default 30)",
-    "home_tries": "how often a home search of D08 is tried (default 3 for arms, 2 for others)",
-    "hold_start_s": "no references for so long after the start (s, default 0.8)",
-    "hold_home_s": "no references of any board on the bus for so long after a home command (s, default 3)",
-}
-
 
 class BoardCore(Device):
     """What all parts of the driver share: the channels, what is heard of them, what they are to be told."""
 
-    protocol = "hubo"
+    protocol = hubo
     streams: ClassVar[Collection[str]] = (
         "Reference",
         "Reference3D08",
@@ -74,7 +61,7 @@ class BoardCore(Device):
                 [str(k) for d, k in SHAPES if d == dialect],
             )
         self.dialect, self.kind, self.shape = dialect, kind, found
-        settings = self.config.settings
+        self.settings = Settings(self.name, self.config.settings)
         self.axes = joints_by_channel(self.joints, found.channels, self.name)
         beyond = [joint.name for joint in self.joints if joint.channel >= found.channels]
         if beyond:
@@ -86,21 +73,34 @@ class BoardCore(Device):
         self.is_compliant = False
         #: Channels whose home search or new zero is under way.
         self.homing: set[int] = set()
-        self.is_triggered = bool(settings.get("trigger", False))
-        self.filter_length = int(settings.get("filter", 1))
+        self.is_triggered = self.settings.trigger
+        self.filter_length = int(self.settings.known("filter"))
         self._awaited: dict[str, int] = {}
         self._filtering = False
         self._held_until = 0
         #: The message of set-points while enabled: positions, or duties for boards whose joints are commanded so.
         self.set_message: str | None = self._declare_signals()
         self._hearers: dict[str, Callable[[Any, int], None]] = {}
-        self._declare_polls(settings)
+        self._declare_polls()
 
     def _declare_signals(self) -> str | None:
         """Each joint's signals; the message that sets them."""
         shape = self.shape
         commands = {axis.joint.command for axis in self.axes if axis.joint is not None}
         by_duty = "duty" in commands or (shape.reference is None and shape.pwm is not None)
+        for axis in self.axes:
+            pushes = axis.channel < len(shape.references) and shape.references[axis.channel].startswith(
+                "finger"
+            )
+            if axis.joint is not None and axis.joint.command not in (
+                "duty",
+                "current" if pushes else "position",
+            ):
+                if not (pushes and axis.joint.command == "position"):
+                    raise CallerError(
+                        f"{self.name} cannot be given a {axis.joint.command} for {axis.name}: motors here take"
+                        f" {'currents' if pushes else 'positions'} or duties"
+                    )
         if by_duty and commands - {"duty", "position"}:
             raise CallerError(f"{self.name}: a board is driven by duty or by references, not by both at once")
         if "duty" in commands and "position" in commands and shape.reference is not None:
@@ -135,7 +135,7 @@ class BoardCore(Device):
         return message
 
     def _slow(self, key: str) -> float:
-        return max(0.1, 5 * float(self.config.settings.get(key, 0.1)))
+        return max(0.1, 5 * self.settings.known(key))
 
     def _declare_axis(self, axis: Axis, reference: str | None, pwm: str | None, path: str) -> None:
         shape, joint = self.shape, axis.joint
@@ -251,7 +251,7 @@ class BoardCore(Device):
         """A neck's reference in the spec's rad: whole steps of 4096 a turn, or of hubo-ach's 4095."""
         from math import pi, tau
 
-        per_turn = int(self.config.settings.get("neck_counts", 4096))
+        per_turn = int(self.settings.known("neck_counts"))
 
         def code(position: float) -> float:
             steps = int((axis.direction * position + axis.zero) / tau * per_turn)
@@ -259,7 +259,7 @@ class BoardCore(Device):
 
         return code
 
-    def _declare_polls(self, settings: Any) -> None:
+    def _declare_polls(self) -> None:
         shape, polls = self.shape, list[Poll]()
         for ask in shape.encoders:
             polls.append(Poll(ask.message, ask.reply, ask.fields))
@@ -271,7 +271,7 @@ class BoardCore(Device):
                 Poll(
                     "SendStatus",
                     shape.status.reply,
-                    every_s=float(settings.get("status_s", 0.1)),
+                    every_s=self.settings.known("status_s"),
                     timeout_s=0.05,
                 )
             )
@@ -282,7 +282,7 @@ class BoardCore(Device):
                 Poll(
                     "SendCurrent",
                     shape.current.reply,
-                    every_s=float(settings.get("current_s", 0.1)),
+                    every_s=self.settings.known("current_s"),
                     timeout_s=0.05,
                 )
             )
@@ -290,7 +290,7 @@ class BoardCore(Device):
 
     def start(self) -> None:
         """The start's hold-off begins."""
-        self.hold_off(float(self.config.settings.get("hold_start_s", START_HOLD)))
+        self.hold_off(self.settings.known("hold_start_s"))
 
     def axis(self, joint: str | None) -> Axis | None:
         """The axis of a joint by name, alias or channel number; None for None. Raises `UnknownNameError`."""
@@ -524,6 +524,11 @@ class BoardCore(Device):
     def follows(self) -> bool:
         """Whether its set-points are references, not duties."""
         return self.set_message is not None and self.set_message != self.shape.pwm
+
+    @property
+    def hand_mode(self) -> str:
+        """What a DRC-Hubo hand's fingers are given: currents (hybrid), or positions."""
+        return "position" if self.set_message == "ReferenceHandPosition" else "hybrid"
 
     def quiet(self) -> None:
         """No set-points any more."""

@@ -17,7 +17,7 @@ from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError
 
 from .axis import ARRIVED, Axis
-from .core import HOME_HOLD, BoardCore, search_state
+from .core import BoardCore, search_state
 from .switching import PAUSE
 
 #: Between two looks at a search (ns).
@@ -82,13 +82,13 @@ class Homing(BoardCore):
 
     def _announce(self) -> None:
         """A home command goes out: no references on this bus for a while (hubo-ach)."""
-        duration = float(self.config.settings.get("hold_home_s", HOME_HOLD))
+        duration = self.settings.known("hold_home_s")
         for device in self.host.devices.values():
             if isinstance(device, BoardCore):
                 device.hold_off(duration)
 
     def _timeout(self) -> int:
-        return round(float(self.config.settings.get("home_timeout_s", 30)) * 1e9)
+        return round(self.settings.known("home_timeout_s") * 1e9)
 
     def _arrived(self, axes: list[Axis]) -> None:
         """Set-points are zero now."""
@@ -190,7 +190,7 @@ class Homing(BoardCore):
     def tries(self) -> int:
         """How often a joint's search is tried: 3 for arms and wrists, 2 for legs and waist (acesHubo)."""
         arm = self.credentials["board"] in (0x08, 0x09, 0x0A, 0x0B, 0x20, 0x21, 0x22)
-        return int(self.config.settings.get("home_tries", 3 if arm else 2))
+        return int(self.settings.number("home_tries") or (3 if arm else 2))
 
     def home_fields(self, axis: Axis) -> dict[str, Any]:
         """The home command of a channel of D08, from the robot's file.
@@ -242,7 +242,7 @@ class Homing(BoardCore):
         """Fingers of D08 are driven against their stop; nothing tells when they are there."""
         self._announce()
         yield self.tell(message, **fields)
-        yield round(float(self.config.settings.get("hold_home_s", HOME_HOLD)) * 1e9)
+        yield round(self.settings.known("hold_home_s") * 1e9)
         return [axis.name for axis in axes]
 
     # ------------------------------------------------------------------ zeros and errors

@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.errors import CallerError
+from aces_protocols.hubo.spec import hubo
 
-from .channel import BoardStored, Channel
+from .channel import Channel, board_defaults
 from .shapes import SHAPES, Shape
 
 #: Largest counts of encoder replies of two bytes.
@@ -38,7 +39,7 @@ class _Place:
 class Reporting(Twin):
     """One motor board. Faults with an amount are of motor 1, 2, … (0: of all; default 1)."""
 
-    protocol = "hubo"
+    protocol = hubo
     channels: list[Channel]
 
     faults: ClassVar[Mapping[str, str]] = {
@@ -60,20 +61,21 @@ class Reporting(Twin):
     def setup(self) -> None:
         """Power-up."""
         now = self.clock.now()
-        self._listening = self._handlers
         if "channels" in self.__dict__:
             for channel in self.channels:
                 channel.sync(now)
                 channel.powered(now)
             return
+        self._listening = self._handlers
+        #: The last word of some replies, and the fields it was made of.
+        self._words: dict[str, tuple[dict[str, Any], Any]] = {}
         dialect = self.variant.dialect or "D12"
         kind = self.config.kind if isinstance(self.config.kind, (int, str)) else self.config.channels
         found = SHAPES.get((dialect, kind)) if kind is not None else None
         if found is None or kind is None:
             raise CallerError(f"{self.name}: {dialect} has no motor board of kind {kind!r}")
         self.dialect, self.kind, self.shape = dialect, kind, found
-        # Fingers have far to go to their stop.
-        self.board = BoardStored() if kind != 5 else BoardStored(velocity_to_switch=40, velocity_to_offset=40)
+        self.board = board_defaults(kind)
         #: What was heard: beeps (ns, s), alarms (ns, sound).
         self.beeps: list[tuple[int, float]] = []
         self.alarms: list[tuple[int, str]] = []
@@ -179,6 +181,16 @@ class Reporting(Twin):
         if self.shape.encoders:
             self._encode()
 
+    def repeat(self, message: str, **fields: Any) -> None:
+        """Reply, with the word of the last time where the fields are the same: most status replies are."""
+        if self.active_faults or not self.is_powered:
+            self.reply(message, **fields)
+            return
+        known = self._words.get(message)
+        if known is None or known[0] != fields:
+            known = self._words[message] = (fields, self.twins.word(self, message, fields))
+        self._transmit(known[1], self.reply_delay_ns)
+
     @on("SendCurrent")
     def send_current(self, request: Any) -> None:
         """Magnitudes of the currents, within what the field holds; the temperature of the hottest motor."""
@@ -195,13 +207,13 @@ class Reporting(Twin):
             self.reply(current.reply[0], current=[*signed, 0][:2])
             return
         most = {1: 10.23, 2: 10.23, 5: 0.255}.get(self.kind if isinstance(self.kind, int) else 0, 1.02)
-        told = [min(most, one) for one in amps]
+        told = [min(most, round(one, 3)) for one in amps]
         if self.shape.channels == 5:
-            self.reply(current.reply[0], current=told)
+            self.repeat(current.reply[0], current=told)
             return
         heat = 95.0 if "hot" in self.active_faults else max(c.joint.temperature for c in self.channels)
         wide = told if self.shape.channels > 2 else [*told, 0.0][:2]
-        self.reply(current.reply[0], current=wide, temperature=min(255, int(heat)))
+        self.repeat(current.reply[0], current=wide, temperature=min(255, int(heat)))
 
     @on("SendStatus")
     def send_status(self, request: Any) -> None:
@@ -227,7 +239,7 @@ class Reporting(Twin):
                     name for name in ("jam", "saturated", "big_error", "encoder_error") if name in errors
                 ]
                 motors.append(channel.drive_flags() + short)
-        self.reply(status.reply[0], motor=motors)
+        self.repeat(status.reply[0], motor=motors)
 
     def _status_d08(self, message: str) -> None:
         found = [dict(channel.found) for channel in self.channels]

@@ -12,6 +12,7 @@ from typing import Any
 
 from aces_bus.device import Device, DeviceConfig, Job, Steps
 from aces_bus.errors import AcesError, CallerError
+from aces_protocols.hubo.spec import hubo
 
 #: Numbers of motor boards.
 BOARDS = range(0x30)
@@ -24,7 +25,7 @@ _ENCODER, _STATUS = 0x060, 0x150
 class _Probe(Device):
     """Whoever has this number."""
 
-    protocol = "hubo"
+    protocol = hubo
     is_there = False
 
     def setup(self) -> None:

@@ -37,11 +37,6 @@ class Switching(BoardCore):
             self._enable_job.cancel()
             self._enable_job = None
 
-    @property
-    def hand_mode(self) -> str:
-        """What a DRC-Hubo hand's fingers are given: currents (hybrid), or positions."""
-        return "position" if self.set_message == "ReferenceHandPosition" else "hybrid"
-
     def _enabling(self, job: Job) -> Steps:
         shape = self.shape
         if self._held_until > self.clock.now():
@@ -117,7 +112,7 @@ class Switching(BoardCore):
                 yield from self._gain_tickets(axis, None, None, None, False)
 
     def _name_info(self) -> dict[str, Any] | None:
-        period = self.config.settings.get("period_ms")
+        period = self.settings.number("period_ms")
         homes = [axis.joint.home if axis.joint is not None else None for axis in self.axes]
         if period is None:
             return None
@@ -145,7 +140,7 @@ class Switching(BoardCore):
         if self.shape.name_info is None:
             rate = self.host.rate_hz
             usual = 5 if rate is None else max(1, min(255, round(1000 / rate)))
-            period = int(self.config.settings.get("period_ms", usual))
+            period = int(self.settings.number("period_ms") or usual)
             return self.ask("GetBoardInfo", reply="BoardInfo", period=period)
         fields = self._name_info()
         if fields is None:

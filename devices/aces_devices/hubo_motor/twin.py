@@ -11,7 +11,7 @@ from typing import Any
 
 from aces_bus.device import on
 
-from .channel import BoardStored
+from .channel import board_defaults
 from .reporting import Reporting
 from .storage import selector
 
@@ -301,8 +301,7 @@ class HuboMotorTwin(Reporting):
     def init_board(self, request: Any) -> None:
         """Defaults, and as after power-up."""
         now = self.clock.now()
-        fresh = BoardStored(period=self.board.period)
-        for key, value in asdict(fresh).items():
+        for key, value in asdict(board_defaults(self.kind)).items():
             setattr(self.board, key, value)
         for channel in self.channels:
             channel.sync(now)
@@ -314,6 +313,7 @@ class HuboMotorTwin(Reporting):
         """It answers to another number from now on."""
         self.board.period = request.period
         self.twins.renumber(self, board=request.number)
+        self._words.clear()
 
     @on("Beep")
     def beep(self, request: Any) -> None:

@@ -1,0 +1,100 @@
+"""Set-points from outside, on their way down.
+
+1. They reach states on the clock's thread only. However many come, one action waits there, with the newest value of each
+   state: a flood costs nothing below.
+2. A state that refuses one (read-only, not a number) is counted, and told once for each state until it takes one.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from .events import AccessEvent, Events
+
+
+class Soon(Protocol):
+    """What of a clock is needed: `Loop` and `VirtualClock` have it."""
+
+    def now(self) -> int:
+        """This instant, in ns."""
+        ...
+
+    def call_soon(self, action: Callable[[], None]) -> None:
+        """Do it next, on the clock's thread."""
+        ...
+
+
+class Inlet:
+    """Takes set-points (`put`) and sample requests (`ask`) from any thread. `taken` and `refused` count set-points."""
+
+    def __init__(
+        self, clock: Soon, states: Mapping[str, Any], events: Events, name: str, *, plans: bool = True
+    ) -> None:
+        self.clock, self.states, self.events, self.name = clock, states, events, name
+        #: Whether it plans on the clock by itself; else somebody calls `flush` on the clock's thread.
+        self.plans = plans
+        self.taken = self.refused = 0
+        #: When the last one was taken (ns); None before the first.
+        self.taken_at: int | None = None
+        self._waiting: dict[str, float] = {}
+        self._asked: set[str] = set()
+        self._complained: set[str] = set()
+        self._is_planned = False
+        self._lock = threading.Lock()
+
+    def put(self, values: Mapping[str, float]) -> None:
+        """Set-points, by state; those of states that are not there, or not finite, are refused."""
+        good = {name: v for name, v in values.items() if name in self.states and math.isfinite(v)}
+        for name in values.keys() - good.keys():
+            known = name in self.states
+            self._refuse(name[:80], "not a finite number" if known else "no such state")
+        if good:
+            with self._lock:
+                self._waiting.update(good)
+            self._plan()
+
+    def ask(self, name: str) -> None:
+        """Ask a state's device for a new sample."""
+        with self._lock:
+            self._asked.add(name)
+        self._plan()
+
+    def _plan(self) -> None:
+        with self._lock:
+            if self._is_planned:
+                return
+            self._is_planned = True
+        if self.plans:
+            self.clock.call_soon(self.flush)
+
+    def flush(self) -> None:
+        """Hand down what waits; on the clock's thread."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, {}
+            asked, self._asked = self._asked, set()
+            self._is_planned = False
+        for name, value in waiting.items():
+            try:
+                self.states[name].set(value)
+            except Exception as error:  # a driver's own, too; the others are set nevertheless
+                self._refuse(name, str(error))
+            else:
+                self.taken += 1
+                self.taken_at = self.clock.now()
+                self._complained.discard(name)
+        for name in asked:
+            try:
+                self.states[name].refresh()
+            except Exception as error:
+                self._refuse(name, str(error))
+
+    def _refuse(self, name: str, why: str) -> None:
+        self.refused += 1
+        # Names from outside are endless: only so many are remembered, and told.
+        if name not in self._complained and len(self._complained) < 256:
+            self._complained.add(name)
+            detail = f"{name!r}: {why}"[:300]
+            self.events.tell(AccessEvent("refused", self.clock.now(), self.name, detail))

@@ -1,0 +1,83 @@
+"""Hubo 2+ plays a walking pattern: it homes, switches its legs on, goes gently to the first row, plays, and is compared.
+
+Without a file it steps in place: shank and thigh are equally long, so that with hip −a, knee 2a, ankle −a a foot stays level
+below its hip; what the hips roll, the ankles roll back.
+
+    python examples/hubo_walk.py [FILE]        # names in the first line, rad; the rate is in its name (100hz.txt) or 100 Hz
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from math import pi, sin
+
+from aces_bus.assembly import run_virtual
+from aces_bus.controller import Player, Trajectory, read_trajectory
+from aces_bus.controller.motion_file import rate_in_name
+from aces_devices.robots import load_robot
+
+RATE = 100.0
+JOINTS = tuple("WST LHY LHR LHP LKP LAP LAR RHY RHR RHP RKP RAP RAR".split())
+
+
+def row(phase: float, fade: float) -> list[float]:
+    """One row of stepping in place: `phase` counts steps, `fade` goes from standing straight to stepping."""
+    sway = 0.06 * fade * sin(pi * phase)
+    q = dict.fromkeys(JOINTS, 0.0)
+    for side, way in (("L", 1), ("R", -1)):
+        lifted = max(0.0, way * sin(pi * phase)) ** 2
+        bend = fade * (0.35 + 0.15 * lifted)
+        q |= {f"{side}HP": -bend, f"{side}KP": 2 * bend, f"{side}AP": -bend}
+        q |= {f"{side}HR": sway, f"{side}AR": -sway}
+    return [q[joint] for joint in JOINTS]
+
+
+def stepping(steps: int = 4, seconds: float = 0.6) -> Trajectory:
+    """Bend the knees, step left and right, stand up."""
+    count = round((steps + 2) * seconds * RATE)
+    phases = [n / (seconds * RATE) - 1 for n in range(count + 1)]
+    fades = [min(1.0, phase + 1, steps + 1 - phase) for phase in phases]
+    smooth = [fade * fade * (3 - 2 * fade) for fade in fades]
+    return Trajectory(
+        JOINTS, [row(p, f) for p, f in zip(phases, smooth, strict=True)], rate_hz=RATE, source="stepping"
+    )
+
+
+def main(arguments: Sequence[str]) -> dict[str, float]:
+    if arguments:
+        pattern = read_trajectory(arguments[0], rate_hz=rate_in_name(arguments[0]) or RATE)
+    else:
+        pattern = stepping()
+    robot = load_robot("hubo2plus")
+    worst = dict.fromkeys(pattern.names, 0.0)
+
+    def compare(setpoints: dict[str, float]) -> Mapping[str, float] | None:
+        if player.mode == "running":
+            for name, wanted in before.items():
+                worst[name] = max(worst[name], abs(run.states[name][0] - wanted))
+        before.update(setpoints)
+        return None
+
+    before: dict[str, float] = {}
+    player = Player("walk", pattern, rate_hz=pattern.rate_hz, hook=compare)
+    run = run_virtual(robot, [player], rate_hz=pattern.rate_hz)
+    with run:
+        legs = list({run.rig.device(name).name: run.rig.device(name) for name in pattern.names}.values())
+        run.do("home", devices=legs)
+        run.do("enable", devices=legs)
+        print(f"{pattern!r}, on {len(legs)} boards of {robot.name}, homed and on")
+        ended = run.run(pattern.duration_s + 10, until=lambda: player.mode == "ended")
+    print(
+        f"{player.mode} after {ended.seconds:.2f} s; {', '.join(ended.tripped.values()) or 'nothing went wrong'}"
+    )
+    print(
+        "from the last set-point at most:",
+        ", ".join(f"{name} {error:.3f}" for name, error in worst.items()),
+        "rad",
+    )
+    return worst
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,1 @@
+"""CANopen: what every node of a network speaks."""

@@ -1,0 +1,231 @@
+"""What is going on in a run, as numbers.
+
+1. Reading never disturbs: nothing is asked of a device, no lock is taken, and what a run's threads change meanwhile is
+   read as it is.
+2. Rates are of the time between two looks, on the run's own clock.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.frame import Frame
+from aces_bus.hardware.wire import Wire
+
+if TYPE_CHECKING:
+    from aces_bus.assembly import Runner
+    from aces_bus.runtime import Task
+
+#: What happens on a good day, and is not worth a line.
+USUAL = frozenset({"opened", "closed", "error-active", "clipped"})
+#: The longest classic frame: what a bus's load is reckoned by where nobody measures it.
+LONGEST = Frame(0, bytes(8))
+KEPT_EVENTS = 5
+#: Between two looks at the jitter (ns).
+JITTER_EVERY = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class Component:
+    """A controller or log: its rate (wanted, and what it came to), jitter in ns, what was missed, how it is."""
+
+    name: str
+    wanted_hz: float
+    rate_hz: float
+    median_ns: int
+    most_ns: int
+    missed: int
+    overruns: int
+    says: str
+    is_bad: bool = False
+
+
+@dataclass(frozen=True)
+class BusLine:
+    """A bus: its load (`is_most`: no more than that), words a second, unanswered requests, the longest latency in ns."""
+
+    name: str
+    load: float | None
+    is_most: bool
+    sent_hz: float
+    received_hz: float
+    missed: int
+    latency_ns: int
+    state: str
+
+
+@dataclass(frozen=True)
+class StateLine:
+    """A state that is in use: its newest value and age in ns, None where it was never known; what it was last told."""
+
+    name: str
+    unit: str
+    value: Any
+    age_ns: int | None
+    is_fresh: bool
+    set_point: float | None
+
+
+@dataclass
+class Figures:
+    """One look. `seconds` of the run's clock, `pace` in seconds of it for one of ours."""
+
+    seconds: float
+    pace: float
+    components: list[Component]
+    buses: list[BusLine]
+    states: list[StateLine]
+    set_points: int
+    clipped: int
+    clipped_most: str
+    counts: Counter[str]
+    events: list[str] = field(default_factory=list[str])
+
+    @property
+    def oldest(self) -> StateLine | None:
+        """The oldest value in use."""
+        return max((s for s in self.states if s.age_ns is not None), key=lambda s: s.age_ns or 0, default=None)
+
+    @property
+    def unknown(self) -> list[str]:
+        """States without a fresh value."""
+        return [state.name for state in self.states if not state.is_fresh]
+
+
+class Watch:
+    """Looks at a runner now and then. `real` is whether its clock is that on the wall."""
+
+    def __init__(self, runner: Runner, *, real: bool) -> None:
+        self.runner, self.real = runner, real
+        self.counts: Counter[str] = Counter()
+        self.last: deque[str] = deque(maxlen=KEPT_EVENTS)
+        self._before: dict[str, tuple[int, ...]] = {}
+        self._jitter: dict[str, tuple[int, int, int]] = {}
+        self._at = runner.clock.now()
+        self._wall = 0
+        runner.handlers.append(self._happened)
+
+    def _happened(self, event: Any) -> None:
+        self.counts[event.kind] += 1
+        if event.kind not in USUAL:
+            self.last.append(event_text(event))
+
+    def begin(self, wall_ns: int) -> None:
+        """Rates are reckoned from here on."""
+        self.look(wall_ns)
+
+    def look(self, wall_ns: int) -> Figures:
+        """The figures now; `wall_ns` is an instant of the monotonic clock."""
+        runner = self.runner
+        now = runner.clock.now()
+        passed = max(1, now - self._at) / 1e9
+        pace = (now - self._at) / (wall_ns - self._wall) if self._wall and wall_ns > self._wall else 1.0
+        self._at, self._wall = now, wall_ns
+        clips = {name: c.total for s in runner.supervisors for name, c in dict(s.guard.clips).items()}
+        return Figures(
+            runner.seconds,
+            pace,
+            [self._component(task, passed) for task in runner.tasks.tasks],
+            [self._bus(name, host, passed) for name, host in runner.rig.hosts.items()],
+            self._states(now),
+            runner.set_points,
+            sum(clips.values()),
+            max(clips, key=lambda name: clips[name]) if clips else "",
+            Counter(self.counts),
+            list(self.last),
+        )
+
+    def _since(self, key: str, *numbers: int) -> tuple[int, ...]:
+        before = self._before.get(key, (0,) * len(numbers))
+        self._before[key] = numbers
+        return tuple(new - old for new, old in zip(numbers, before, strict=True))
+
+    def _component(self, task: Task, passed: float) -> Component:
+        (ticks,) = self._since(f"task {task.name}", task.ticks)
+        says, is_bad = self._says(task.name)
+        median, most = self._jitter_of(task) if self.real else (0, 0)
+        return Component(
+            task.name,
+            task.rate_hz,
+            ticks / passed,
+            median,
+            most,
+            task.missed,
+            task.overruns,
+            says,
+            is_bad,
+        )
+
+    def _jitter_of(self, task: Task) -> tuple[int, int]:
+        """Median and 99 %; sorting thousands of numbers would disturb, so not at each look."""
+        known = self._jitter.get(task.name)
+        if known is None or self._wall - known[0] >= JITTER_EVERY:
+            known = self._jitter[task.name] = (self._wall, task.jitter_ns(), task.jitter_ns(0.99))
+        return known[1:]
+
+    def _says(self, name: str) -> tuple[str, bool]:
+        runner = self.runner
+        reason = runner.stopped.get(name)
+        if reason is not None:
+            return f"stopped: {reason}", True
+        for supervisor in runner.supervisors:
+            if supervisor.name != name:
+                continue
+            controller: Any = supervisor.controller
+            if supervisor.degraded:
+                return f"degraded: {', '.join(supervisor.degraded)}", True
+            if getattr(controller, "waiting", ""):
+                return f"waits for {controller.waiting}", False
+            mode = str(getattr(controller, "mode", "") or "")
+            progress = getattr(controller, "progress", None)
+            phase = getattr(controller, "phase", None)
+            parts = [mode, f"{progress:.0%}" if isinstance(progress, float) else "", str(phase or "")]
+            return " ".join(part for part in parts if part), mode == "failed"
+        for logger in runner.loggers:
+            if logger.name == name:
+                lost = getattr(logger, "dropped", 0) + getattr(logger, "lost", 0)
+                rows = f"{getattr(logger, 'written', 0)} rows"
+                return (f"{rows}, {lost} lost", True) if lost else (rows, False)
+        return "", False
+
+    def _bus(self, name: str, host: Any, passed: float) -> BusLine:
+        counts, port = host.counts, host.port
+        wire = getattr(self.runner.world, "wires", {}).get(name)
+        busy = wire.load.busy_ns if isinstance(wire, Wire) else 0
+        sent, received, on_wire = self._since(f"bus {name}", counts.sent, counts.received, busy)
+        load: float | None = None
+        if isinstance(wire, Wire):
+            load = on_wire / 1e9 / passed
+        elif port.link == "can" and self.real:
+            load = (sent + received) * port.wire_ns(LONGEST) / 1e9 / passed
+        silent = [device.name for device in host.devices.values() if device.is_silent]
+        return BusLine(
+            name,
+            load,
+            not isinstance(wire, Wire),
+            sent / passed,
+            received / passed,
+            counts.missed,
+            counts.latency_ns,
+            f"silent: {', '.join(silent)}" if silent else "",
+        )
+
+    def _states(self, now: int) -> list[StateLine]:
+        runner = self.runner
+        given = runner.given
+        lines: list[StateLine] = []
+        for name in runner.used:
+            signal = runner.states[name]
+            value, age = signal.last, signal.age_ns
+            fresh = age is not None and not signal.is_stale
+            lines.append(StateLine(name, signal.unit or "", value, age, fresh, given.get(name)))
+        return lines
+
+
+def event_text(event: Any) -> str:
+    """An event as one line."""
+    source = event.source
+    text = f"{source}: {event.kind}" + (f": {event.detail}" if event.detail else "")
+    return " ".join(text.split())[:300]

@@ -1,0 +1,235 @@
+"""What a call of `aces run` names: controllers in files, logs.
+
+1. A Python file is a program of the user's, and runs with the user's rights; nothing else here executes anything.
+2. Whatever is wrong is found before a bus is opened, and said in one line with the file's name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
+
+from ..protocols_arg import load_file
+
+if TYPE_CHECKING:
+    from aces_bus.controller import ControllerLike, Player, Trajectory
+    from aces_bus.controller.log import Logger
+    from aces_bus.device import Robot
+
+#: Columns of the walking patterns that MiniHubo's programs wrote, which have no names.
+WALK_COLUMNS = (13, 21, 22)
+
+
+def load_controllers(
+    words: Sequence[str], robot: Robot, rate_hz: float, arguments: argparse.Namespace
+) -> list[ControllerLike]:
+    """The controllers that the words of a call name, in order; raises `CallerError` for what is none."""
+    found: list[ControllerLike] = []
+    for word in words:
+        path, name = _split(word)
+        if path.endswith(".py"):
+            found += _of_program(path, name)
+        else:
+            found.append(_player(word, robot, rate_hz, arguments))
+    return found
+
+
+def _split(word: str) -> tuple[str, str]:
+    """`walk.py:knee` as file and name."""
+    path, colon, name = word.rpartition(":")
+    return (path, name) if colon and path.endswith(".py") else (word, "")
+
+
+def _is_controller(item: Any) -> bool:
+    return all(callable(getattr(item, part, None)) for part in ("bind", "start", "step", "stop")) and not isinstance(
+        item, type
+    )
+
+
+def _of_program(path: str, name: str) -> list[ControllerLike]:
+    module = load_file(path)
+    if name:
+        if name not in vars(module):
+            known = [key for key, item in vars(module).items() if _is_controller(item)]
+            raise UnknownNameError(f"controller in {path}", name, known)
+        item = getattr(module, name)
+        if not _is_controller(item) and callable(item):  # a function or class that makes them
+            try:
+                item = item()
+            except AcesError:
+                raise
+            except Exception as error:  # the user's own program
+                raise CallerError(f"{path}: {name}() raised {type(error).__name__}: {error}") from error
+        items = [item] if _is_controller(item) else list(item) if isinstance(item, (list, tuple)) else []
+        if not items or not all(map(_is_controller, items)):
+            raise CallerError(f"{path}: {name} is no controller, but {type(item).__name__}")
+        return items
+    every = {id(item): item for item in vars(module).values() if _is_controller(item)}
+    inside = {id(getattr(item, "controller", None)) for item in every.values()}  # a supervisor's own
+    items = [item for key, item in every.items() if key not in inside]
+    if not items:
+        raise CallerError(
+            f"{path}: no controller in it: make one with @controller, Equations, StateMachine, Player …, under a name"
+        )
+    return items
+
+
+def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespace) -> Player:
+    from aces_bus.controller import Player
+    from aces_bus.controller.motion_file import MOST_RAD
+
+    trajectory = _trajectory(path, arguments)
+    renamed, left_out = _renaming(arguments.rename)
+    if left_out:
+        unknown = [name for name in left_out if name not in trajectory.names]
+        if unknown:
+            raise UnknownNameError(f"column of {path}", unknown[0], trajectory.names)
+        trajectory = _without(trajectory, left_out)
+    known = {*robot.joints, *(alias for joint in robot.joints.values() for alias in joint.aliases)}
+    for name in trajectory.names:
+        if "." not in renamed.get(name, name) and renamed.get(name, name) not in known:
+            raise CallerError(
+                f"{path}: {robot.name} has no joint {name}: --rename {name}=JOINT plays it on another, "
+                f"--rename {name}= leaves it out"
+            )
+    commands = {name: joint.command for joint in robot.joints.values() for name in (joint.name, *joint.aliases)}
+    are_angles = all(commands.get(renamed.get(name, name), "") == "position" for name in trajectory.names)
+    try:
+        return Player(
+            os.path.splitext(os.path.basename(path))[0],
+            trajectory,
+            rate_hz=rate_hz,
+            rename=renamed,
+            rounds=None if arguments.loop else 1,
+            speed=arguments.speed,
+            largest=MOST_RAD if are_angles else math.inf,
+        )
+    except CallerError as error:
+        text = str(error).replace("read it with unit='deg'; else say largest=math.inf", "add --degrees")
+        raise CallerError(f"{path}: {text}") from error
+
+
+def _trajectory(path: str, arguments: argparse.Namespace) -> Trajectory:
+    from aces_bus.controller import read_trajectory
+    from aces_devices.kinematics.minihubo import WALK_HZ, read_walk
+
+    if not os.path.isfile(path):
+        raise CallerError(f"{path}: {'a folder' if os.path.isdir(path) else 'no such file'}")
+    rate = arguments.rows_hz
+    with open(path, "rb") as file:
+        first = file.readline(32_768).split()
+    if len(first) in WALK_COLUMNS and _are_numbers(first):
+        return read_walk(path, rate_hz=rate or WALK_HZ)
+    unit = "deg" if arguments.degrees else "rad"
+    try:
+        return read_trajectory(path, rate_hz=rate, unit=unit)
+    except CallerError as error:
+        text = str(error).replace("give rate_hz (rows a second)", "--rows-hz N (rows a second)")
+        text = text.replace("give columns=[…]", "a first line has to name them")
+        raise CallerError(text) from error
+
+
+def _are_numbers(tokens: Iterable[bytes]) -> bool:
+    try:
+        return all(math.isfinite(float(token)) for token in tokens)
+    except ValueError:
+        return False
+
+
+def _renaming(texts: Iterable[str]) -> tuple[dict[str, str], set[str]]:
+    renamed: dict[str, str] = {}
+    left_out: set[str] = set()
+    for text in texts:
+        old, equals, new = text.partition("=")
+        if not equals or not old:
+            raise CallerError(f"--rename {text}: write COLUMN=JOINT, or COLUMN= to leave it out")
+        if new:
+            renamed[old] = new
+        else:
+            left_out.add(old)
+    return renamed, left_out
+
+
+def _without(trajectory: Trajectory, names: set[str]) -> Trajectory:
+    from aces_bus.controller import Trajectory
+
+    keep = [number for number, name in enumerate(trajectory.names) if name not in names]
+    if not keep:
+        raise CallerError("--rename leaves no column")
+    return Trajectory(
+        [trajectory.names[number] for number in keep],
+        trajectory.rows[:, keep],
+        rate_hz=trajectory.rate_hz,
+        interpolation=trajectory.interpolation,
+        source=trajectory.source,
+    )
+
+
+# ---------------------------------------------------------------------- logs
+
+
+def make_loggers(
+    texts: Sequence[str], controllers: Sequence[ControllerLike], robot: Robot, rate_hz: float
+) -> list[Logger]:
+    """The logs of `--log FILE[:STATE,…]`; raises `CallerError` for a file that cannot be written."""
+    from aces_bus.controller.log import Logger
+
+    made: list[Logger] = []
+    for text in texts:
+        path, states = _log_parts(text)
+        folder = os.path.dirname(path) or "."
+        if not os.path.isdir(folder):
+            raise CallerError(f"--log {path}: there is no folder {folder!r}")
+        names = _states_of(states, robot) if states else default_states(controllers, robot)
+        made.append(Logger(path, names, rate_hz=rate_hz, robot=robot.name))
+    paths = [os.path.realpath(one.path) for one in made]
+    if len(set(paths)) < len(paths):
+        raise CallerError("--log: two logs go to one file; say all states behind one colon")
+    return made
+
+
+def _log_parts(text: str) -> tuple[str, list[str]]:
+    path, colon, states = text.rpartition(":")
+    if not colon or "/" in states or "\\" in states:
+        return text, []
+    if not path:
+        raise CallerError(f"--log {text}: which file? write FILE:STATE,STATE")
+    names = [name.strip() for name in states.split(",") if name.strip()]
+    if not names:
+        raise CallerError(f"--log {text}: no state behind the colon; without it, what the controllers use is logged")
+    return path, names
+
+
+def _states_of(patterns: Sequence[str], robot: Robot) -> list[str]:
+    """Names as they are; `*` and `?` stand for joints: `L*`, `L*.setpoint`."""
+    joints = [joint.name for joint in robot.joints.values() if joint.active]
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        if "*" not in pattern and "?" not in pattern:
+            found[pattern] = None
+            continue
+        owner, dot, rest = pattern.partition(".")
+        some = [joint for joint in joints if fnmatchcase(joint, owner)]
+        if not some:
+            raise UnknownNameError(f"joint of {robot.name} like", owner, joints)
+        found.update(dict.fromkeys(f"{joint}{dot}{rest}" for joint in some))
+    return list(found)
+
+
+def default_states(controllers: Sequence[ControllerLike], robot: Robot) -> list[str]:
+    """What controllers read and write, beside what they wanted; without any, all joints."""
+    written = [name for one in controllers for name in getattr(one, "writes", ())]
+    read = [name for one in controllers for name in one.states]
+    if not written and not read:
+        return [joint.name for joint in robot.joints.values() if joint.active]
+    names: dict[str, None] = {}
+    for name in written:
+        names[name] = names[f"{name}.setpoint"] = None
+    names.update(dict.fromkeys(read))
+    return list(names)

@@ -1,0 +1,307 @@
+"""One run, from opening the buses to the summary.
+
+1. Until `--tx` is said nothing that moves is sent on a real bus: the devices are asked, and set-points are shown.
+2. What is to be driven and is not there is found before anything moves.
+3. However it ends, the runner's own end comes first: controllers, motion, buses, logs; then the summary, last on stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import CallerError, DeviceError
+
+from ..console import abandon_stdout, say, terminal_width, wants_colour
+from ..live import LivePatience
+from ..robot_arg import bus_options
+from .figures import USUAL, Watch, event_text
+from .panel import panel, plain, to_rich
+
+if TYPE_CHECKING:
+    from aces_bus.assembly import Ended, Runner
+    from aces_bus.controller import ControllerLike
+    from aces_bus.controller.log import Logger
+    from aces_bus.device import Device, Robot
+    from aces_bus.frame import Frame
+
+#: Between two pictures of the panel, and two lines (ns).
+PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
+#: After a home search some boards take no references for three seconds (Hubo's user's manual, homing); then it begins.
+REST_S = 4.0
+#: How long devices may take to be enabled, and to find their home.
+ENABLE_S, HOME_S = 30.0, 180.0
+#: Threads of Python wait for each other at most so long (s): the default, 5 ms, is a whole cycle.
+SWITCH_S = 0.0005
+#: Events of one kind and source that are told.
+FEW = 3
+#: Modes of controllers that have come to their end.
+ENDED = ("ended", "done", "failed")
+
+
+class Session:
+    """A run as the command line asks for it."""
+
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        robot: Robot,
+        controllers: Sequence[ControllerLike],
+        loggers: Sequence[Logger],
+        rate_hz: float,
+        duration: int | None,
+    ) -> None:
+        self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
+        self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, duration
+        self.is_real = not (arguments.virtual or arguments.replay)
+        self.patience = LivePatience()
+        self.said: dict[tuple[str, str], int] = {}
+        self._live: Any = None
+        self._next = 0
+        self._end: Ended | None = None
+
+    # ------------------------------------------------------------------ making
+
+    def _make(self, stack: ExitStack) -> Runner:
+        from aces_bus.assembly import run_real, run_replay, run_virtual
+
+        asked = self.arguments
+        if asked.virtual:
+            return run_virtual(
+                self.robot, self.controllers, rate_hz=self.rate_hz, seed=asked.seed, loggers=self.loggers
+            )
+        if asked.replay:
+            frames = stack.enter_context(_Recording(asked.replay))
+            return run_replay(self.robot, frames, self.controllers, loggers=self.loggers)
+        options = bus_options(self.robot, asked)
+        return run_real(
+            self.robot,
+            self.controllers,
+            buses=options,
+            rate_hz=self.rate_hz,
+            real_time=asked.real_time,
+            drives=asked.tx,
+            loggers=self.loggers,
+        )
+
+    @property
+    def title(self) -> str:
+        """What it is, in the panel's head."""
+        asked = self.arguments
+        if asked.virtual:
+            return f"{self.robot.name}, virtual"
+        if asked.replay:
+            return f"{self.robot.name}, replay of {os.path.basename(asked.replay)}"
+        return self.robot.name if asked.tx else f"{self.robot.name}, only looking (no --tx)"
+
+    # ------------------------------------------------------------------ running
+
+    def run(self) -> int:
+        """Run, and say how it was; the exit status."""
+        with ExitStack() as stack:
+            stack.enter_context(self.patience)
+            runner = self._make(stack)
+            runner.bind()
+            watch = Watch(runner, real=self.is_real)
+            if self.is_real:
+                before = sys.getswitchinterval()
+                sys.setswitchinterval(SWITCH_S)
+                stack.callback(sys.setswitchinterval, before)
+            status = 0
+            missing: list[str] = []
+            try:
+                with self.patience.waiting():
+                    runner.open()
+                    missing = runner.missing
+                    ready = self._prepare(runner, missing)
+                if ready:
+                    self._start_showing(runner, watch)
+                    seconds = None if self.duration is None else self.duration / 1e9
+                    self._end = runner.run(seconds, until=lambda: self._look(runner, watch))
+                else:
+                    status = 1
+            except KeyboardInterrupt:
+                status = 130
+            except DeviceError as error:
+                say(str(error))
+                status = 1
+            finally:
+                self._stop_showing(runner, watch)
+                ended = runner.stop()
+            return self._summarise(runner, watch, self._end or ended, missing, status)
+
+    def _prepare(self, runner: Runner, missing: Sequence[str]) -> bool:
+        """Home and enable what is driven; False when some of it is not there."""
+        asked = self.arguments
+        if missing:
+            say(f"not heard: {', '.join(missing)}; powered, on this bus, and of this number?")
+        if not runner.drives:
+            return True
+        driven = {device.name: device for one in runner.supervisors for device in runner.driven(one)}
+        if any(name in driven for name in missing):
+            say("nothing was moved: what is to be driven has to be there")
+            return False
+        devices: list[Device] = list(driven.values())
+        if asked.home:
+            homed = runner.do("home", HOME_S, devices=devices)
+            if homed:
+                self._say(f"homed: {', '.join(homed)}")
+                runner.clock.wait(lambda: False, round(REST_S * 1e9))
+        if asked.enable:
+            runner.do("enable", ENABLE_S, devices=devices)
+        return True
+
+    def _say(self, text: str) -> None:
+        if not self.arguments.quiet:
+            say(text)
+
+    def _look(self, runner: Runner, watch: Watch) -> bool:
+        """Asked every millisecond: show, keep the pace; whether it is to end."""
+        if self.patience.is_over or self._is_played(runner):
+            return True
+        now = time.monotonic_ns()
+        if self.arguments.real_time and not self.is_real:
+            ahead = self._began + round(runner.seconds * 1e9) - now
+            if ahead > 0:
+                time.sleep(ahead / 1e9)
+        if now >= self._next:
+            self._next = now + (PANEL_EVERY if self._live is not None else LINE_EVERY)
+            self._show(runner, watch, now)
+        return False
+
+    def _is_played(self, runner: Runner) -> bool:
+        """Whether all that has an end is at it, or the recording is."""
+        if self.arguments.replay and runner.world.is_over:
+            return True
+        if self.duration is not None:
+            return False
+        modes = [getattr(one, "mode", None) for one in self._bare]
+        finite = [mode for mode in modes if isinstance(mode, str)]
+        return bool(finite) and all(mode in ENDED for mode in finite)
+
+    @property
+    def _bare(self) -> Iterator[Any]:
+        return (getattr(one, "controller", one) for one in self.controllers)
+
+    # ------------------------------------------------------------------ showing
+
+    def _start_showing(self, runner: Runner, watch: Watch) -> None:
+        self._began = time.monotonic_ns()
+        watch.begin(self._began)
+        self._next = self._began + (PANEL_EVERY if self._on_terminal else LINE_EVERY)
+        if self.arguments.quiet:
+            return
+        if not self._on_terminal:
+            runner.handlers.append(self._told)
+            return
+        from rich.console import Console
+        from rich.live import Live
+
+        console = Console(no_color=not wants_colour(None, True), highlight=False)
+        self._live = Live(console=console, auto_refresh=False, transient=False)
+        self._live.start()
+
+    @property
+    def _on_terminal(self) -> bool:
+        out = sys.stdout
+        return not self.arguments.quiet and out is not None and out.isatty() and os.environ.get("TERM") != "dumb"
+
+    def _show(self, runner: Runner, watch: Watch, now: int) -> None:
+        if self.arguments.quiet:
+            return
+        figures = watch.look(now)
+        if self._live is not None:
+            size = self._live.console.size
+            lines = panel(figures, self.title, min(size.width, terminal_width()), size.height - 1)
+            self._live.update(to_rich(lines), refresh=True)
+            return
+        try:
+            print(plain(figures), flush=True)
+        except BrokenPipeError:  # nobody reads any more: the robot is stopped as if by Ctrl-C
+            abandon_stdout()
+            self.patience.is_over = True
+
+    def _stop_showing(self, runner: Runner, watch: Watch) -> None:
+        if self._live is not None:
+            self._show(runner, watch, time.monotonic_ns())
+            self._live.stop()
+            self._live = None
+
+    def _told(self, event: Any) -> None:
+        """Without a panel, what happens is said when it does; of what happens again and again the first."""
+        if event.kind in USUAL:
+            return
+        key = event.kind, event.source
+        self.said[key] = self.said.get(key, 0) + 1
+        if self.said[key] <= FEW:
+            say(event_text(event))
+
+    # ------------------------------------------------------------------ the end
+
+    def _summarise(
+        self, runner: Runner, watch: Watch, ended: Ended, missing: Sequence[str], status: int
+    ) -> int:
+        for (kind, source), number in self.said.items():
+            if number > FEW:
+                say(f"{source}: {kind}: {number - FEW} more times")
+        for name, reason in ended.tripped.items():
+            say(f"{name} was stopped: {reason}")
+        for text in ended.failed:
+            say(f"at the end: {text}")
+        tasks = runner.tasks.tasks
+        for task in tasks if ended.seconds > 0 else ():
+            if self.is_real:
+                self._say(f"{task}{', SCHED_FIFO' if task.is_real_time else ''}")
+        if self.is_real and self.arguments.real_time and not any(task.is_real_time for task in tasks):
+            say("SCHED_FIFO is not allowed here (CAP_SYS_NICE, or an rtprio limit); it ran without")
+        for logger in self.loggers:
+            self._say(str(logger))
+        clips = sum(c.total for s in runner.supervisors for c in s.guard.clips.values())
+        counts = {
+            "cycles": sum(task.ticks for task in tasks),
+            "missed": sum(task.missed for task in tasks),
+            "overruns": sum(task.overruns for task in tasks),
+            "set_points": runner.set_points,
+            "clipped": clips,
+            "events": sum(n for kind, n in watch.counts.items() if kind not in USUAL),
+            "tripped": len(ended.tripped),
+            "missing": len(missing),
+        }
+        sent = "" if runner.drives else " (set-points were not sent)"
+        text = " ".join(f"{name}={number}" for name, number in counts.items())
+        say(f"seconds={ended.seconds:.3f} {text}{sent}", who="")
+        return status or int(bool(ended.tripped or ended.failed or missing))
+
+
+class _Recording:
+    """A CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
+
+    def __init__(self, path: str) -> None:
+        from aces_bus.capture import CanCapture, open_capture
+
+        capture = open_capture(path)
+        if not isinstance(capture, CanCapture):
+            capture.close()
+            raise CallerError(f"{path}: a serial recording; --replay takes those of CAN")
+        self.capture = capture
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frames in self.capture.batches(1024):
+            yield from frames
+
+    def __enter__(self) -> _Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        problems = self.capture.lines_unreadable
+        if problems:
+            say(f"{self.capture.name}: {problems} unreadable lines")
+        self.capture.close()
+
+
+__all__ = ["Session"]
