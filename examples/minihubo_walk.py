@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
             )
         before.update(row)
 
-    player = Player("walk", pattern, rate_hz=WALK_HZ, hook=compare)
+    player = Player("walk", pattern, rate_hz=WALK_HZ, gentle=Limits(1.5, 6.0), hook=compare)
     run = run_virtual(robot, [player], rate_hz=WALK_HZ)
     with run:
         run.do("enable")

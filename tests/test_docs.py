@@ -18,6 +18,7 @@ PAGES = [
     "docs/checking.md",
     "docs/devices.md",
     "docs/exporting.md",
+    "docs/fuzzing.md",
     "docs/language.md",
     "docs/robots.md",
     "docs/states.md",

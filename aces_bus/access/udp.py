@@ -6,8 +6,8 @@
 3. It waits for nobody: sockets do not block, and an answer that the system does not take is counted and gone.
 
 *Facts* (acesHubo, state/matlab.hpp): datagrams are ASCII; `GET` is answered by C's "%f" without a terminator, `SET` and
-`SMP` ("one sample request downstream") by nothing; ports are arguments of each state, 2827 and up in the scripts. *Choice*: an
-unknown or stale value is answered by `nan`, as "%f" writes it; the original answered its last one.
+`SMP` ("one sample request downstream") by nothing; ports are arguments of each state, 2827 and up in the scripts.
+*Choice*: an unknown or stale value is answered by `nan`, as "%f" writes it; the original answered its last one.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
 1. Endpoints are explicit and loopback by default; nothing is searched for on the network (no multicast, no gossip).
 2. Instants and ages are those of the publisher's clock: a remote state's `clock` is that one, as it is guessed from here.
-3. A connection that is lost makes every remote state unknown after `lost_s`, and is told; another run of the publisher begins
-   all histories anew. Where set-points stop coming, `dead_man_s` later the robot's side is told, and `on_lost` called.
+3. A connection that is lost makes every remote state unknown after `lost_s`, and is told; another run of the publisher
+   begins all histories anew. Where set-points stop coming, the robot's side is told after `dead_man_s`, and `on_lost`
+   called.
 4. What comes is untrusted: bounded, of the stated types, counted in `bad`, never raised.
 
 The keys, for programs in other languages (JSON, UTF-8), with `aces/ROBOT` before them: `/values`, published at the rate:
@@ -96,9 +97,8 @@ def opened(listen: Iterable[str], connect: Iterable[str], options: Options) -> A
             config.insert_json5(key, json.dumps(value))
         return library.open(config)
     except library.ZError as error:
-        raise CallerError(
-            f"zenoh at {', '.join([*listen, *connect])}: {str(error).partition(' at /')[0]}"
-        ) from None
+        why = " ".join(str(error).partition(" at /")[0].split()).removeprefix("Json5Err(Message { msg: ")
+        raise CallerError(f"zenoh at {', '.join([*listen, *connect])}: {why[:300]}") from None
 
 
 def key_of(robot: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.assembly import run_virtual
+from aces_bus.controller import controller
 from aces_bus.controller.log import (
     About,
     Column,
@@ -87,7 +88,7 @@ def test_a_log_reads_back_as_it_was_sampled(tmp_path: Path, suffix: str) -> None
     assert log["hip(setpoint)"][-1] == math.sin(19.8)
     assert log["hip(age)"][6] == pytest.approx(0.03)
     assert log["hip(age)"][-1] == pytest.approx(1.01)
-    assert np.isnan(log["power"][:52]).all()
+    assert np.isnan(log["power"][:51]).all()
     assert log["power"][53] == 2 * hip[53]
     assert [path.name] == [one.name for one in tmp_path.iterdir()]
 
@@ -172,9 +173,12 @@ def test_a_logger_runs_beside_a_controller(tmp_path: Path) -> None:
     """A runner takes loggers: the robot's name and units are known by it, and its end closes them."""
     path = tmp_path / "fans.db"
     logger = Logger(path, ["A.left", "A.left(setpoint)", "B.temperature"], rate_hz=50)
-    run = run_virtual(robot_of(ROBOT), [], loggers=[logger], load=drivers)
-    with run:
-        run.states["A.left"].set(100.0)
+
+    @controller(rate_hz=50, writes=["A.left"])
+    def spin() -> Mapping[str, float]:
+        return {"A.left": 100.0}
+
+    with run_virtual(robot_of(ROBOT), [spin], loggers=[logger], load=drivers) as run:
         run.run(0.5)
     log = read_log(path)
     assert (log.about.robot, len(log)) == ("fans", logger.written)
@@ -204,7 +208,9 @@ def test_the_originals_logs_read_back(shared_captures: Path, name: str) -> None:
 def test_names_with_and_without_attributes_are_one(tmp_path: Path) -> None:
     """`X(value)` is `X`, `X(diff)` is `X(rate)`; blanks may trail, lines may end in CR LF, numbers may be nan."""
     path = tmp_path / "old.txt"
-    path.write_bytes(b"0 X(value) X(diff) X(integral) Y(banana) \r\n0.1 1 -2e-3 nan 4  \r\n\r\n0.2 2 0 1 5\r\n")
+    path.write_bytes(
+        b"0 X(value) X(diff) X(integral) Y(banana) \r\n0.1 1 -2e-3 nan 4  \r\n\r\n0.2 2 0 1 5\r\n"
+    )
     log = read_log(path)
     assert log.names == ["X", "X(rate)", "X(integral)", "Y(banana)"]
     assert log["X(diff)"].tolist() == [-0.002, 0]
@@ -218,7 +224,11 @@ def test_names_with_and_without_attributes_are_one(tmp_path: Path) -> None:
 
 def test_a_line_that_is_cut_is_left_out_and_noted(tmp_path: Path) -> None:
     """What a killed writer left at the end is no row, and the reader says so."""
-    for text, rows in ((b"0 X Y \n1 2 3 \n2 5", 1), (b"0 X Y \n1 2 3 \n2 5 -", 1), (b"0 X Y \n1 2 3 \n2 5 7", 2)):
+    for text, rows in (
+        (b"0 X Y \n1 2 3 \n2 5", 1),
+        (b"0 X Y \n1 2 3 \n2 5 -", 1),
+        (b"0 X Y \n1 2 3 \n2 5 7", 2),
+    ):
         path = tmp_path / "cut.txt"
         path.write_bytes(text)
         log = read_log(path)
@@ -405,7 +415,7 @@ def test_what_was_never_closed_is_recovered(tmp_path: Path) -> None:
     assert recover(str(path)) == 2
     log = read_log(path)
     assert (log.notes, log.units) == ([], {"X": "m"})
-    with pytest.raises(CallerError, match="no a.parquet.journal"):
+    with pytest.raises(CallerError, match=r"no a\.parquet\.journal"):
         recover(str(path))
 
 

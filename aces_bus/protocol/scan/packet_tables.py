@@ -177,6 +177,8 @@ class PacketTables:
             for names in (decider.contextual, context.requests, context.answers)
             for message in messages
         )
+        # Rolling counters count in the order of the stream, whatever their packets' heads say.
+        is_live = is_live or any(message.counters for message in messages)
         self._kinds = {message.name: _Kind(message, decider, raw=raw) for message in messages}
         self._types = {kind.gatherer.record: kind for kind in self._kinds.values()}
         self._choice = None if is_live else choose([kind.plan for kind in self._kinds.values()])
