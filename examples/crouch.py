@@ -1,15 +1,16 @@
-"""MiniHubo crouches and rises, by a table: phases with equations, guarded transitions, and whatever goes wrong in one row.
+"""MiniHubo crouches and rises, by a table of phases with equations and guarded transitions, which prints itself as a diagram.
 
-It waits, bends its knees until a hip is beyond 1.2 rad, rises until it is below 0.01 rad, and begins again; it ends when
-somebody lifts its right arm, whose servo is not switched on. The table prints itself as a diagram.
+It waits, bends its knees until a hip is beyond 1.2 rad, rises until it is below 0.02 rad (a servo rests within two counts of
+its goal), and begins again. It ends when somebody lifts its right arm, whose servo is not switched on.
 
-After the original's state-machine demonstration (miniSM): 15 Hz, 0.02 rad a tick, 5 s of waiting (here 0.5 s).
+After the original's demonstration (miniSM): 15 Hz, 0.02 rad a tick; there it waited 5 s, here 0.5 s.
 """
 
 from __future__ import annotations
 
 from aces_bus.assembly import run_virtual
 from aces_bus.controller import Phase, Row, StateMachine
+from aces_devices.robotis_rx.driver import STEP
 from aces_devices.robots import load_robot
 
 BEND = """
@@ -38,10 +39,10 @@ def crouching() -> StateMachine:
         table=[
             Row("wait", "crouch", after_s=0.5),
             Row("crouch", "rise", "LHP[0] > 1.2"),
-            Row("rise", "crouch", "LHP[0] < 0.01"),
+            Row("rise", "crouch", "LHP[0] < 0.02"),
             Row("crouch", "stand", "RSP[0] > 0.3"),
             Row("rise", "stand", "RSP[0] > 0.3"),
-            Row("stand", "done", "LHP[0] < 0.01"),
+            Row("stand", "done", "LHP[0] < 0.02"),
         ],
     )
 
@@ -49,20 +50,23 @@ def crouching() -> StateMachine:
 def main() -> None:
     machine = crouching()
     print(machine.mermaid())
-    run = run_virtual(load_robot("minihubo_2"), [machine])
+    run = run_virtual(load_robot("minihubo_2"), [machine], rate_hz=15)
     with run:
         run.do("enable", devices=[run.rig.device(name) for name in machine.writes])
-        arm = run.world.twins[run.rig.device("RSP").name]
+        shoulder = run.rig.robot.joint("RSP")
+        servo = run.world.twins[shoulder.device]
 
         def is_over() -> bool:
-            if run.seconds > 10 and machine.phase == "crouch":  # somebody lifts the arm
-                arm.motion.at = arm.at_joint(0.5)
+            if run.seconds > 10:  # somebody lifts the arm: 0.5 rad, in the servo's counts
+                servo.motion.at = (shoulder.direction * 0.5 + (shoulder.zero or 0.0)) / STEP
             return machine.mode == "done"
 
         ended = run.run(60.0, until=is_over)
     for instant, source, target in machine.trail:
-        print(f"{(instant - run.began) / 1e9:6.2f} s  {source} → {target}")
-    print(f"{machine.phase} after {ended.seconds:.1f} s; {machine.transitions} transitions; {ended.tripped or 'no trips'}")
+        print(f"{machine.seconds(instant):6.2f} s  {source} → {target}")
+    print(
+        f"{machine.phase} after {ended.seconds:.1f} s; {machine.transitions} transitions; {', '.join(ended.tripped.values()) or 'nothing went wrong'}"
+    )
 
 
 if __name__ == "__main__":

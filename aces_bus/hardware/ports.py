@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal
 
+from msgspec.structs import replace
+
 from ..errors import CallerError
 from ..frame import Frame
 from ..runtime import EventClock, Loop
@@ -73,7 +75,7 @@ class CanPort:
         def heard(items: list[Received]) -> None:
             def hand_over() -> None:
                 for item in items:
-                    handle(item.frame, item.host_ns)
+                    handle(_nameless(item.frame), item.host_ns)
 
             loop.call_soon(hand_over)
 
@@ -270,6 +272,11 @@ def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
     if isinstance(bus, (DatagramWire, DatagramGate)):
         return DatagramPort(bus, loop, **options)
     raise CallerError(f"a {type(bus).__name__} is neither a wire nor a gate")
+
+
+def _nameless(frame: Frame) -> Frame:
+    """A frame without its channel's name: what is sent here has none either, and answers belong to requests of one channel."""
+    return frame if frame.channel is None else replace(frame, channel=None)
 
 
 def _forward(gate: Any, clock: EventClock, handler: BusHandler) -> None:

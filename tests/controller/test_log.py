@@ -174,9 +174,9 @@ def test_a_logger_runs_beside_a_controller(tmp_path: Path) -> None:
     path = tmp_path / "fans.db"
     logger = Logger(path, ["A.left", "A.left(setpoint)", "B.temperature"], rate_hz=50)
 
-    @controller(rate_hz=50, writes=["A.left"])
+    @controller(rate_hz=50, writes=["A.left", "A.right"])
     def spin() -> Mapping[str, float]:
-        return {"A.left": 100.0}
+        return {"A.left": 100.0, "A.right": 100.0}
 
     with run_virtual(robot_of(ROBOT), [spin], loggers=[logger], load=drivers) as run:
         run.run(0.5)

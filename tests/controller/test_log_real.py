@@ -168,7 +168,10 @@ def test_a_full_disk_is_told_once_and_nothing_stops(
     assert log.lost > 0
     assert log.written + log.lost == 1000
     found = read_log(path)
-    assert found["X3"].tolist() == [i / 7 for i in range(1000)][: log.written]
+    # A smaller piece may fit where a larger did not: what is there is whole rows in order, with gaps.
+    rows = found["X3"].tolist()
+    assert len(rows) == log.written
+    assert rows == sorted({i / 7 for i in range(1000)} & set(rows))
     assert all(os.path.getsize(one) <= small_disk for one in tmp_path.iterdir())
 
 

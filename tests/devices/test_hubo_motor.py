@@ -561,11 +561,14 @@ def test_fingers_of_a_drc_hand_are_given_currents() -> None:
 
 def test_a_compliant_joint_gives_way_and_becomes_rigid_again() -> None:
     """Compliance sends duties and no references; the joint goes softly toward its set-point; rigid again, it holds it."""
-    with made(rate_hz=200) as robot:
+    text = LIMB.replace("settings = {", "settings = { filter = 40,")
+    with made(text, rate_hz=200) as robot:
         up(robot)
         board = robot.devices["JMC0"]
         with pytest.raises(UnknownNameError):
             board.home("LKN")
+        robot["RHY.position"].set(-0.1)
+        robot.advance(0.01)
         board.set_compliance().wait()
         robot["RHY.position"].set(0.3)
         silent = references(robot, lambda: robot.advance(2.0))

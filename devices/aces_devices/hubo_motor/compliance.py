@@ -55,6 +55,10 @@ class Compliance(Storage):
             raise self.fail("enable it first")
         yield self.tell("SwitchingMode", mode="non_complementary")
         self.is_compliant = True
+        self._filtering = False
+        for axis in self.axes:
+            if axis.goal is not None:  # a filter was on its way there
+                axis.reference, axis.goal = round(axis.goal), None
         self.drop("Reference")
 
     def _stiffening(self, job: Job) -> Steps:

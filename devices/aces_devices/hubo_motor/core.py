@@ -423,11 +423,11 @@ class BoardCore(Device):
         axis = self._axis_at(path)
         axis.reference = value
         axis.goal = None
+        if self.is_compliant:
+            return  # the set-point is what the duties are made from
         if self.filter_length > 1 and path.startswith("position"):
             axis.goal, axis.reference = float(value), self._given.get(message, {}).get(path, value)
             self._filtering = True
-            return
-        if self.is_compliant:
             return
         if axis.duty is not None and message == self.shape.pwm:
             axis.duty.update(self._duty_of(axis, value), self.clock.now())
