@@ -1,7 +1,7 @@
 # Python 3.11 or later and make are all this needs. `make help` lists the targets.
 #
 # 1. The environment is made once: a stamp in it says what is installed, pyproject.toml makes it stale.
-# 2. `demo` installs the package alone; what tests and checks need is fetched when they are asked for.
+# 2. `demo` installs the package and what draws; what tests and checks need is fetched when they are asked for.
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -34,6 +34,10 @@ $(VENV)/.run: $(VENV)/.python pyproject.toml
 	@$(PIP) --editable .
 	@touch $@
 
+$(VENV)/.demo: $(VENV)/.run
+	@echo "installing matplotlib into $(VENV) (once)"
+	@$(PIP) --editable '.[plot]' && touch $@ || echo "not installed: the demo draws in the terminal alone" >&2
+
 $(VENV)/.dev: $(VENV)/.python pyproject.toml
 	@echo "installing aces-bus and its development tools into $(VENV) (once)"
 	@$(PIP) --editable '.[dev]'
@@ -47,7 +51,7 @@ $(VENV)/.bench: $(VENV)/.python pyproject.toml
 # `sed` shows the first lines and lets the rest run, so that the summary speaks of the whole file.
 FIRST := | sed -n '1,14p'
 
-demo: $(VENV)/.run ## decode the captures in examples/captures, draw a message
+demo: $(VENV)/.demo ## decode the captures in examples/captures, draw a message; a simulated robot moves, drawn
 	$(BIN)/aces decode examples/captures/robotis_session.dxconf.txt -p robotis --direction both $(FIRST)
 	@echo
 	$(BIN)/aces decode examples/captures/hubo2plus.log -p hubo $(FIRST)
@@ -57,6 +61,8 @@ demo: $(VENV)/.run ## decode the captures in examples/captures, draw a message
 	$(BIN)/aces decode examples/captures/adc.bin -p minihubo_adc $(FIRST)
 	@echo
 	$(BIN)/aces protocols hubo Current
+	@echo
+	$(BIN)/aces demo
 
 test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
 	$(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)

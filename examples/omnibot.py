@@ -15,7 +15,7 @@ from aces_bus.controller import controller
 from aces_devices.robots import load_robot
 
 #: Seconds, forward, sideways, turn.
-MOVES = [
+MOVES = [(1.0, 100, 0, 0), (1.0, 0, 100, 0), (1.0, -100, 0, 0), (1.0, 0, -100, 0), (1.0, 0, 0, 127), (0.5, 0, 0, 0)]
     (0.5, 100, 0, 0),
     (0.5, 0, 100, 0),
     (0.5, -100, 0, 0),

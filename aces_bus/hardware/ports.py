@@ -109,14 +109,10 @@ class CanPort:
         """The longest that a frame of this length can be: stuffed as much as can be (CAN), or as it is (FD)."""
         if not word.is_fd:
             stuffed = (54 if word.is_extended_id else 34) + 8 * len(word.data)
-            bits = (
-                stuffed + (stuffed - 1) // 4 + 10 + INTERMISSION
-            )  # delimiters, acknowledgement, end of frame
-            return bits * 1_000_000_000 // self.bitrate
-        bits = frame_bits(word)
-        return (
-            bits.duration_ns(self.bitrate, self.data_bitrate) + INTERMISSION * 1_000_000_000 // self.bitrate
-        )
+            end = 10 + INTERMISSION  # delimiters, acknowledgement, end of frame
+            return (stuffed + (stuffed - 1) // 4 + end) * 1_000_000_000 // self.bitrate
+        pause = INTERMISSION * 1_000_000_000 // self.bitrate
+        return frame_bits(word).duration_ns(self.bitrate, self.data_bitrate) + pause
 
     def close(self) -> None:
         """Hear no more; a gate is stopped."""

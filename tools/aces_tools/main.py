@@ -38,6 +38,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
     "spec": ("spec", "for the authors of protocols: new, check, show, explain, export, import, stubs"),
     "fuzz": ("fuzz", "look for a stream that breaks a protocol: nine laws, shrunk failures, coverage"),
+    "demo": ("demo", "a simulated robot follows a trajectory: set-point against actual, drawn"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
 }
 

@@ -106,24 +106,23 @@ class Context:
         Uses up the request, unless it is a mode; one that was addressed to everyone, for the device that answers.
         """
         latest: Entry | None = None
-        for message, values in candidates:
-            for link in self._links[message.name]:
-                for wanted, _ in self._wanted(link, values):
-                    entry = self._latest(link, channel, wanted, values, message.within, time)
-                    if entry is not None and (latest is None or entry.number > latest.number):
-                        latest = entry
-        if latest is None:
-            return None
+        found: list[tuple[Entry, Link, bool, Message, Mapping[str, Any]]] = []
         for message, values in candidates:
             for link in self._links[message.name]:
                 for wanted, to_all in self._wanted(link, values):
                     entry = self._latest(link, channel, wanted, values, message.within, time)
-                    if entry is latest and link.request.accepts(latest.values):
-                        if to_all and not link.is_sticky:
-                            latest.answered.add(_who(link, values))
-                        else:
-                            latest.consumed = not link.is_sticky
-                        return message, latest.values
+                    if entry is None:
+                        continue
+                    found.append((entry, link, to_all, message, values))
+                    if latest is None or entry.number > latest.number:
+                        latest = entry
+        for entry, link, to_all, message, values in found:
+            if entry is latest and link.request.accepts(latest.values):
+                if to_all and not link.is_sticky:
+                    latest.answered.add(_who(link, values))
+                else:
+                    latest.consumed = not link.is_sticky
+                return message, latest.values
         return None
 
     def pending(
@@ -141,6 +140,8 @@ class Context:
 
     def _wanted(self, link: Link, values: Mapping[str, Any]) -> list[tuple[tuple[Any, ...], bool]]:
         own = _who(link, values)
+        if self._broadcast.keys().isdisjoint(link.shared):
+            return [(own, False)]
         every = tuple(self._broadcast.get(name, value) for name, value in zip(link.shared, own, strict=True))
         return [(own, False)] if every == own else [(own, False), (every, True)]
 

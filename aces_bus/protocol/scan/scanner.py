@@ -108,11 +108,21 @@ def list_protocols() -> dict[str, EntryPoint]:
 
 
 def load_protocol(name: str) -> Protocol:
-    """The installed protocol `name`; raises `UnknownNameError` with the names that exist."""
+    """The installed protocol `name`; raises `UnknownNameError` with the names that exist.
+
+    What was loaded once is kept: looking through all that is installed takes milliseconds.
+    """
+    kept = _loaded.get(name)
+    if kept is not None:
+        return kept
     known = list_protocols()
     if name not in known:
         raise UnknownNameError("protocol", name, known)
     protocol = known[name].load()
     if not isinstance(protocol, Protocol):
         raise SpecError(f"{known[name].value} is not a Protocol but {type(protocol).__name__}")
+    _loaded[name] = protocol
     return protocol
+
+
+_loaded: dict[str, Protocol] = {}

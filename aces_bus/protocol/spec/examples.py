@@ -6,6 +6,7 @@
 
     examples=[("001#00 07 C8 00 00 00 F4 01", {"board": 0, "kp": 200, "ki": 0, "kd": 500})]       CAN: identifier#data
     examples=[("FF FF 01 02 00 FC", {"id": 1, "error": [], "parameters": b""})]                   a stream: the packet
+    examples=[(b"$GPHDT,274.07,T*03\\r\\n", {"heading": 274.07})]                                     characters
     examples=[("1C0#22 00 29 09", {"current": [1.37, 0.02], "temperature": 41}, "001#00 04")]     with its request
 
 Identifiers of 29 bits have eight digits, CAN FD has `##`, a remote frame `#R`, as candump writes them. Fields are in the
@@ -49,7 +50,11 @@ class Word:
         return can_image(self.identifier, self.data, extended=self.extended, remote=self.remote, fd=self.fd)
 
     def __str__(self) -> str:
-        return self.data.hex(" ").upper() if self.identifier is None else frame_text(self)
+        if self.identifier is not None:
+            return frame_text(self)
+        # Sentences read better as characters.
+        is_text = len(self.data) > 3 and self.data.isascii() and self.data.decode("ascii").rstrip().isprintable()
+        return repr(self.data) if is_text else self.data.hex(" ").upper()
 
 
 @dataclass(frozen=True)
@@ -68,13 +73,19 @@ def frame_text(frame: Any) -> str:
     return f"{frame.identifier:0{digits}X}#{'#0' if frame.fd else ''}{data}"
 
 
-def parse_word(text: str, *, is_can: bool) -> Word:
+def parse_word(text: str | bytes, *, is_can: bool) -> Word:
     """A frame or packet as the module writes them; raises `ValueError` saying what is wrong."""
+    if isinstance(text, bytes):
+        if is_can:
+            raise ValueError(f"{text!r} is not a frame such as '063#78 00 FC'")
+        return Word(text)
     if not is_can:
         try:
             return Word(bytes.fromhex(text))
         except ValueError:
-            raise ValueError(f"{text!r} is not hexadecimal bytes such as 'FF FF 01 02'") from None
+            raise ValueError(
+                f"{text!r} is not hexadecimal bytes such as 'FF FF 01 02'; characters are written b'…'"
+            ) from None
     found = _FRAME.fullmatch(text.strip())
     if found is None:
         raise ValueError(f"{text!r} is not a frame such as '063#78 00 FC' or '18FEEE31#00'")
@@ -101,9 +112,9 @@ def as_examples(given: Iterable[Any], place: Place, *, is_can: bool) -> tuple[Ex
         if (
             not isinstance(item, (tuple, list))
             or not 2 <= len(item) <= 3
-            or not isinstance(item[0], str)
+            or not isinstance(item[0], (str, bytes))
             or not isinstance(item[1], Mapping)
-            or not (len(item) == 2 or isinstance(item[2], str))
+            or not (len(item) == 2 or isinstance(item[2], (str, bytes)))
         ):
             raise SpecError(
                 f"{place}: an example is (bytes as text, {{field: value}}) or with the bytes of its request"
