@@ -2,7 +2,7 @@
 
 A player has the robot stand with bent knees. The moments of a foot (N·m: digits, times the sensor's matrix in the robot's
 file) are the errors of pitch and roll; error → P·e + D·Δe → saturation → moving average of five → added to what the player
-wants. Somebody pushes the same way three times: the controller is bypassed, on, and at ten times its gains, where it saturates.
+wants. Somebody pushes the same way three times: the controller is bypassed; on; at ten times its gains, where it saturates.
 
 Signs, gains, limits: acesHubo ankleController. There P and D were multiplied, almost certainly by a slip; here they add up.
 """
@@ -16,7 +16,7 @@ from math import degrees, radians, sin, tau
 
 from aces_bus.assembly import run_virtual
 from aces_bus.controller import Controller, Limits, Player, Trajectory
-from aces_bus.controller.base import StateLike
+from aces_bus.controller.base import StateLike, known_value
 from aces_devices.robots import load_robot
 
 RATE = 100.0
@@ -74,7 +74,8 @@ class AnkleCompliance(Controller):
     def step(self, now_ns: int) -> Mapping[str, float]:
         wanted = dict(self.player.step(now_ns))
         for ankle in self.ankles if wanted else ():
-            wanted[ankle.joint] += ankle.correction(self.bound[ankle.moment][0], self.gain)
+            moment = known_value(self.bound[ankle.moment]) or 0.0  # who feels nothing stays where it is
+            wanted[ankle.joint] += ankle.correction(moment, self.gain)
         return wanted
 
 
@@ -93,9 +94,8 @@ def main() -> dict[float, dict[str, float]]:
     run = run_virtual(load_robot("hubo2"), [compliant])
     given: dict[float, dict[str, float]] = {}
     with run:
-        boards = {run.rig.device(name).name: run.rig.device(name) for name in pose}.values()
-        run.do("home", devices=boards)
-        run.do("enable", devices=boards)
+        run.do("home", devices=pose)
+        run.do("enable", devices=pose)
         began = run.clock.now() + 1_000_000_000  # it bends its knees first
 
         def feel(now: int) -> tuple[float, float, float]:
@@ -106,17 +106,16 @@ def main() -> dict[float, dict[str, float]]:
         run.world.twins["FT_LF"].feed = run.world.twins["FT_RF"].feed = feel
         run.start()
         run.clock.advance(1_000_000_000)
-        for compliant.gain in (0.0, 1.0, 10.0):
+        for gain in (0.0, 1.0, 10.0):
+            compliant.gain = gain
             run.clock.advance(1_000_000_000)
             moved = {ankle.joint: run.states[ankle.joint].window(-0.9, 0) for ankle in compliant.ankles}
-            given[compliant.gain] = {
+            given[gain] = {
                 name: max((value - pose[name] for value in window.values), key=abs)
                 for name, window in moved.items()
             }
-            angles = ", ".join(
-                f"{name} {degrees(angle):+.2f}°" for name, angle in given[compliant.gain].items()
-            )
-            print(f"gains × {compliant.gain:<4g}  the ankles give way by {angles}")
+            angles = ", ".join(f"{name} {degrees(angle):+.2f}°" for name, angle in given[gain].items())
+            print(f"gains × {gain:<4g}  the ankles give way by {angles}")
         ended = run.stop()
     print(", ".join(ended.tripped.values()) or "nothing went wrong")
     return given

@@ -1,4 +1,4 @@
-"""MiniHubo crouches and rises, by a table of phases with equations and guarded transitions, which prints itself as a diagram.
+"""MiniHubo crouches and rises, by a table of phases with equations and guarded transitions that draws itself.
 
 It waits, bends its knees until a hip is beyond 1.2 rad, rises until it is below 0.02 rad (a servo rests within two counts of
 its goal), and begins again. It ends when somebody lifts its right arm, whose servo is not switched on.
@@ -52,7 +52,7 @@ def main() -> None:
     print(machine.mermaid())
     run = run_virtual(load_robot("minihubo_2"), [machine], rate_hz=15)
     with run:
-        run.do("enable", devices=[run.rig.device(name) for name in machine.writes])
+        run.do("enable", devices=machine.writes)
         shoulder = run.rig.robot.joint("RSP")
         servo = run.world.twins[shoulder.device]
 
@@ -64,9 +64,8 @@ def main() -> None:
         ended = run.run(60.0, until=is_over)
     for instant, source, target in machine.trail:
         print(f"{machine.seconds(instant):6.2f} s  {source} → {target}")
-    print(
-        f"{machine.phase} after {ended.seconds:.1f} s; {machine.transitions} transitions; {', '.join(ended.tripped.values()) or 'nothing went wrong'}"
-    )
+    end = ", ".join(ended.tripped.values()) or "nothing went wrong"
+    print(f"{machine.phase} after {ended.seconds:.1f} s; {machine.transitions} transitions; {end}")
 
 
 if __name__ == "__main__":

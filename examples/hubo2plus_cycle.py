@@ -44,7 +44,7 @@ def main(seconds: float = 3.0) -> dict[str, float]:
         rig.each("home").wait(120)
         print(f"homed after {hubo.clock.now() / 1e9:.1f} s")
         rig.each("enable").wait(30)
-        hubo.advance(4.0)  # boards take no references for three seconds after a home search
+        hubo.advance(0.2)
         begun = hubo.clock.now()
         before = {name: (host.counts.set_points, host.counts.polls) for name, host in rig.hosts.items()}
         for wire in hubo.wires.values():

@@ -18,7 +18,7 @@ from aces_bus.controller.motion_file import rate_in_name
 from aces_devices.robots import load_robot
 
 RATE = 100.0
-JOINTS = tuple("WST LHY LHR LHP LKP LAP LAR RHY RHR RHP RKP RAP RAR".split())
+JOINTS = ("WST", *(f"{side}{joint}" for side in "LR" for joint in ("HY", "HR", "HP", "KP", "AP", "AR")))
 
 
 def row(phase: float, fade: float) -> list[float]:
@@ -63,10 +63,9 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
     player = Player("walk", pattern, rate_hz=pattern.rate_hz, hook=compare)
     run = run_virtual(robot, [player], rate_hz=pattern.rate_hz)
     with run:
-        legs = list({run.rig.device(name).name: run.rig.device(name) for name in pattern.names}.values())
-        run.do("home", devices=legs)
-        run.do("enable", devices=legs)
-        print(f"{pattern!r}, on {len(legs)} boards of {robot.name}, homed and on")
+        homed = run.do("home", devices=pattern.names)
+        run.do("enable", devices=pattern.names)
+        print(f"{pattern!r}, on {len(homed)} boards of {robot.name}, homed and on")
         ended = run.run(pattern.duration_s + 10, until=lambda: player.mode == "ended")
     print(
         f"{player.mode} after {ended.seconds:.2f} s; {', '.join(ended.tripped.values()) or 'nothing went wrong'}"

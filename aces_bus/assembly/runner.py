@@ -391,14 +391,15 @@ class Runner:
         return [d.name for d in self.rig.devices.values() if d.polls and d.last_heard is None]
 
     def do(
-        self, action: str, timeout_s: float = 60.0, *, devices: Collection[Device] | None = None
+        self, action: str, timeout_s: float = 60.0, *, devices: Collection[Device | str] | None = None
     ) -> list[str]:
         """Have devices do something ("enable", "home") and wait; those that have it, by name.
 
-        `devices` None: all of the robot's. Raises `DeviceError` with who failed.
+        `devices` None: all of the robot's; names may be those of joints. Raises `DeviceError` with who failed.
         """
         some = self.rig.devices.values() if devices is None else devices
-        able = [device for device in some if action in device.actions]
+        found = dict.fromkeys(self.rig.device(one) if isinstance(one, str) else one for one in some)
+        able = [device for device in found if action in device.actions]
 
         def begin() -> Any:
             jobs = [getattr(device, action)() for device in able]

@@ -43,6 +43,8 @@ SECOND = 20_000_000
 NO_REPLY: frozenset[str] = frozenset()
 #: An answer that is later than this (ns) does not come any more.
 LATEST = 500_000_000
+#: When this machine itself was held up for so long (ns), what has come meanwhile is heard before anybody is missed.
+HELD_UP, HEARING = 5_000_000, 10_000_000
 #: The robot of a probe.
 NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
@@ -144,6 +146,7 @@ class Host(Station[Device]):
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
         self._deadline_timer: Timer | None = None
+        self._is_hearing = False
         self._serial_number = 0
         self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
         self._tick_at = 0
@@ -397,6 +400,12 @@ class Host(Station[Device]):
     def _expire(self) -> None:
         """Look for tickets whose time is up."""
         now = self.clock.now()
+        timer = self._deadline_timer
+        if timer is not None and now - timer.instant > HELD_UP and not self._is_hearing:
+            self._is_hearing = True  # never in virtual time: it is not held up
+            self._deadline_timer = self.clock.call_in(HEARING, self._expire)
+            return
+        self._is_hearing = False
         deadlines = self._deadlines
         while deadlines and (
             deadlines[0][0] <= now or deadlines[0][2] not in deadlines[0][2].device.awaiting
@@ -433,7 +442,9 @@ class Host(Station[Device]):
         ):
             device.misses, device.missing_since = 0, ticket.sent_at
         device.misses += 1
-        if device.misses >= device.silent_after and not device.is_silent:
+        # Polls of one tick miss together: that is one miss in a row, however many they are.
+        is_long = now - device.missing_since > device.silent_after * ticket.timeout_ns // 2
+        if device.misses >= device.silent_after and is_long and not device.is_silent:
             device.is_silent = True
             age = (
                 "never heard"

@@ -13,6 +13,7 @@ from typing import Any
 from construct import ConstructError
 
 from ..errors import AcesError
+from ..protocol.codegen.encoder import Encoder
 from ..protocol.scan.reference import Found, Reference
 from ..protocol.scan.scanner import Scanner, make_scanner
 from ..protocol.spec.ambiguity import needing_context
@@ -35,6 +36,7 @@ class Bench:
         self.remembers = remembers
         self.is_can = self.variants[0].link == "can"
         self._scanners: dict[tuple[bool, bool], Scanner] = {}
+        self._encoders: dict[Message, Encoder] = {}
         self._said: dict[Any, Any] = {}
 
     @property
@@ -57,6 +59,16 @@ class Bench:
         made = kind(self.variants, direction=self.direction, raw=raw)
         if isinstance(made, _Remembering):
             made.said = self._said
+        return made
+
+    def encoder(self, message: Message) -> Encoder:
+        """The encoder of a message's variant."""
+        made = self._encoders.get(message)
+        if made is None:
+            # `variant.encoder` is shared and kept for ever; a bench has its own.
+            variant = next(v for v in self.variants if v.messages.get(message.name) is message)
+            made = Encoder(variant)
+            self._encoders.update((m, made) for m in variant.messages.values())
         return made
 
     def once(self, key: Any, ask: Any) -> Any:

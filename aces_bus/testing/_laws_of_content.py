@@ -20,6 +20,7 @@ from ..protocol.spec.protocol import Variant
 from ._bench import reads
 from ._columns import MODES, difference
 from ._exemptions import are_excused
+from ._laws_of_encoder import encoders
 from ._play import Heard, image_of, plain
 from ._scenes import Way
 from ._trial import Trial
@@ -84,6 +85,7 @@ def oracle(trial: Trial) -> None:
     wanted = [_physically(trial, item) for item in got]
     if trial.physical != wanted:
         trial.fail(2, "physical: " + first_difference("construct", wanted, "the scanner", trial.physical))
+    encoders(trial)
     if trial.columns:
         # one mode a scene: a column scanner costs more than a scene
         columns(trial, (MODES[(len(trial.scene) + len(trial.cuts)) % len(MODES)],))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import Any, NoReturn, TypeVar
+from zlib import crc32
 
 from ..protocol.scan.record import Unknown
 from ..protocol.spec.message import Message
@@ -87,8 +88,16 @@ class Trial:
         """All of them; of a trial that is not thorough, one."""
         if self.thorough or len(items) < 2:
             return items
-        at = (len(self.scene) + len(self.cuts)) % len(items)
+        at = self.turn % len(items)
         return items[at : at + 1]
+
+    @cached_property
+    def turn(self) -> int:
+        """A number that a scene has from its words: what is looked at when not everything is."""
+        words = self.scene.words
+        if isinstance(words, bytes):
+            return crc32(words)
+        return sum(crc32(frame.data, frame.arbitration_id) for frame in words)
 
     # ------------------------------------------------------------------ played
 

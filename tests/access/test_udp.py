@@ -110,8 +110,8 @@ def test_sample_requests_reach_the_device(clients: list[Client]) -> None:
         assert service.samples == 1
 
 
-JUNK = [b"", b"get", b"GETS", b"SET", b"SET x", b"SET 1e999999", b"SET nan", b"SET 1_0", b"SET 1 2"]
-JUNK += [b"SET " + b"1" * 130, b"GET" + b" " * 126, b"\xff" * 128, b"SMP\x01"]
+WORDS = [b"", b"get", b"GETS", b"SET", b"SET x", b"SET 1e999999", b"SET nan", b"SET 1_0", b"SET 1 2"]
+JUNK = [*WORDS, b"SET " + b"1" * 130, b"GET" + b" " * 126, b"\xff" * 128, b"SMP\x01"]
 
 
 def test_junk_is_counted_and_not_answered(clients: list[Client]) -> None:

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
 from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 Run = Callable[..., list[str]]
 
 
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """`run(name, *arguments)` runs an example as a program and gives the lines that it prints."""
-
-    def program(name: str, *arguments: str) -> list[str]:
-        monkeypatch.setattr(sys, "argv", [name, *arguments])
-        runpy.run_path(str(FOLDER / name), run_name="__main__")
-        return capsys.readouterr().out.splitlines()
-
-    return program
-
-
 def test_every_example_is_run_here() -> None:
     """No example is left to rot."""
-    tested = {"decode_capture.py", "encode_packet.py", "make_captures.py", "own_spec.py"}
-    assert {path.name for path in FOLDER.glob("*.py")} == tested
+    tests = FOLDER.parent / "tests"
+    tested = " ".join(path.read_text(encoding="utf-8") for path in tests.rglob("test_*.py"))
+    missing = {path.name for path in FOLDER.glob("*.py") if f'"{path.name}"' not in tested}
+    assert missing == set()
 
 
 def test_a_spec_of_ones_own(run: Run) -> None:

@@ -250,7 +250,7 @@ def _told_by(message: Message) -> str:
     for head in message.heads_written:
         if head.pattern is not None:
             covered |= set(range(head.offset, head.offset + head.size))
-            own = head.pattern.describe(2 * head.size)
+            own = head.wanted
             if head.is_own and not head.is_constant:
                 own = draw.captured_values(message)[head.pattern.captures[0].name]
             parts.append(f"{head.name}={own}" if head.name else own)

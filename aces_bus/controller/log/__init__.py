@@ -9,8 +9,8 @@ from __future__ import annotations
 from .base import About, Row, Sink
 from .columns import ATTRIBUTES, Column, parse_column
 from .logger import Logger
-from .parquet import recover
 from .read import read_log
+from .recover import recover
 from .sinks import FORMATS, log_format
 from .table import Log, LogError
 

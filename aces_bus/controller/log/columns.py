@@ -31,7 +31,7 @@ ORIGINAL = {"rate": "diff"}
 SYNONYMS = {"diff": "rate", "": "value"}
 #: A column more than SQLite can hold beside the time is refused everywhere.
 MOST_COLUMNS = 1_999
-LONGEST_NAME = 200
+LONGEST_NAME, LONGEST_ATTRIBUTE = 200, 12
 
 _COLUMN = re.compile(r"(?P<state>.+?)(?:\((?P<attribute>[A-Za-z]*)\))?")
 NAN = math.nan
@@ -84,7 +84,7 @@ def check_columns(where: str, names: Iterable[str]) -> None:
         raise CallerError(f"{where}: {len(listed)} columns; a log has at most {MOST_COLUMNS}")
     seen: set[str] = set()
     for name in listed:
-        if not name.isprintable() or len(name) > LONGEST_NAME:
+        if not name.isprintable() or len(name) > LONGEST_NAME + LONGEST_ATTRIBUTE:
             raise CallerError(
                 f"{where}: {name[:80]!r} cannot be the name of a column; give the state another"
             )

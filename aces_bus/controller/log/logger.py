@@ -130,9 +130,12 @@ class Logger:
             read, unit = reader_of(column, found[name])
             reads.append(read)
             columns.append(msgspec.structs.replace(column, unit=unit))
+        rig = getattr(states, "rig", None)
+        if self._clock is None:
+            # A robot's, or that of this machine where states are another's; else that of a state.
+            self._clock = getattr(rig, "clock", None) or getattr(states, "local", None)
         if self._clock is None:
             self._clock = next((c for s in found.values() if (c := getattr(s, "clock", None))), None)
-        rig = getattr(states, "rig", None)
         self.robot = self.robot or str(getattr(getattr(rig, "robot", None), "name", ""))
         self._reads, self.columns = reads, tuple(columns)
 

@@ -1,7 +1,7 @@
 """Logs as MCAP, for Foxglove and PlotJuggler: one channel `/log`, a JSON object a row.
 
-1. What is appended is one chunk with its index: a process that is killed leaves whole chunks, which every reader of MCAP
-   takes in order (and `mcap recover` gives an index).
+1. What is appended is one chunk with its index: a process that is killed leaves whole chunks, which readers that go
+   through a file in order take; `recover` gives the others the index at its end.
 2. A row's `log_time` is the start (ns since 1970, in virtual time of its clock) plus the row's ns, exactly.
 
 *Choice*: written here and not by foxglove-sdk, which has `aces decode`'s exports: a logger needs chunks that end when a time

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,9 @@ def pyarrow() -> Any:
     """The library; `CallerError` naming the extra when it is missing."""
     try:
         import pyarrow
-        import pyarrow.ipc
-        import pyarrow.parquet
+
+        for part in ("ipc", "parquet"):
+            import_module(f"pyarrow.{part}")
     except ImportError as missing:
         raise CallerError(f"Parquet needs pyarrow: pip install 'aces-bus[columns]' ({missing})") from missing
     return pyarrow
@@ -88,7 +90,7 @@ def _schema(pa: Any, about: About) -> Any:
 
 
 @contextlib.contextmanager
-def opened_journal(path: str) -> Iterator[Any]:
+def opened_journal(path: str) -> Generator[Any]:
     """A reader of record batches; raises `CallerError` for what is no journal."""
     pa = pyarrow()
     try:
@@ -112,12 +114,10 @@ def batches_of(reader: Any) -> Iterator[Any]:
 def recover(path: str) -> int:
     """Make the Parquet file `path` of its journal, which then goes; returns the number of rows.
 
-    Raises `CallerError` when there is no journal and `OSError` when the file cannot be written; the journal stays then.
+    Raises `CallerError` for what is no journal and `OSError` when the file cannot be written; the journal stays then.
     """
     pa = pyarrow()
     journal = journal_of(path)
-    if not os.path.exists(journal):
-        raise CallerError(f"{path}: there is no {os.path.basename(journal)} to recover it from")
     made = path + ".part"
     rows = 0
     try:

@@ -77,7 +77,8 @@ def _about(path: str, pa: Any, schema: Any) -> About:
 
 
 def _numbers(batch: Any) -> Floats:
-    """(rows, columns) of a batch, NaN for null."""
+    """(rows, columns) of a batch, NaN for null. Arrow's own reader takes lengths on trust; `validate` does not."""
+    batch.validate(full=True)
     columns = [np.asarray(column.to_numpy(zero_copy_only=False), np.float64) for column in batch.columns]
     return np.stack(columns, axis=1)
 

@@ -21,8 +21,8 @@ from .base import About
 from .columns import MOST_COLUMNS
 from .table import MOST_NUMBERS, Log, LogError, made_log, named_columns
 
-#: A row of 2,000 numbers of 25 characters, or as many names, at most.
-LONGEST_LINE = 1 << 17
+#: 2,000 names, at their longest; a row of as many numbers is a tenth of it.
+LONGEST_LINE = 1 << 19
 NUMBER = re.compile(rb"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)", re.IGNORECASE)
 
 Line = tuple[int, bytes, bool]

@@ -64,8 +64,10 @@ class Template:
                 if self._is_length(head.name):
                     continue
                 number = head.number(data)
-                if head.is_constant or not head.is_own:
-                    wanted = f"{head.pattern.describe(2 * head.size)}, not 0x{number:0{2 * head.size}X}"
+                if head.is_text and head.is_constant:
+                    wanted = f"{head.wanted}, not {data[head.offset : end].hex(' ').upper()}"
+                elif head.is_constant or not head.is_own:
+                    wanted = f"{head.wanted}, not 0x{number:0{2 * head.size}X}"
                 else:
                     wanted = f"{describe_values(head.pattern.captures[0].values)}, not {number}"
                 return head.name or f"byte {head.offset}", wanted
@@ -140,14 +142,16 @@ class Template:
 
     # ------------------------------------------------------------------ what stands where
 
-    def label(self, at: int, size: int | None) -> str:
-        """What byte `at` of a packet is to it; "" where it does not say."""
+    def label(self, at: int, size: int | None, prefix: bytes = b"") -> str:
+        """What byte `at` of a packet is to it; "" where it does not say. `prefix` are the bytes up to it, where known."""
         if size is not None:
             for mark in self.marks:
                 if mark.offset < 0 and size + mark.offset <= at < size + mark.offset + mark.size:
                     return mark.label.partition(":")[0]
         if not self._is_in_place(at):
             return ""
+        if self.plan.split is not None and at >= self.plan.split.start and at == len(prefix) - 1:
+            return self._delimited(prefix)[0]
         return _VALUE.sub("", self._owners.get(at, ""))
 
     def _is_in_place(self, at: int) -> bool:
@@ -181,6 +185,21 @@ class Template:
             elif isinstance(node, p.Scalar) and node.size is None:
                 yield name, [*range(node.offset, node.offset + 512)]
 
+    def _delimited(self, prefix: bytes) -> tuple[str, list[tuple[str, Any, str]]]:
+        """To which field between separators the last byte belongs, and the field that it completes."""
+        split, payload = self.plan.split, self.message.payload
+        assert split is not None
+        texts = prefix[split.start :].split(split.separator)
+        index = len(texts) - 1 - split.lead
+        names = [field.name for field in payload.fields]
+        if texts[-1]:
+            return ("" if index < 0 else names[index] if index < len(names) else "more"), []
+        if not 0 < index <= len(names):
+            return "separator", []
+        field, text = payload.fields[index - 1].subcon, texts[-2].decode("latin-1")
+        value = field.to_physical(text) if field.accepts(text) else text
+        return "separator", [(names[index - 1], value, field.unit)]
+
     # ------------------------------------------------------------------ what was read
 
     def _field_ends(self) -> dict[int, list[tuple[str, p.Node, str]]]:
@@ -199,6 +218,8 @@ class Template:
 
     def readings(self, data: bytes) -> list[tuple[str, Any, str]]:
         """(name, value, unit) of the fields that the last byte of `data` completes."""
+        if self.plan.split is not None and not self.is_moved and len(data) > self.plan.split.start:
+            return self._delimited(data)[1]
         return [
             (name, value_of(node, data), unit)
             for name, node, unit in self._ends.get(len(data) - 1, ())

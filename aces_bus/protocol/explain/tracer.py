@@ -185,7 +185,7 @@ class Tracer(Reference):
         for offset, prefix, died, living in traces:
             known = sizes.get(lead.framing) if lead.framing is not None else None
             read = _readings(lead, living, prefix)
-            what = lead.label(offset, size if size is not None else known)
+            what = lead.label(offset, size if size is not None else known, prefix)
             steps.append(
                 Step(
                     str(base + one.start + offset),
@@ -294,7 +294,7 @@ class Tracer(Reference):
             if place == "id" and lead.message.identifier.match(frame.arbitration_id) is not None:
                 read = captures(lead, living[index], frame)
             elif offset is not None:
-                what = lead.label(offset, len(data))
+                what = lead.label(offset, len(data), data[: offset + 1])
                 if lead in living[index] or lead.name in {d.template for d in deaths[index]}:
                     read = _readings(lead, living[index], data[: offset + 1])
             steps.append(

@@ -209,7 +209,7 @@ def _told_by(message: Message) -> str:
         if head.pattern is None:
             continue
         covered |= set(range(head.offset, head.offset + head.size))
-        shown = head.pattern.describe(2 * head.size)
+        shown = head.wanted
         if head.is_own and not head.is_constant:
             shown = describe_values(head.pattern.captures[0].values)
         parts.append(f"{head.name}={shown}" if head.name else shown)

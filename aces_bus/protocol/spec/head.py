@@ -50,6 +50,16 @@ class Head:
     def bytes(self, number: int) -> bytes:
         return number.to_bytes(self.size, "big" if self.order == "big" else "little")
 
+    @property
+    def wanted(self) -> str:
+        """What the template wants of it, as the sheet would write it: `0x20 + channel`, `'GGA'`."""
+        assert self.pattern is not None
+        if self.is_text and self.is_constant:
+            data = self.bytes(self.pattern.constant)
+            if data.isascii() and data.decode("ascii").isprintable():
+                return repr(data.decode("ascii"))
+        return self.pattern.describe(2 * self.size)
+
     def matched(self, value: Any, place: Place) -> Head:
         """The same field, bound to what a spec's `match` says of it."""
         if isinstance(value, bytes):

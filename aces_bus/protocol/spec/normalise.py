@@ -1,12 +1,15 @@
 """What a spec wrote, brought into the few shapes that everything else handles.
 
-1. construct's own `Enum`, `FlagsEnum` and `Flag` become ours, which know raw mode; nothing else changes meaning.
+1. construct's own `Enum`, `FlagsEnum` and `Flag` become ours, which know raw mode; a `Switch` over an enumeration chooses
+   by name and by number, as the latter is what raw mode has. Nothing else changes meaning.
 2. Whatever would lose bytes (unnamed padding, seeking, ignored tails) or hide them is refused here, with its line.
 """
 
 from __future__ import annotations
 
+import io
 import keyword
+from collections.abc import Mapping
 from typing import Any
 
 import construct as c
@@ -94,6 +97,9 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
                 )
             if name is not None and name in seen:
                 raise SpecError(f"{place.of_field(name)}: field {name!r} is there twice")
+            if isinstance(inner, c.Switch):
+                inner = _by_both(inner, enumerations)
+                item = inner if name is None else c.Renamed(inner, newname=name, newdocs=item.docs)
             made = _walk(item, place, path)
             body = made.subcon if isinstance(made, c.Renamed) else made
             if name is not None:
@@ -141,7 +147,51 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
     if isinstance(con, (c.Array, c.GreedyRange)):
         inner = _walk(con.subcon, place, path)
         return c.Array(con.count, inner) if isinstance(con, c.Array) else c.GreedyRange(inner)
+    if isinstance(con, c.Prefixed):
+        return Exactly(con.lengthfield, _walk(con.subcon, place, path), con.includelength)
+    if isinstance(con, c.IfThenElse):
+        then, otherwise = (_walk(one, place, path) for one in (con.thensubcon, con.elsesubcon))
+        return c.IfThenElse(con.condfunc, then, otherwise)
+    if isinstance(con, c.Switch):
+        walked: dict[int, Any] = {}  # a case under several keys stays one
+        for case in (*con.cases.values(), con.default):
+            walked.setdefault(id(case), _walk(case, place, path))
+        cases = {key: walked[id(case)] for key, case in con.cases.items()}
+        return c.Switch(con.keyfunc, cases, walked[id(con.default)])
     return con
+
+
+class Exactly(c.Prefixed):
+    """A `Prefixed` whose content takes all of its bytes; what it would leave over were lost."""
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        length = self.lengthfield._parsereport(stream, context, path)
+        if self.includelength:
+            length -= self.lengthfield._sizeof(context, path)
+        inside = io.BytesIO(c.stream_read(stream, length, path))
+        value = self.subcon._parsereport(inside, context, path)
+        if inside.read(1):
+            raise c.ValidationError(f"its length says {length} bytes, its content has fewer", path=path)
+        return value
+
+
+def _by_both(switch: c.Switch, enumerations: Mapping[str, Enumeration]) -> c.Switch:
+    """A `Switch` over an enumeration, its cases under the names that records show and the numbers of raw mode."""
+    for name, enumeration in enumerations.items():
+        marker = object()
+        try:
+            if switch.keyfunc(c.Container({name: marker})) is not marker:
+                continue
+        except Exception:  # it asks for something else
+            continue
+        numbers = {
+            enumeration.names[key]: case for key, case in switch.cases.items() if key in enumeration.names
+        }
+        names = {
+            enumeration.values[key]: case for key, case in switch.cases.items() if key in enumeration.values
+        }
+        return c.Switch(switch.keyfunc, {**numbers, **names, **switch.cases}, switch.default)
+    return switch
 
 
 def sizes(con: c.Construct) -> tuple[int, int | None]:

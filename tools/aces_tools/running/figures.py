@@ -105,6 +105,7 @@ class Watch:
         self._jitter: dict[str, tuple[int, int, int]] = {}
         self._at = runner.clock.now()
         self._wall = 0
+        self._at_first, self._wall_first, self._first = self._at, 0, dict(self._before)
         runner.handlers.append(self._happened)
 
     def _happened(self, event: Any) -> None:
@@ -115,17 +116,28 @@ class Watch:
     def begin(self, wall_ns: int) -> None:
         """Rates are reckoned from here on."""
         self.look(wall_ns)
+        self._at_first, self._wall_first, self._first = self._at, wall_ns, dict(self._before)
+
+    def total(self, wall_ns: int, seconds: float) -> Figures:
+        """The figures at the end of a run of so many seconds: rates are of all of it."""
+        self._wall, self._before = self._wall_first, dict(self._first)
+        return self._figures(wall_ns, seconds, seconds)
 
     def look(self, wall_ns: int) -> Figures:
         """The figures now; `wall_ns` is an instant of the monotonic clock."""
+        now = self.runner.clock.now()
+        passed = (now - self._at) / 1e9
+        self._at = now
+        return self._figures(wall_ns, self.runner.seconds, passed)
+
+    def _figures(self, wall_ns: int, seconds: float, passed: float) -> Figures:
         runner = self.runner
         now = runner.clock.now()
-        passed = max(1, now - self._at) / 1e9
-        pace = (now - self._at) / (wall_ns - self._wall) if self._wall and wall_ns > self._wall else 1.0
-        self._at, self._wall = now, wall_ns
+        pace = passed * 1e9 / (wall_ns - self._wall) if self._wall and wall_ns > self._wall else 1.0
+        passed, self._wall = max(1e-9, passed), wall_ns
         clips = {name: c.total for s in runner.supervisors for name, c in dict(s.guard.clips).items()}
         return Figures(
-            runner.seconds,
+            seconds,
             pace,
             [self._component(task, passed) for task in runner.tasks.tasks],
             [self._bus(name, host, passed) for name, host in runner.rig.hosts.items()],

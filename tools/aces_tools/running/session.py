@@ -20,7 +20,7 @@ from aces_bus.errors import CallerError, DeviceError
 from ..console import abandon_stdout, say, terminal_width, wants_colour
 from ..live import LivePatience
 from ..robot_arg import bus_options
-from .figures import USUAL, Watch, event_text
+from .figures import USUAL, Figures, Watch, event_text
 from .panel import panel, plain, to_rich
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class Session:
             try:
                 with self.patience.waiting():
                     runner.open()
-                    missing = runner.missing
+                    missing = [] if self.arguments.replay else runner.missing
                     ready = self._prepare(runner, missing)
                 if ready:
                     self._start_showing(runner, watch)
@@ -131,8 +131,8 @@ class Session:
                 say(str(error))
                 status = 1
             finally:
-                self._stop_showing(runner, watch)
                 ended = runner.stop()
+                self._stop_showing(watch, ended)
             return self._summarise(runner, watch, self._end or ended, missing, status)
 
     def _prepare(self, runner: Runner, missing: Sequence[str]) -> bool:
@@ -171,7 +171,8 @@ class Session:
                 time.sleep(ahead / 1e9)
         if now >= self._next:
             self._next = now + (PANEL_EVERY if self._live is not None else LINE_EVERY)
-            self._show(runner, watch, now)
+            if not self.arguments.quiet:
+                self._show(watch.look(now))
         return False
 
     def _is_played(self, runner: Runner) -> bool:
@@ -211,10 +212,7 @@ class Session:
         out = sys.stdout
         return not self.arguments.quiet and out is not None and out.isatty() and os.environ.get("TERM") != "dumb"
 
-    def _show(self, runner: Runner, watch: Watch, now: int) -> None:
-        if self.arguments.quiet:
-            return
-        figures = watch.look(now)
+    def _show(self, figures: Figures) -> None:
         if self._live is not None:
             size = self._live.console.size
             lines = panel(figures, self.title, min(size.width, terminal_width()), size.height - 1)
@@ -226,9 +224,9 @@ class Session:
             abandon_stdout()
             self.patience.is_over = True
 
-    def _stop_showing(self, runner: Runner, watch: Watch) -> None:
+    def _stop_showing(self, watch: Watch, ended: Ended) -> None:
         if self._live is not None:
-            self._show(runner, watch, time.monotonic_ns())
+            self._show(watch.total(time.monotonic_ns(), ended.seconds))
             self._live.stop()
             self._live = None
 
@@ -251,6 +249,8 @@ class Session:
                 say(f"{source}: {kind}: {number - FEW} more times")
         for name, reason in ended.tripped.items():
             say(f"{name} was stopped: {reason}")
+        if self.arguments.replay and runner.missing:
+            say(f"not in the recording: {', '.join(runner.missing)}")
         for text in ended.failed:
             say(f"at the end: {text}")
         tasks = runner.tasks.tasks

@@ -1,0 +1,587 @@
+"""The driver `cia402`: a servo drive on CANopen, one axis or several.
+
+1. The node is set up when its bus opens and whenever it has booted: it is asked what it is, its PDOs are read (or written),
+   its heartbeat is switched on, it is started. Nothing of that moves it.
+2. What must be quick goes in PDOs: one a tick each way, at SYNC. What need not goes over SDO, one transfer at a time.
+3. It is enabled from where it stands. After a reboot or a fault it stays disabled until somebody enables it again.
+
+Modes, states and objects: CiA 402 as `states` has it. See the README for what is not done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from aces_bus.device import Device, Job, Poll, Signal, Steps
+from aces_bus.device.ticket import Awaited
+from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
+
+from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, Axis
+from .dictionary import dictionary_of, object_of
+from .pdo import RECEIVED, SENT, Layout, Place, from_file, offset_of
+from .sdo import SdoChannel
+from .set_up import set_up
+from .states import (
+    DISABLE_VOLTAGE,
+    ENABLE,
+    FAILED,
+    FAULT_RESET,
+    MODES,
+    ONWARD,
+    QUICK_STOP,
+    REACHED,
+    SHUTDOWN,
+    START,
+    TAKEN,
+    TARGETS,
+    text_of,
+)
+
+#: Seconds that one step of the state machine may take, and a change of mode.
+STEP_S, MODE_S = 1.0, 1.0
+#: How often an absent node is looked for (ns).
+RETRY = 2_000_000_000
+#: `Host.postpone` until somebody says otherwise (s).
+LONG = 1e9
+#: Object → the signals that it gives.
+_SHOWN = {
+    POSITION: ("position",),
+    0x606C: ("velocity",),
+    0x6077: ("torque",),
+    MODE_SHOWN: ("mode",),
+    STATUSWORD: ("status", "state", "reached", "limited", "warning"),
+}
+NMT = ("start", "stop", "pre_operational", "reset_node", "reset_communication")
+
+
+class Cia402(Device):
+    """Signals of each joint: position, velocity, torque (the one that its mode takes can be set), state, mode and status;
+    of the drive: network (NMT state) and error (the last emergency).
+    """
+
+    protocol = "canopen"
+    streams = ("Rpdo1", "Rpdo2", "Rpdo3", "Rpdo4")
+    actions: ClassVar = {
+        "enable": "bring the joints to 'operation enabled', holding where they are (joint=NAME for one)",
+        "disable": "torque off: 'ready to switch on'",
+        "stop_motion": "quick stop",
+        "home": "search home as the drive's homing method says (method=, joint=); it moves",
+        "reset_fault": "acknowledge a fault; the drive stays disabled",
+        "set_mode": f"another mode of operation: {', '.join(TARGETS)}",
+        "nmt": f"a command of network management: {', '.join(NMT)}",
+        "read": "read an object: object=0x6064, object=0x6099:1 or its name",
+        "write": "write an object: object= value= confirm=true",
+        "identity": "ask what the drive is",
+    }
+
+    def setup(self) -> None:
+        """Axes, signals; polls as the node's file says."""
+        settings = self.config.settings
+        self.node = self.credentials["node"]
+        path = settings.get("eds")
+        self.dictionary = dictionary_of(None if path is None else str(path), self.node)
+        self.pdo = str(settings.get("pdo", "read"))
+        if self.pdo not in ("read", "file", "write"):
+            raise CallerError(f'{self.name}: settings pdo is "read", "file" or "write", not {self.pdo!r}')
+        self.heartbeat_ms = int(settings.get("heartbeat_ms", 500))
+        self.inputs = {one.number: one for one in from_file(self.name, self.dictionary, self.node, SENT)}
+        self.outputs = {one.number: one for one in from_file(self.name, self.dictionary, self.node, RECEIVED)}
+        holder = next((one for one in self.inputs.values() if one.has(STATUSWORD)), None)
+        as_filed = holder is not None and holder.kind == 1
+        self.sync = bool(settings.get("sync", self.pdo == "write" or as_filed))
+        self.event_ms = int(settings.get("event_ms", 20))
+        slowest = max([one.event_ms for one in self.inputs.values()] + [self.event_ms])
+        self.pdo_stale_s = 0.1 if self.sync else max(0.1, 5 * slowest / 1000)
+        self.axes = [Axis(self, joint) for joint in self.joints]
+        beats = 3.5 * self.heartbeat_ms / 1000 if self.heartbeat_ms else 1e6
+        self.network: Signal = self.add_signal(
+            "network", of="Heartbeat.state", stale_s=beats, doc="NMT state", source="CiA 301"
+        )
+        self.error: Signal = self.add_signal(
+            "error", stale_s=beats, doc="the last emergency; empty: none", source="CiA 301, EMCY; object 603F"
+        )
+        self.sdo = SdoChannel(self, float(settings.get("sdo_timeout_s", 0.3)))
+        self.is_set_up = False
+        self.last_beat: int | None = None
+        self._set_up: Job | None = None
+        self._waiting: list[tuple[Callable[[], bool], Awaited, Any]] = []
+        self._by_sdo: dict[int, int] = {}
+        self._writing: Job | None = None
+        self._wire()
+        if self.sync:
+            number = holder.number if holder is not None else 1
+            self.polls = (Poll("Sync", reply=f"Tpdo{number}", timeout_s=0.02),)
+
+    def _wire(self) -> None:
+        """Who is told of what stands where in PDOs, and which PDO takes what is told."""
+        axes = {axis.offset: axis for axis in self.axes}
+        self._readers: dict[str, list[tuple[Place, Axis, int]]] = {}
+        self._takers: dict[int, int] = {}
+        for one in self.inputs.values():
+            for place in one.places:
+                axis = axes.get(offset_of(place.index))
+                if axis is None or place.subindex:
+                    continue
+                index = place.index - axis.offset
+                self._readers.setdefault(f"Tpdo{one.number}", []).append((place, axis, index))
+        for axis in self.axes:
+            found = {index for readers in self._readers.values() for _, a, index in readers if a is axis}
+            for index, names in _SHOWN.items():
+                for name in names:
+                    whole = axis.signals[name].name
+                    if index in found:
+                        self.readable.add(whole)
+                    else:
+                        self.readable.discard(whole)
+        for one in self.outputs.values():
+            for place in one.places:
+                self._takers.setdefault(place.index, one.number)
+
+    # ------------------------------------------------------------------ up
+
+    def start(self) -> Job:
+        """Set the node up; again whenever it has booted."""
+        self._quiet(True)
+        self.clock.call_in(RETRY, self._look)
+        return self.set_up()
+
+    def set_up(self) -> Job:
+        """Have the node ready to be enabled: its PDOs known, its heartbeat on, itself operational."""
+        if self._set_up is not None and not self._set_up.is_over:
+            return self._set_up
+        self._quiet(True)
+
+        def steps(job: Job) -> Steps:
+            yield from set_up(self, job)
+            self._wire()
+            self.is_set_up = True
+            self._quiet(False)
+
+        made = self.job("set up", steps)
+        made.then(self._was_set_up)
+        self._set_up = made
+        return made
+
+    def _was_set_up(self, job: Job) -> None:
+        if job is self._set_up and job.error is not None and not isinstance(job.error, NoReplyError):
+            self.tell_event("alarm", f"cannot be set up: {job.error}")
+
+    def _quiet(self, on: bool) -> None:
+        """Whether it is not to be expected at SYNC."""
+        if on:
+            self.host.postpone(self, "Sync", LONG)
+            return
+        holder = next((n for n, one in self.inputs.items() if one.has(STATUSWORD)), 1)
+        for turn in self.host.turns:
+            if turn.device is self:
+                turn.replies = frozenset((f"Tpdo{holder}",))
+                turn.due = self.clock.now()
+
+    def _look(self) -> None:
+        """Every now and then: is a node that was absent there, is one that was there gone?"""
+        now = self.clock.now()
+        if not self.is_set_up and (self._set_up is None or self._set_up.is_over):
+            self.set_up()
+        beat = self.heartbeat_ms * 1_000_000
+        if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
+            age = now - self.last_beat
+            if age > 3 * beat and now - (self.last_heard or 0) > 3 * beat:
+                self.is_silent = True
+                self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
+        self.clock.call_in(min(RETRY, 2 * beat or RETRY), self._look)
+
+    def heard(self, record: Any, instant: int) -> None:
+        """PDOs, heartbeats and emergencies."""
+        name = type(record).__name__
+        readers = self._readers.get(name)
+        if readers is not None:
+            data = record.data
+            if len(data) < self.inputs[int(name[-1])].size:
+                self.tell_event("malformed", f"{name} has {len(data)} bytes, fewer than are mapped")
+                return
+            word = int.from_bytes(data, "little")
+            for place, axis, index in readers:
+                axis.update(index, place.take(word), instant)
+            if self._waiting:
+                self._looked()
+        elif name == "Heartbeat":
+            self._beat(record.state, instant)
+        elif name == "Emergency":
+            self._emergency(record, instant)
+
+    def _beat(self, state: Any, instant: int) -> None:
+        self.last_beat = instant
+        if self.error.instant is not None:
+            self.error.update(self.error.last, instant)
+        if state == "boot_up":
+            was_set_up, self.is_set_up = self.is_set_up, False
+            going, self._set_up = self._set_up, None
+            if going is not None:
+                going.cancel()
+            if was_set_up:
+                self.rebooted("sent its boot-up message")
+            self.set_up()
+        elif state != "operational" and self.is_set_up:
+            self._quiet(True)
+        elif state == "operational" and self.is_set_up:
+            for turn in self.host.turns:
+                if turn.device is self and turn.due - instant > RETRY:
+                    turn.due = instant
+        if self._waiting:
+            self._looked()
+
+    def _emergency(self, record: Any, instant: int) -> None:
+        raw = int.from_bytes(record.meta.raw[:2], "little")
+        if raw & 0xFF00 == 0:
+            self.error.update("", instant)
+            self.tell_event("alarm over", "error reset")
+            return
+        text = text_of(raw)
+        details = f", details {record.details.hex(' ')}" if any(record.details) else ""
+        self.error.update(text, instant)
+        self.tell_event("alarm", f"{text}{details}")
+
+    def forget(self) -> None:
+        """Nothing is known any more."""
+        super().forget()
+        for axis in self.axes:
+            axis.forget()
+
+    # ------------------------------------------------------------------ waiting for what the drive says
+
+    def until(self, holds: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> Awaited:
+        """Over as soon as `holds()`, which is looked at whenever the drive has said something; fails after `timeout_s`."""
+        awaited = Awaited(self.clock)
+        if holds():
+            awaited.finish()
+            return awaited
+        timer = self.clock.call_in(
+            round(timeout_s * 1e9),
+            lambda: awaited.fail(DeviceError(f"{self.name}: {what()} (after {timeout_s:g} s)")),
+        )
+        self._waiting.append((holds, awaited, timer))
+        return awaited
+
+    def _looked(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for one in waiting:
+            holds, awaited, timer = one
+            if awaited.is_over:
+                continue
+            if holds():
+                timer.cancel()
+                awaited.finish()
+            else:
+                self._waiting.append(one)
+
+    # ------------------------------------------------------------------ down
+
+    def put(self, axis: Axis, *indices: int) -> None:
+        """Send objects of an axis, as `axis.outputs` has them: in their PDOs, else over SDO."""
+        for index in indices:
+            number = self._takers.get(index + axis.offset)
+            if number is not None:
+                self.want(f"Rpdo{number}", "data", b"")
+            else:
+                self._by_sdo[index + axis.offset] = axis.outputs[index]
+        if self._by_sdo and (self._writing is None or self._writing.is_over):
+            self._writing = self.job("set-points over SDO", self._write_all)
+
+    def _write_all(self, job: Job) -> Steps:
+        while self._by_sdo:
+            index = next(iter(self._by_sdo))
+            yield self.sdo.download(index, 0, self.raw(index, 0, self._by_sdo.pop(index)))
+
+    def raw(self, index: int, subindex: int, value: Any) -> bytes:
+        """An object's value as bytes, as the node's file says. Raises `CallerError` for what does not fit."""
+        known = self.dictionary.get_variable(index, subindex)
+        if known is None:
+            raise CallerError(
+                f"{self.name}: its file has no object {index:04X}:{subindex}; give bytes, as value=\"0f 00\""
+            )
+        try:
+            return bytes(known.encode_raw(value))
+        except Exception as error:  # of canopen and struct, by type of object
+            raise CallerError(f"{self.name}: {value!r} is no value of {known.name}: {error}") from None
+
+    def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
+        """An RPDO: all its objects as they are wanted now."""
+        layout: Layout | None = self.outputs.get(int(message[-1]))
+        if layout is None:
+            return None
+        word = 0
+        axes = {axis.offset: axis for axis in self.axes}
+        for place in layout.places:
+            axis = axes.get(offset_of(place.index))
+            if axis is not None and not place.subindex:
+                word = place.put(word, axis.outputs.get(place.index - axis.offset, 0))
+        return {"data": word.to_bytes(layout.size, "little")}
+
+    def _control(self, axis: Axis, word: int) -> Steps:
+        """A controlword that is known to have arrived: statuswords were made after it."""
+        axis.outputs[CONTROLWORD] = word
+        if CONTROLWORD + axis.offset not in self._takers:
+            yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
+            return
+        self.put(axis, CONTROLWORD)
+        before = axis.heard
+        yield self.until(
+            lambda: axis.heard >= before + 2, STEP_S, lambda: f"{axis.joint.name} says no statusword"
+        )
+
+    def _axes(self, joint: str | None) -> list[Axis]:
+        if joint is None:
+            return self.axes
+        found = [axis for axis in self.axes if joint in (axis.joint.name, *axis.joint.aliases)]
+        if not found:
+            names = ", ".join(axis.joint.name for axis in self.axes)
+            raise CallerError(f"{self.name} has no joint {joint!r} (it has: {names})")
+        return found
+
+    def _ready(self) -> Steps:
+        """The node is set up and says its state."""
+        if not self.is_set_up:
+            yield self.set_up()
+        for axis in self.axes:
+            before = axis.heard
+            yield self.until(
+                lambda axis=axis, before=before: axis.heard > before,  # type: ignore[misc]
+                STEP_S,
+                lambda axis=axis: f"{axis.joint.name} says no statusword",  # type: ignore[misc]
+            )
+
+    # ------------------------------------------------------------------ actions
+
+    def enable(self, joint: str | None = None) -> Job:
+        """Bring the joints, or one, to "operation enabled". Fails with `DeviceError` where a joint is in fault."""
+        axes = self._axes(joint)
+
+        def steps(job: Job) -> Steps:
+            yield from self._ready()
+            for number, axis in enumerate(axes):
+                job.text = axis.joint.name
+                yield from self._enabled(axis)
+                job.progress = (number + 1) / len(axes)
+
+        return self.job("enable", steps)
+
+    def _enabled(self, axis: Axis) -> Steps:
+        if axis.state != "operation enabled":
+            axis.hold()
+        yield from self._into_mode(axis, axis.wanted)
+        for _ in range(8):
+            state = axis.state
+            if state == "operation enabled":
+                return
+            if state == "fault":
+                why = f" ({self.error.last})" if self.error.last else ""
+                raise DeviceError(f"{self.name}: {axis.joint.name} is in fault{why}; reset_fault first")
+            axis.hold()
+            word = ONWARD.get(state)
+            if word is not None:
+                yield from self._control(axis, word)
+            yield self.until(
+                lambda state=state: axis.state != state,  # type: ignore[misc]
+                STEP_S,
+                lambda: f"{axis.joint.name} stays {axis.state!r} with controlword {axis.outputs[CONTROLWORD]:04X}",
+            )
+        raise DeviceError(f"{self.name}: {axis.joint.name} does not get enabled; it is {axis.state!r}")
+
+    def disable(self, joint: str | None = None) -> Job:
+        """Torque off."""
+        return self._down("disable", SHUTDOWN, self._axes(joint))
+
+    def stop_motion(self) -> Job:
+        """Quick stop, of all joints."""
+        return self._down("stop", QUICK_STOP, self.axes)
+
+    def _down(self, name: str, word: int, axes: list[Axis]) -> Job:
+        for axis in axes:  # at once, whatever else is going on
+            axis.hold()
+            axis.outputs[CONTROLWORD] = word
+            if self.is_set_up:
+                self.put(axis, CONTROLWORD)
+
+        def steps(job: Job) -> Steps:
+            for axis in axes:
+                if not self.is_set_up:  # nothing is known of its PDOs; it may move all the same
+                    yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
+                    continue
+                yield from self._control(axis, word)
+                yield self.until(
+                    lambda axis=axis: axis.state != "operation enabled",  # type: ignore[misc]
+                    STEP_S,
+                    lambda axis=axis: f"{axis.joint.name} stays enabled",  # type: ignore[misc]
+                )
+
+        return self.job(name, steps)
+
+    def reset_fault(self, joint: str | None = None) -> Job:
+        """Acknowledge a fault. Fails with `DeviceError` while its cause is there."""
+        axes = self._axes(joint)
+
+        def steps(job: Job) -> Steps:
+            yield from self._ready()
+            for axis in axes:
+                if axis.state not in ("fault", "fault reaction active"):
+                    continue
+                yield from self._control(axis, DISABLE_VOLTAGE)
+                yield from self._control(axis, FAULT_RESET)
+                yield self.until(
+                    lambda axis=axis: axis.state != "fault",  # type: ignore[misc]
+                    STEP_S,
+                    lambda axis=axis: f"{axis.joint.name} stays in fault: {self.error.last or 'no reason given'}",  # type: ignore[misc]
+                )
+                yield from self._control(axis, DISABLE_VOLTAGE)
+
+        return self.job("reset fault", steps)
+
+    def set_mode(self, mode: str, joint: str | None = None) -> Job:
+        """Another mode of operation; the joint holds where it is. Raises `CallerError` for one that is none."""
+        if mode not in TARGETS:
+            raise CallerError(f"{self.name}: no mode {mode!r} (there are: {', '.join(TARGETS)})")
+        axes = self._axes(joint)
+
+        def steps(job: Job) -> Steps:
+            yield from self._ready()
+            for axis in axes:
+                axis.hold()
+                yield from self._into_mode(axis, mode)
+                axis.choose(mode)
+
+        return self.job(f"mode {mode}", steps)
+
+    def _into_mode(self, axis: Axis, mode: str) -> Steps:
+        number = MODES[mode]
+        axis.outputs[MODE] = number
+        axis.outputs[CONTROLWORD] &= ~START
+        if MODE + axis.offset in self._takers:
+            self.put(axis, MODE)
+        else:
+            yield self.sdo.download(MODE + axis.offset, 0, number.to_bytes(1, "little", signed=True))
+        shown = {index for readers in self._readers.values() for _, a, index in readers if a is axis}
+        if MODE_SHOWN in shown:
+            yield self.until(
+                lambda: axis.mode_shown == number,
+                MODE_S,
+                lambda: f"{axis.joint.name} does not go into mode {mode}; does the drive have it?",
+            )
+            return
+        for _ in range(20):
+            data: bytes = yield self.sdo.upload(MODE_SHOWN + axis.offset)
+            axis.update(MODE_SHOWN, int.from_bytes(data[:1], "little", signed=True), self.clock.now())
+            if axis.mode_shown == number:
+                return
+            yield round(MODE_S * 1e9 / 20)
+        raise DeviceError(f"{self.name}: {axis.joint.name} does not go into mode {mode}; does the drive have it?")
+
+    def home(self, joint: str | None = None, method: int | None = None, timeout_s: float = 30.0) -> Job:
+        """Search home; the job's text says how far it is. Fails with `DeviceError` when the drive does not find it."""
+        axes = self._axes(joint)
+
+        def steps(job: Job) -> Steps:
+            yield from self._ready()
+            for number, axis in enumerate(axes):
+                job.text = f"{axis.joint.name} searches"
+                yield from self._homed(axis, method, timeout_s)
+                job.text = f"{axis.joint.name} is home"
+                job.progress = (number + 1) / len(axes)
+
+        return self.job("home", steps)
+
+    def _homed(self, axis: Axis, method: int | None, timeout_s: float) -> Steps:
+        if method is not None:
+            yield self.sdo.download(0x6098 + axis.offset, 0, self.raw(0x6098 + axis.offset, 0, int(method)))
+        mode, axis.wanted = axis.wanted, "homing"
+        try:
+            yield from self._enabled(axis)
+            yield from self._control(axis, ENABLE)
+            yield from self._control(axis, ENABLE | START)
+
+            def status() -> int:
+                return axis.statusword or 0
+
+            yield self.until(
+                lambda: bool(status() & (TAKEN | FAILED)) or axis.state != "operation enabled",
+                timeout_s,
+                lambda: f"{axis.joint.name} has not found home",
+            )
+            if axis.state != "operation enabled" or status() & FAILED:
+                why = f" ({self.error.last})" if self.error.last else ""
+                raise DeviceError(f"{self.name}: {axis.joint.name} has not found home: homing error{why}")
+            yield self.until(
+                lambda: bool(status() & REACHED), STEP_S, lambda: f"{axis.joint.name} is home and moves on"
+            )
+        finally:
+            axis.wanted = mode
+            axis.outputs[CONTROLWORD] &= ~START
+            axis.hold()
+            if self.is_set_up:
+                self.put(axis, CONTROLWORD)
+        yield from self._into_mode(axis, mode)
+
+    def nmt(self, command: str) -> Job:
+        """A command of network management to this node."""
+        if command not in NMT:
+            raise CallerError(f"{self.name}: no command {command!r} (there are: {', '.join(NMT)})")
+
+        def steps(job: Job) -> Steps:
+            if command in ("stop", "pre_operational"):
+                self._quiet(True)
+            yield self.tell("Nmt", command=command)
+            if command == "start" and self.is_set_up:
+                self._quiet(False)
+
+        return self.job(f"nmt {command}", steps)
+
+    def read(self, object: str | int) -> Job:
+        """Read an object over SDO: its value, or its bytes in hexadecimal where the file does not know it."""
+        index, subindex, known = object_of(self.dictionary, object)
+
+        def steps(job: Job) -> Steps:
+            data: bytes = yield self.sdo.upload(index, subindex)
+            if known is None:
+                return data.hex(" ")
+            try:
+                return known.decode_raw(data)
+            except Exception:  # another length than the file says
+                return data.hex(" ")
+
+        return self.job(f"read {index:04X}:{subindex}", steps)
+
+    def write(self, object: str | int, value: Any, confirm: bool = False) -> Job:
+        """Write an object over SDO. Raises `CallerError` without `confirm`: it may move the drive, or outlive it."""
+        index, subindex, known = object_of(self.dictionary, object)
+        if confirm is not True:
+            raise CallerError(
+                f"{self.name}: writing object {index:04X}:{subindex} goes past all checks; confirm=true if you mean it"
+            )
+        if known is None and isinstance(value, str):
+            try:
+                data = bytes.fromhex(value)
+            except ValueError:
+                raise CallerError(f"{self.name}: {value!r} is not bytes in hexadecimal") from None
+        else:
+            data = self.raw(index, subindex, value)
+        return self.sdo.download(index, subindex, data)
+
+    def identity(self) -> Job:
+        """What the drive says it is: device type, vendor, product, revision, serial number, name."""
+
+        def steps(job: Job) -> Steps:
+            found: dict[str, Any] = {}
+            wanted = (("type", 0x1000, 0), ("vendor", 0x1018, 1), ("product", 0x1018, 2))
+            more = (("revision", 0x1018, 3), ("serial", 0x1018, 4), ("name", 0x1008, 0))
+            for number, (name, index, subindex) in enumerate((*wanted, *more)):
+                try:
+                    data: bytes = yield self.sdo.upload(index, subindex)
+                except AcesError:
+                    if index == 0x1000:
+                        raise
+                    continue  # optional
+                found[name] = data.decode("ascii", "replace") if name == "name" else int.from_bytes(data, "little")
+                job.progress = (number + 1) / 6
+            return found
+
+        return self.job("identity", steps)

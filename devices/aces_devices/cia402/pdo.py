@@ -1,0 +1,137 @@
+"""Process data: which objects lie where in a node's PDOs, from its file, from itself, or as we would have it.
+
+1. `canopen` reads mappings from files; here they are places in a number, which is quick: bytes are one little-endian
+   integer, an object so many bits of it.
+2. PDOs are at their predefined identifiers (PDO n of node i): others belong to no message of the spec, and are refused
+   with a word about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from aces_bus.errors import DeviceError
+
+NOT_VALID = 1 << 31
+#: PDOs each way that the predefined connection set has.
+MOST = 4
+#: First objects of communication and mapping, and identifiers: what the node receives, and what it sends.
+RECEIVED, SENT = (0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)
+
+
+@dataclass(frozen=True)
+class Place:
+    """One object in a PDO: `shift` and `size` in bits."""
+
+    index: int
+    subindex: int
+    shift: int
+    size: int
+    is_signed: bool
+
+    def take(self, word: int) -> int:
+        """The object's value in a PDO's content."""
+        value = word >> self.shift & (1 << self.size) - 1
+        return value - (1 << self.size) if self.is_signed and value >> self.size - 1 else value
+
+    def put(self, word: int, value: int) -> int:
+        """The content with another value; values that do not fit stop at the end of the range."""
+        low, high = (-(1 << self.size - 1), (1 << self.size - 1) - 1) if self.is_signed else (0, (1 << self.size) - 1)
+        mask = (1 << self.size) - 1
+        return word & ~(mask << self.shift) | (min(max(value, low), high) & mask) << self.shift
+
+
+@dataclass
+class Layout:
+    """One PDO: its number (1…4), the objects in it, its transmission type and event timer (ms)."""
+
+    number: int
+    places: list[Place] = field(default_factory=list[Place])
+    kind: int = 255
+    event_ms: int = 0
+
+    @property
+    def size(self) -> int:
+        """Its length in bytes."""
+        return (sum(place.size for place in self.places) + 7) // 8
+
+    @property
+    def is_synchronous(self) -> bool:
+        """Whether the node sends or applies it at SYNC."""
+        return self.kind <= 240
+
+    def has(self, index: int) -> bool:
+        """Whether an object, of any axis, is in it."""
+        return any(place.index - offset_of(place.index) == index for place in self.places)
+
+
+def offset_of(index: int) -> int:
+    """What the axis of an object adds to its index: 0x800 an axis (ros2_canopen)."""
+    return (index - 0x6000) & ~0x7FF if index >= 0x6000 else 0
+
+
+def layout_of(who: str, dictionary: Any, number: int, base: int, node: int, raw: dict[int, int], entries: list[int]) -> Layout | None:
+    """A PDO from its communication parameters (`raw`: subindex → value) and mapping entries; None: it is switched off.
+
+    Raises `DeviceError` for another identifier than the predefined one.
+    """
+    identifier = raw[1]
+    if identifier & NOT_VALID or not entries:
+        return None
+    predefined = base + 0x100 * (number - 1) + node
+    if identifier & 0x1FFFFFFF != predefined:
+        raise DeviceError(
+            f"{who}: PDO {number} has identifier 0x{identifier & 0x1FFFFFFF:X}, and 0x{predefined:X} is predefined;"
+            ' settings pdo = "write" makes it so'
+        )
+    made = Layout(number, kind=raw.get(2, 255), event_ms=raw.get(5, 0))
+    shift = 0
+    for entry in entries:
+        index, subindex, size = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        made.places.append(Place(index, subindex, shift, size, _is_signed(dictionary, index, subindex)))
+        shift += size
+    if shift > 64:
+        raise DeviceError(f"{who}: the objects of PDO {number} have {shift} bits; a frame has 64")
+    return made
+
+
+def _is_signed(dictionary: Any, index: int, subindex: int) -> bool:
+    """Whether an object is a signed number: as the file says; of objects that it does not have, as CiA 402 does."""
+    from canopen.objectdictionary import SIGNED_TYPES
+
+    known = dictionary.get_variable(index, subindex)
+    if known is not None:
+        return known.data_type in SIGNED_TYPES
+    return index - offset_of(index) in SIGNED
+
+
+#: Signed objects of CiA 402 that drives map (of axis 0).
+SIGNED = frozenset((0x6042, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x607A, 0x60C1, 0x60FF))
+
+
+def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> list[Layout]:
+    """The PDOs that a file says its device has, those of `side` (`RECEIVED` or `SENT`)."""
+    communication, mapping, base = side
+    found: list[Layout] = []
+    for number in range(1, MOST + 1):
+        if communication + number - 1 not in dictionary or mapping + number - 1 not in dictionary:
+            continue
+        raw = {sub: _default(dictionary, communication + number - 1, sub) for sub in (1, 2, 5)}
+        if raw[1] is None:
+            raw[1] = base + 0x100 * (number - 1) + node
+        count = _default(dictionary, mapping + number - 1, 0) or 0
+        entries = [_default(dictionary, mapping + number - 1, sub) or 0 for sub in range(1, min(count, 64) + 1)]
+        known = {sub: value for sub, value in raw.items() if value is not None}
+        made = layout_of(who, dictionary, number, base, node, known, [one for one in entries if one])
+        if made is not None:
+            found.append(made)
+    return found
+
+
+def _default(dictionary: Any, index: int, subindex: int) -> int | None:
+    known = dictionary.get_variable(index, subindex)
+    if known is None:
+        return None
+    value = known.value if known.value is not None else known.default
+    return value if isinstance(value, int) else None

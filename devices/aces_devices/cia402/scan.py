@@ -1,0 +1,69 @@
+"""Finding drives: every node is asked what it is; nodes that only send heartbeats are heard meanwhile.
+
+1. Bounded: 127 nodes, one request each, two more of those that answer.
+2. Only nodes of device profile 402 are drives; others are left to those who know them.
+"""
+
+from __future__ import annotations
+
+from aces_bus.device import Device, Host, Job, Steps
+from aces_bus.device.robot import DeviceConfig
+from aces_bus.errors import AcesError
+
+from .sdo import SdoChannel
+
+NODES = range(1, 128)
+#: Seconds that a node may take to answer.
+ANSWER_S = 0.02
+
+
+def scan(host: Host, job: Job) -> Steps:
+    """Ask each node for its device type and identity; listen for heartbeats of those that do not answer."""
+    probes: dict[int, Device] = {node: host.probe("canopen", node=node) for node in NODES}
+    found: list[DeviceConfig] = []
+    answered: set[int] = set()
+    try:
+        for node, probe in probes.items():
+            job.progress, job.text = node / len(NODES), f"node {node}"
+            try:
+                told = yield probe.ask(
+                    "SdoUpload",
+                    reply=("SdoUploaded", "SdoAborted"),
+                    timeout_s=ANSWER_S,
+                    retries=0,
+                    index=0x1000,
+                    subindex=0,
+                )
+            except AcesError:
+                continue
+            answered.add(node)
+            if type(told).__name__ == "SdoUploaded" and told.data[:2] == (402).to_bytes(2, "little"):
+                model = yield from _model(probe)
+                found.append(_config(host, node, model, None))
+        for node, probe in probes.items():
+            if probe.last_heard is not None and node not in answered:
+                doc = "sends, and does not answer SDO: what it is is not known"
+                found.append(_config(host, node, None, doc))
+    finally:
+        for probe in probes.values():
+            host.remove(probe.name)
+    return found
+
+
+def _model(probe: Device) -> Steps:
+    """Vendor and product, as the identity object has them."""
+    channel = SdoChannel(probe, ANSWER_S)
+    parts: list[str] = []
+    for name, subindex in (("vendor", 1), ("product", 2)):
+        try:
+            data: bytes = yield channel.upload(0x1018, subindex)
+        except AcesError:
+            continue
+        parts.append(f"{name} 0x{int.from_bytes(data, 'little'):X}")
+    return ", ".join(parts) or None
+
+
+def _config(host: Host, node: int, model: str | None, doc: str | None) -> DeviceConfig:
+    return DeviceConfig(
+        name=f"DRIVE{node}", driver="cia402", bus=host.name, credentials={"node": node}, model=model, doc=doc
+    )

@@ -1,0 +1,159 @@
+"""Reading and writing a node's objects over SDO, as steps of a job.
+
+1. Nothing blocks: a transfer asks, and goes on when the answer is there. So it runs in virtual time as in life, on the
+   thread of its bus; `canopen`'s own client waits on a thread, which neither could.
+2. One transfer a node at a time, in the order in which they were asked for.
+3. A transfer is bounded: `LONGEST` bytes, one time-out a segment.
+
+Bytes and toggle bits: CiA 301, 7.2.4.3. Block transfers are not made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from aces_bus.device import Device, Job, Steps
+from aces_bus.errors import AcesError, DeviceError
+
+#: The longest object that is read (bytes).
+LONGEST = 1 << 16
+#: Seconds to wait for an answer (canopen waits as long).
+TIMEOUT_S = 0.3
+
+#: What refusals say, in words; others show their name or number.
+WORDS = {
+    "no_object": "the drive has no such object",
+    "no_subindex": "the object has no such subindex",
+    "read_only": "it cannot be written",
+    "write_only": "it cannot be read",
+    "value_range": "the value is out of range",
+    "value_high": "the value is too high",
+    "value_low": "the value is too low",
+    "length": "it has another length",
+    "device_state": "not in the drive's present state",
+    "no_data": "it is empty",
+}
+
+
+class SdoRefused(DeviceError):
+    """The node has ended a transfer; `code` is the spec's name for why, or a number."""
+
+    def __init__(self, who: str, index: int, subindex: int, code: Any) -> None:
+        name = f"0x{code:08X}" if isinstance(code, int) else str(code)
+        said = WORDS.get(name, name)
+        super().__init__(f"{who} refuses object {index:04X}:{subindex}: {said}")
+        self.code = code
+
+
+class SdoChannel:
+    """The transfers of one node, made with its device's requests."""
+
+    def __init__(self, device: Device, timeout_s: float = TIMEOUT_S) -> None:
+        self.device, self.timeout_s = device, timeout_s
+        self._last: Job | None = None
+
+    def upload(self, index: int, subindex: int = 0) -> Job:
+        """Read an object; the result is its bytes. Fails with `SdoRefused` or `NoReplyError`."""
+        return self._queued(f"read {index:04X}:{subindex}", lambda: self._upload(index, subindex))
+
+    def download(self, index: int, subindex: int, data: bytes) -> Job:
+        """Write an object. Fails with `SdoRefused` or `NoReplyError`."""
+        return self._queued(f"write {index:04X}:{subindex}", lambda: self._download(index, subindex, data))
+
+    def _queued(self, name: str, steps: Callable[[], Steps]) -> Job:
+        before = self._last if self._last is not None and not self._last.is_over else None
+
+        def whole(job: Job) -> Steps:
+            nonlocal before
+            if before is not None:
+                try:
+                    yield before
+                except AcesError:
+                    pass  # its own trouble
+                before = None
+            return (yield from steps())
+
+        self._last = self.device.job(name, whole)
+        return self._last
+
+    def _ask(self, message: str, replies: tuple[str, ...], index: int, subindex: int, **fields: Any) -> Steps:
+        """One request about an object and its answer; answers about another object come from an older request."""
+        for _ in range(3):
+            told = yield self.device.ask(
+                message,
+                reply=(*replies, "SdoAborted"),
+                timeout_s=self.timeout_s,
+                retries=1,
+                index=index,
+                subindex=subindex,
+                **fields,
+            )
+            if (told.index, told.subindex) != (index, subindex):
+                continue
+            if type(told).__name__ == "SdoAborted":
+                raise SdoRefused(self.device.name, index, subindex, told.code)
+            return told
+        raise DeviceError(
+            f"{self.device.name} answers about other objects than {index:04X}:{subindex}: does another master use its SDO?"
+        )
+
+    def _segment(self, message: str, reply: str, index: int, subindex: int, toggle: int, **fields: Any) -> Steps:
+        """One segment. It is not repeated: the node would take it for the next one."""
+        told = yield self.device.ask(
+            message, reply=(reply, "SdoAborted"), timeout_s=self.timeout_s, retries=0, toggle=toggle, **fields
+        )
+        if type(told).__name__ == "SdoAborted":
+            raise SdoRefused(self.device.name, index, subindex, told.code)
+        if told.toggle != toggle:
+            self._abort(index, subindex, "toggle")
+            raise DeviceError(f"{self.device.name}: a segment of {index:04X}:{subindex} came twice or not at all")
+        return told
+
+    def _abort(self, index: int, subindex: int, code: str) -> None:
+        self.device.tell("SdoAbort", index=index, subindex=subindex, code=code)
+
+    def _upload(self, index: int, subindex: int) -> Steps:
+        told = yield from self._ask("SdoUpload", ("SdoUploaded", "SdoUploadStarted"), index, subindex)
+        if type(told).__name__ == "SdoUploaded":
+            return told.data[: 4 - told.unused] if told.sized else told.data
+        data = bytearray()
+        toggle, is_last = 0, False
+        while not is_last:
+            part = yield from self._segment("SdoUploadSegment", "SdoUploadedSegment", index, subindex, toggle)
+            data += part.data[: 7 - part.unused]
+            is_last, toggle = bool(part.last), toggle ^ 1
+            if len(data) > LONGEST:
+                self._abort(index, subindex, "too_long")
+                raise DeviceError(f"{self.device.name}: object {index:04X}:{subindex} is longer than {LONGEST} bytes")
+        return bytes(data)
+
+    def _download(self, index: int, subindex: int, data: bytes) -> Steps:
+        if 0 < len(data) <= 4:
+            yield from self._ask(
+                "SdoDownload",
+                ("SdoDownloaded",),
+                index,
+                subindex,
+                sized=1,
+                unused=4 - len(data),
+                data=data.ljust(4, b"\0"),
+            )
+            return None
+        yield from self._ask("SdoDownloadStart", ("SdoDownloaded",), index, subindex, sized=1, size=len(data))
+        toggle, at = 0, 0
+        while at == 0 or at < len(data):
+            part = data[at : at + 7]
+            at += 7
+            yield from self._segment(
+                "SdoDownloadSegment",
+                "SdoDownloadedSegment",
+                index,
+                subindex,
+                toggle,
+                unused=7 - len(part),
+                last=int(at >= len(data)),
+                data=part.ljust(7, b"\0"),
+            )
+            toggle ^= 1
+        return None
