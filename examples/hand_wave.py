@@ -14,6 +14,7 @@ from math import pi, radians, sin
 
 from aces_bus.assembly import run_virtual
 from aces_bus.controller import Player, Trajectory, read_trajectory
+from aces_bus.errors import CallerError
 from aces_devices.robots import load_robot
 
 RATE = 10.0
@@ -61,4 +62,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except CallerError as error:  # no such file, or no such motion
+        sys.exit(str(error))

@@ -9,12 +9,13 @@ below its hip; what the hips roll, the ankles roll back.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import pi, sin
 
 from aces_bus.assembly import run_virtual
 from aces_bus.controller import Player, Trajectory, read_trajectory
 from aces_bus.controller.motion_file import rate_in_name
+from aces_bus.errors import CallerError
 from aces_devices.robots import load_robot
 
 RATE = 100.0
@@ -51,15 +52,15 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
         pattern = stepping()
     robot = load_robot("hubo2plus")
     worst = dict.fromkeys(pattern.names, 0.0)
+    before: dict[str, float] = {}
 
-    def compare(setpoints: dict[str, float]) -> Mapping[str, float] | None:
+    def compare(row: dict[str, float]) -> None:
+        """Where the joints are, and where the row before wanted them."""
         if player.mode == "running":
             for name, wanted in before.items():
                 worst[name] = max(worst[name], abs(run.states[name][0] - wanted))
-        before.update(setpoints)
-        return None
+        before.update(row)
 
-    before: dict[str, float] = {}
     player = Player("walk", pattern, rate_hz=pattern.rate_hz, hook=compare)
     run = run_virtual(robot, [player], rate_hz=pattern.rate_hz)
     with run:
@@ -67,16 +68,17 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
         run.do("enable", devices=pattern.names)
         print(f"{pattern!r}, on {len(homed)} boards of {robot.name}, homed and on")
         ended = run.run(pattern.duration_s + 10, until=lambda: player.mode == "ended")
+    end = ", ".join(ended.tripped.values()) or "nothing went wrong"
+    print(f"{player.mode} after {ended.seconds:.2f} s; {end}")
     print(
-        f"{player.mode} after {ended.seconds:.2f} s; {', '.join(ended.tripped.values()) or 'nothing went wrong'}"
-    )
-    print(
-        "from the last set-point at most:",
+        "from the row before, at most (rad):",
         ", ".join(f"{name} {error:.3f}" for name, error in worst.items()),
-        "rad",
     )
     return worst
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except CallerError as error:  # no such file, or no such motion
+        sys.exit(str(error))

@@ -14,6 +14,7 @@ from math import degrees
 
 from aces_bus.assembly import run_virtual
 from aces_bus.controller import CartesianPath, Limits, Player, Trajectory, ViaPath
+from aces_bus.errors import CallerError
 from aces_devices.kinematics.minihubo import JOINTS, MINIHUBO, POSTURE, WALK_HZ, read_walk
 from aces_devices.robots import load_robot
 
@@ -62,10 +63,10 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
     before: dict[str, float] = {}
 
     def compare(row: dict[str, float]) -> None:
+        """Where the joints are, and where the row before wanted them."""
         if player.mode == "running":
-            worst.update(
-                {name: max(worst[name], abs(run.states[name][0] - wanted)) for name, wanted in before.items()}
-            )
+            for name, wanted in before.items():
+                worst[name] = max(worst[name], abs(run.states[name][0] - wanted))
         before.update(row)
 
     player = Player("walk", pattern, rate_hz=WALK_HZ, gentle=Limits(1.5, 6.0), hook=compare)
@@ -75,13 +76,16 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
         ended = run.run(pattern.duration_s + 10, until=lambda: player.mode == "ended")
     counts = run.rig.hosts["servos"].counts
     name = max(worst, key=worst.__getitem__)
+    end = ", ".join(ended.tripped.values()) or "nothing went wrong"
     print(
-        f"{player.mode} after {ended.seconds:.1f} s; {', '.join(ended.tripped.values()) or 'nothing went wrong'};"
-        f" {counts.answered} answers, {counts.missed} missing"
+        f"{player.mode} after {ended.seconds:.1f} s; {end}; {counts.answered} answers, {counts.missed} missing"
     )
-    print(f"furthest from its last set-point: {name}, {degrees(worst[name]):.1f}°")
+    print(f"furthest from the row before: {name}, {degrees(worst[name]):.1f}°")
     return worst
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except CallerError as error:  # no such file, or no such motion
+        sys.exit(str(error))

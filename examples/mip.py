@@ -66,7 +66,8 @@ CODES = Enumeration(Byte, ok=0, unknown=1, checksum=2, parameter=3, failed=4, ti
 TIME = Struct("of_week" / Quantity(Float64b, unit="s"), "week" / Int16ub,
               "valid" / Flags(Int16ub, pps=0, refresh=1, initialised=2, of_week=3, week=4))
 EULER = Struct("roll_pitch_yaw" / vector(3, "rad"), "valid" / Int16ub)
-POSITION = Struct("degrees" / Array(2, Quantity(Float64b, unit="°")), "height" / Quantity(Float64b, unit="m"), "valid" / Int16ub)
+POSITION = Struct("degrees" / Array(2, Quantity(Float64b, unit="°")), "height" / Quantity(Float64b, unit="m"),
+                  "valid" / Int16ub)
 
 command = packet.family(Struct("size" / Byte, "command" / Byte), direction="to device")
 command("Ping", match={"set": "base"}, size=2, command=0x01, examples=[("75 65 01 02 02 01 E0 C6", {})])
@@ -79,7 +80,7 @@ packet("MessageFormat", match={"set": "imu"}, direction="to device", doc="What t
                   "fields": [{"kind": 4, "decimation": 10}, {"kind": 5, "decimation": 10}]}})])
 packet("Answer", match={"set": {0x01, 0x0C, 0x0D}}, direction="from device", doc="Whether a command was taken.",
        payload=fields(ack=(0xF1, Struct("command" / Byte, "code" / CODES))), examples=[
-           ("75 65 01 04 04 F1 01 00 D5 6A", {"set": "base", "fields": [{"kind": "ack", "data": {"command": 1, "code": "ok"}}]}),
+           ("75 65 01 04 04 F1 01 00 D5 6A", {"set": "base", "fields": [{"kind": "ack", "data": {"code": "ok"}}]}),
            ("75 65 0C 04 04 F1 08 03 EA BD", {"set": "imu", "fields": [{"data": {"command": 8, "code": "parameter"}}]})])
 packet("Sensors", match={"set": "sensors"}, direction="from device", doc="What was measured.",
        payload=fields(accel=(0x04, vector(3, "g")), gyro=(0x05, vector(3, "rad/s")), mag=(0x06, vector(3, "G")),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import tau
-from types import SimpleNamespace
 
 from aces_bus.assembly import run_virtual
 from aces_bus.controller import controller
@@ -26,13 +25,19 @@ MOVES = [
 WHEELS = ("M1", "M2", "M3", "M4")
 
 
-@controller(rate_hz=10, writes=WHEELS)
-def drive(t: float, memory: SimpleNamespace) -> Mapping[str, float]:
-    """The move of this instant, as four duties (spaceball.m)."""
+def move_at(t: float) -> tuple[int, int, int]:
+    """Forward, sideways, turn, at an instant (s)."""
     for seconds, z, x, b in MOVES:
         if t < seconds - 1e-9:
-            break
+            return z, x, b
         t -= seconds
+    return 0, 0, 0
+
+
+@controller(rate_hz=10, writes=WHEELS)
+def drive(t: float) -> Mapping[str, float]:
+    """The move of this instant, as four duties (spaceball.m)."""
+    z, x, b = move_at(t)
     return {
         "M1": z / 2 - x / 2 + b / 2,
         "M2": z / 2 + x / 2 + b / 2,
@@ -48,7 +53,7 @@ def main() -> list[tuple[float, float, float]]:
         run.start()
         before = [0.0] * 4
         for seconds, z, x, b in MOVES:
-            run.clock.advance(round(seconds * 1e9))
+            run.world.advance(seconds)
             now = [
                 run.world.simulation.world.joints[wheel].position(run.clock.now()) / tau for wheel in WHEELS
             ]

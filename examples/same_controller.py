@@ -95,7 +95,7 @@ def on_recording(frames: list[Frame], began: int) -> Notes:
     notes = Notes()
     run = notes.run = run_replay(load_shipped("hubo2plus"), since, [walk], loggers=[notes])
     with run:
-        run.clock.advance(began - round((since[0].timestamp or 0.0) * 1e9))
+        run.clock.wait(lambda: False, began - round((since[0].timestamp or 0.0) * 1e9))
         run.run(SECONDS)
     said(f"recording, {len(since)} frames", notes, run)
     return notes

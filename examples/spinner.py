@@ -126,7 +126,7 @@ class Judge:
         ]
 
     def start(self, now: int) -> None:
-        self.began, self.first = now, 0.0
+        self.began = now
 
     def step(self, now: int) -> None:
         if self.bound[-1][0].counts.kept < 2:

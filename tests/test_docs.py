@@ -21,6 +21,7 @@ PAGES = [
     "docs/fuzzing.md",
     "docs/language.md",
     "docs/robots.md",
+    "docs/running.md",
     "docs/states.md",
 ]
 

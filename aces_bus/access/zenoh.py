@@ -17,6 +17,7 @@ Needs the extra `[zenoh]` (eclipse-zenoh).
 
 from __future__ import annotations
 
+import atexit
 import json
 import threading
 import time
@@ -37,6 +38,10 @@ ENDPOINT = "tcp/127.0.0.1:7447"
 #: Bytes of a message: 2,000 states.
 MOST_BYTES = 1 << 18
 MOST_STATES = 2_000
+#: Messages that wait to be taken, at most.
+WAITING = 64
+#: How long an answer is waited for (s).
+ANSWER_S = 0.1
 Options = Mapping[str, Any]
 
 
@@ -101,6 +106,32 @@ def opened(listen: Iterable[str], connect: Iterable[str], options: Options) -> A
         raise CallerError(f"zenoh at {', '.join([*listen, *connect])}: {why[:300]}") from None
 
 
+def heard(declare: Callable[..., Any], key: str, take: Callable[[Any], None]) -> threading.Thread:
+    """Have `take` called with all that comes at a key, until the session is closed; the oldest of too many is left out.
+
+    On a thread of our own: a program that ends with one of the library's (eclipse-zenoh 1.10) does not end.
+    """
+    channel = declare(key, zenoh().handlers.RingChannel(WAITING))
+
+    def run() -> None:
+        with suppress(Exception):  # the library's own kind: the session is closed
+            for one in channel:
+                take(one)
+
+    thread = threading.Thread(target=run, name=f"zenoh {key}", daemon=True)
+    thread.start()
+    return thread
+
+
+def closed(session: Any, threads: list[threading.Thread]) -> None:
+    """Close a session, and let what hears it end: a thread inside the library must not outlive the interpreter."""
+    session.close()
+    for thread in threads:
+        if thread is not threading.current_thread():
+            thread.join(2.0)
+    threads.clear()
+
+
 def key_of(robot: str) -> str:
     """The beginning of a robot's keys; raises `CallerError` for a name that cannot be in one."""
     if not robot or len(robot) > 100 or set(robot) & set("*$?#/ ") or not robot.isprintable():
@@ -151,6 +182,7 @@ class Publisher:
         self._bound: dict[str, Any] = {}
         self._session: Any = None
         self._publisher: Any = None
+        self._threads: list[threading.Thread] = []
         self._inlet: Inlet | None = None
         self._number = 0
         self._about = b""
@@ -194,13 +226,15 @@ class Publisher:
             )
         self._about = msgspec.json.encode(about)
         self._session = opened([self.endpoint], [], self._options)
+        atexit.register(self.stop, 0)
         self._publisher = self._session.declare_publisher(f"{key}/values")
-        self._session.declare_queryable(f"{key}/about", self._tell_about)
         if self.allow_set:
             # Virtual time has one thread, and it is not zenoh's: there, each step takes what has come.
             plans = not isinstance(self._clock, VirtualClock)
             self._inlet = Inlet(self._clock, self._bound, self.events, self.name, plans=plans)
-            self._session.declare_subscriber(f"{key}/set", self._set)
+            self._threads.append(heard(self._session.declare_subscriber, f"{key}/set", self._set))
+        # Last: whoever is answered knows of the others by then, as zenoh tells them in order.
+        self._threads.append(heard(self._session.declare_queryable, f"{key}/about", self._tell_about))
         self.step(now)
 
     def step(self, now: int) -> None:
@@ -229,7 +263,8 @@ class Publisher:
         """Publish no more; twice does nothing."""
         session, self._session, self._publisher = self._session, None, None
         if session is not None:
-            session.close()
+            atexit.unregister(self.stop)
+            closed(session, self._threads)
 
     def _watch(self, now: int) -> None:
         """The dead-man of rule 3."""
@@ -319,7 +354,9 @@ class RemoteStates(Mapping[str, State]):
         self._known = threading.Event()
         self._closing = threading.Event()
         self._watcher: threading.Thread | None = None
-        self._asked_at = -(1 << 62)
+        self._threads: list[threading.Thread] = []
+        #: Somebody publishes who was not asked yet what.
+        self._wants = threading.Event()
         self._was_lost = False
         self._decode = msgspec.json.Decoder(Values).decode
         self._decode_about = msgspec.json.Decoder(AboutStates).decode
@@ -332,29 +369,29 @@ class RemoteStates(Mapping[str, State]):
             return self
         self._closing.clear()
         self._session = opened([], [self.endpoint], self._options)
-        self._session.declare_subscriber(f"{self._key}/values", self._heard)
-        end = self.local.now() + round(self.timeout_s * 1e9)
-        while not self._known.wait(0.02):
-            if self.local.now() > end:
-                self.close()
-                raise NoReplyError(
-                    f"{self.name}: nobody publishes there (waited {self.timeout_s:g} s); is a Publisher of this robot's"
-                    " name running, and the endpoint its own?"
-                )
-            self._ask()
+        atexit.register(self.close)
+        self._threads = [heard(self._session.declare_subscriber, f"{self._key}/values", self._heard)]
+        self._wants.set()
         self._watcher = threading.Thread(target=self._watch, name=self.name, daemon=True)
         self._watcher.start()
+        if not self._known.wait(self.timeout_s):
+            self.close()
+            raise NoReplyError(
+                f"{self.name}: nobody publishes there (waited {self.timeout_s:g} s); is a Publisher of this robot's name"
+                " running, and the endpoint its own?"
+            )
         return self
 
     def close(self) -> None:
         """Hear no more: all states become unknown. Twice does nothing."""
         self._closing.set()
-        if self._watcher is not None:
-            self._watcher.join(5.0)
-            self._watcher = None
+        watcher, self._watcher = self._watcher, None
+        if watcher is not None and watcher is not threading.current_thread():
+            watcher.join(5.0)
         session, self._session = self._session, None
         if session is not None:
-            session.close()
+            atexit.unregister(self.close)
+            closed(session, self._threads)
         self._known.clear()
         self.clock.forget()
 
@@ -410,16 +447,18 @@ class RemoteStates(Mapping[str, State]):
     # ------------------------------------------------------------------ what comes
 
     def _ask(self) -> None:
-        """Ask what there is; the answer comes to `_learn`. Not more often than ten times a second."""
-        session, now = self._session, self.local.now()
-        if session is None or now - self._asked_at < 100_000_000:
+        """Ask what there is, and wait for the answer."""
+        session = self._session
+        if session is None:
             return
-        self._asked_at = now
-        with suppress(Exception):
-            session.get(f"{self._key}/about", self._answered, timeout=1.0)
+        with suppress(Exception):  # the library's own kinds: not connected, or closed meanwhile
+            for reply in session.get(f"{self._key}/about", timeout=ANSWER_S):
+                self._answered(reply)
 
     def _answered(self, reply: Any) -> None:
-        about = None if reply.ok is None else _decoded(self._decode_about, reply.ok)
+        if reply.ok is None:
+            return  # nobody answered in time: asked again, if need be
+        about = _decoded(self._decode_about, reply.ok)
         if about is None or len(about.states) > MOST_STATES or not 0 < about.rate_hz <= 1e6:
             self.bad += 1
             return
@@ -459,7 +498,7 @@ class RemoteStates(Mapping[str, State]):
             self.bad += 1
             return
         if self._about is None or cycle.session != self._about.session:
-            self._ask()
+            self._wants.set()
             return
         with self._lock:
             self.cycles += 1
@@ -472,9 +511,14 @@ class RemoteStates(Mapping[str, State]):
                     state.take(UNKNOWN if value is None else value, instant)
 
     def _watch(self) -> None:
-        """Tell when nothing comes any more, and when it does again."""
-        while not self._closing.wait(min(0.05, self.lost_s / 4)):
-            is_lost = self.is_lost
+        """Ask who publishes, and what; tell when nothing comes any more, and when it does again."""
+        while not self._closing.is_set():
+            if self._about is None or self._wants.is_set():
+                self._wants.clear()
+                self._ask()
+            if self._closing.wait(0.02 if self._about is None else min(0.05, self.lost_s / 4)):
+                return
+            is_lost = self.is_lost and self._about is not None
             if is_lost != self._was_lost:
                 self._was_lost = is_lost
                 detail = f"nothing for {self.lost_s:g} s; all its states are unknown" if is_lost else ""

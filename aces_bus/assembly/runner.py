@@ -25,7 +25,7 @@ from ..controller.events import Listeners
 from ..controller.guard import Action, Bounds
 from ..device import UNKNOWN, Device, DeviceEvent, Rig
 from ..device.ticket import together
-from ..errors import AcesError, CallerError, DeviceError
+from ..errors import AcesError, CallerError, DeviceError, UnknownNameError
 from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
 from .states import States
 
@@ -436,13 +436,19 @@ class Runner:
 
     def _bind(self) -> None:
         for supervisor in self.supervisors:
+            for name in (*supervisor.states, *supervisor.writes):
+                self.states.whole(name)  # says best what is wrong with it
             supervisor.bind(self.states)
             for name in supervisor.writes:
                 state = self.states[name]
                 if not state.is_writable:
                     raise CallerError(f"{supervisor.name} gives set-points for {name}, which is read-only")
         for logger in self.loggers:
-            logger.bind(self.states)
+            try:
+                logger.bind(self.states)
+            except UnknownNameError as error:
+                self.states.whole(error.name)
+                raise
 
     @property
     def seconds(self) -> float:
@@ -488,7 +494,7 @@ class Runner:
         """Stop controllers, motion, buses, logs; in this order, whatever fails on the way."""
         if self._phase == "over":
             return self.ended(reason)
-        self._seconds = self.seconds
+        self._seconds, self._reason = self.seconds, reason or self._reason
         was, self._phase = self._phase, "over"
         interrupted: BaseException | None = None
 
@@ -522,7 +528,8 @@ class Runner:
         try:
             together(self.clock, f"{self.rig.robot.name} stop", told).wait(PATIENCE_S)
         except DeviceError as error:
-            self._fault("stop", str(error))
+            for text in [str(one.error) for one in told if one.error is not None] or [str(error)]:
+                self._fault("stop", text)  # each device that could not be told
         self.clock.wait(lambda: False, LAST_WORDS)
 
     def _in_time(self, action: Callable[[], T]) -> T:

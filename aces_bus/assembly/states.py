@@ -45,9 +45,20 @@ class States(Mapping[str, State]):
             else:
                 found = f"{owner}.{rest}"
             if found not in rig.signals:
-                raise UnknownNameError(f"state of {rig.robot.name}", name, rig.signals)
+                raise self._unknown(name, owner)
         self._names[name] = found
         return found
+
+    def _unknown(self, name: str, owner: str) -> UnknownNameError:
+        """What there is near a name that is none: hundreds of names help nobody."""
+        rig = self.rig
+        device = rig.devices.get(owner)
+        near = list(device.signals) if device is not None else []
+        near = [whole for whole in rig.signals if whole.partition(".")[0] == owner] or near
+        if near:
+            return UnknownNameError(f"state of {owner}", name, near)
+        owners = {whole.partition(".")[0] for whole in rig.signals}
+        return UnknownNameError(f"joint, sensor or device with states in {rig.robot.name}", owner, owners)
 
     def __getitem__(self, name: str) -> State:
         state = self._made.get(name)

@@ -100,7 +100,8 @@ def _same(value: Any) -> Any:
 class Device:
     """One node. Class attributes are the driver's declaration.
 
-    `actions` names the methods that programs and the command line may call: name → what it does. `streams` are messages
+    `actions` names the methods that programs and the command line may call: name → what it does; those in `asking` only
+    ask, and change nothing, so that the command line does not want `--tx` for them. `streams` are messages
     of set-points that are repeated in each tick, once given; others are sent when set. `silent_after` is how many polls
     in a row may miss before the device counts as silent.
     """
@@ -112,6 +113,7 @@ class Device:
     rules: ClassVar[Mapping[str, Rule]] = {}
     streams: ClassVar[Collection[str]] = ()
     actions: ClassVar[Mapping[str, str]] = {}
+    asking: ClassVar[Collection[str]] = ()
     silent_after: ClassVar[int] = 3
     stale_s: ClassVar[float] = 0.1
 

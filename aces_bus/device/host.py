@@ -59,7 +59,7 @@ BUDGET = 0.9
 class HostCounts:
     """What went over a host's bus, in words; latencies in ns.
 
-    `polls_carried` is how often a poll had to wait for another tick. `cycle_ns` is the longest time from a tick to the
+    `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for another tick. `cycle_ns` is the longest time from a tick to the
     last answer to what was asked in it, `latency_ns` that of a single request.
     """
 
@@ -78,6 +78,7 @@ class HostCounts:
     cycle_ns: int = 0
     cycle_sum_ns: int = 0
     cycles: int = 0
+    ticks_missed: int = 0
 
 
 class _Turn:
@@ -250,7 +251,9 @@ class Host(Station[Device]):
         now = self.clock.now()
         self._tick_at += self._period
         if self._tick_at <= now:  # late by whole ticks: they are left out
-            self._tick_at += (now - self._tick_at) // self._period * self._period + self._period
+            passed = (now - self._tick_at) // self._period + 1
+            self._tick_at += passed * self._period
+            self.counts.ticks_missed += passed
         self._next_tick = self.clock.call_at(self._tick_at, self._tick)
 
     def wake(self) -> None:

@@ -271,7 +271,7 @@ def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
 
 
 def _nameless(frame: Frame) -> Frame:
-    """A frame without its channel's name: what is sent here has none either, and answers belong to requests of one channel."""
+    """A frame without its channel's name: what is sent has none, and answers belong to requests of the same channel."""
     return frame if frame.channel is None else replace(frame, channel=None)
 
 

@@ -28,8 +28,8 @@ REFUSALS = (AcesError, ConstructError, KeyError, TypeError, AttributeError, Valu
 NO_FIELD = "no_such_field"
 #: Elements of a list that are tried one by one.
 ELEMENTS = 3
-#: Of so many packets in a scene everything is tried; of more, so many changes each, so far apart in the list.
-FEW, SOME, STEP = 2, 3, 17
+#: Of so many packets in a scene everything is tried; of more, so many changes each, by numbers so far apart.
+FEW, SOME, STEP = 2, 3, 7919
 #: A way to the value that is another, and the value; `GONE` when it is left out.
 Change = tuple[tuple[Any, ...], Any]
 GONE = object()
@@ -42,13 +42,13 @@ def encoders(trial: Trial) -> None:
         accepted = [accepted[trial.turn % len(accepted)]]
     for message, image, request in accepted:
         given = _given(trial, message, image, request)
-        _judge(trial, message, given, image, None)
-        found = changes(given)
-        if not (trial.thorough and len(accepted) <= FEW):
-            first = crc32(image)
-            found = [found[(first + n * STEP) % len(found)] for n in range(SOME if trial.thorough else 1)]
+        if trial.thorough and len(accepted) <= FEW:
+            found: list[Change | None] = [None, *changes(given)]
+        else:
+            turn = crc32(image)
+            found = [_change(given, turn + n * STEP) for n in range(SOME if trial.thorough else 1)]
         for change in found:
-            _judge(trial, message, given, image, change)
+            _judge(trial, message, given, change)
 
 
 def _given(trial: Trial, message: Message, image: bytes, request: dict[str, Any]) -> dict[str, Any]:
@@ -62,9 +62,7 @@ def _given(trial: Trial, message: Message, image: bytes, request: dict[str, Any]
     return found
 
 
-def _judge(
-    trial: Trial, message: Message, given: dict[str, Any], image: bytes, change: Change | None
-) -> None:
+def _judge(trial: Trial, message: Message, given: dict[str, Any], change: Change | None) -> None:
     fields = given if change is None else changed(given, change)
     wanted, refusal = built(message, fields) if NO_FIELD not in fields else (None, NO_FIELD)
     encoder = trial.bench.encoder(message)
@@ -131,11 +129,21 @@ def _misnamed(error: AcesError, message: Message, refusal: str, change: Change |
 
 def changes(fields: Mapping[str, Any]) -> list[Change]:
     """What may be changed in some fields, one at a time."""
-    found: list[Change] = [((NO_FIELD,), 0)]
-    for name, value in fields.items():
-        found.append(((name,), GONE))
-        found += [((name, *path), other) for path, other in _others(value)]
-    return found
+    return [((NO_FIELD,), 0), *(change for name in fields for change in _changes_of(name, fields[name]))]
+
+
+def _change(fields: Mapping[str, Any], turn: int) -> Change | None:
+    """One of them, or none."""
+    turn, place = divmod(turn, len(fields) + 1)
+    if place == len(fields):
+        return ((NO_FIELD,), 0) if turn % 4 == 0 else None
+    name = list(fields)[place]
+    found = _changes_of(name, fields[name])
+    return found[turn % len(found)]
+
+
+def _changes_of(name: str, value: Any) -> list[Change]:
+    return [((name,), GONE), *(((name, *path), other) for path, other in _others(value))]
 
 
 def changed(fields: Mapping[str, Any], change: Change) -> dict[str, Any]:

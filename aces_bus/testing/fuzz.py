@@ -35,7 +35,7 @@ from .laws import LAWS, Law, wires
 
 #: Examples of one wire in a row.
 BLOCK = 32
-#: Sizes of scenes, in bytes: mostly short, because what breaks a law is.
+#: Sizes of scenes, in bytes: mostly short, because what breaks a law is. Short packets make short scenes.
 SIZES = (8, 16, 24, 32, 32, 48, 64, 96)
 #: Bytes of a stream of false headers.
 ADVERSARY = 1200
@@ -145,7 +145,7 @@ class Fuzzer:
 
     def _draw(self, bench: Bench, block: int, place: int) -> tuple[Scene, tuple[int, ...]]:
         dice = Dice(f"{self.seed}/{block}/{place}")
-        size = dice.choice(SIZES)
+        size = round(dice.choice(SIZES) * bench.share)
         if bench.is_can:
             scene = draw_frames(bench.wire, bench.direction, dice, size=max(1, size // 12))
         elif place == BLOCK - 2 and block % 4 == 0:

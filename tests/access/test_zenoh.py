@@ -81,7 +81,7 @@ def has(state: State, instant: int) -> bool:
 
 def test_a_remote_state_is_a_state(loop: Loop, endpoint: str) -> None:
     """Value, unit, history, derivative and age are those of the robot's side, on its clock."""
-    with Side(loop, endpoint) as side, RemoteStates(endpoint, robot="leg") as states:
+    with Side(loop, endpoint) as side, RemoteStates(endpoint, robot="leg", lost_s=5) as states:
         assert set(states) == {"hip", "knee"}
         hip = states["hip"]
         rate = hip.rate()
@@ -106,7 +106,7 @@ def test_a_remote_state_is_a_state(loop: Loop, endpoint: str) -> None:
 
 def test_remote_states_are_logged_in_local_time(loop: Loop, endpoint: str, tmp_path: Path) -> None:
     """A logger beside a remote controller counts from its own start, on the clock of its own machine."""
-    with Side(loop, endpoint) as side, RemoteStates(endpoint, robot="leg") as states:
+    with Side(loop, endpoint) as side, RemoteStates(endpoint, robot="leg", lost_s=5) as states:
         side.knee.push(0.5, loop.now())
         assert soon(lambda: states["knee"][0] == 0.5)
         logger = Logger(tmp_path / "a.db", ["knee", "knee(age)"])
@@ -123,7 +123,10 @@ def test_remote_states_are_logged_in_local_time(loop: Loop, endpoint: str, tmp_p
 
 def test_set_points_go_back(loop: Loop, endpoint: str) -> None:
     """`set` and `give` reach the setter on the robot's side; what is read-only there is read-only here."""
-    with Side(loop, endpoint, allow_set=True) as side, RemoteStates(endpoint, robot="leg") as states:
+    with (
+        Side(loop, endpoint, allow_set=True) as side,
+        RemoteStates(endpoint, robot="leg", lost_s=5) as states,
+    ):
         states["knee"].set(0.25)
         assert soon(lambda: side.taken == [0.25])
         states.give({"knee": 0.5})
@@ -137,7 +140,7 @@ def test_set_points_go_back(loop: Loop, endpoint: str) -> None:
 
 def test_nothing_can_be_set_unless_it_is_allowed(loop: Loop, endpoint: str) -> None:
     """Without `allow_set` no state is writable from elsewhere."""
-    with Side(loop, endpoint), RemoteStates(endpoint, robot="leg") as states:
+    with Side(loop, endpoint), RemoteStates(endpoint, robot="leg", lost_s=5) as states:
         assert not states.takes
         with pytest.raises(CallerError, match="read-only"):
             states["knee"].set(0.25)
@@ -146,20 +149,20 @@ def test_nothing_can_be_set_unless_it_is_allowed(loop: Loop, endpoint: str) -> N
 def test_a_lost_robot_is_unknown_and_comes_back(loop: Loop, endpoint: str) -> None:
     """When the robot's side ends its states become unknown and that is told; another run brings them back, anew."""
     kinds: list[str] = []
-    states = RemoteStates(endpoint, robot="leg", lost_s=0.15)
+    states = RemoteStates(endpoint, robot="leg", lost_s=0.4)
     states.events.listeners.append(lambda event: kinds.append(event.kind))
     try:
         with Side(loop, endpoint) as side:
             states.open()
             side.knee.push(7.0, loop.now())
             assert soon(lambda: states["knee"][0] == 7.0)
-        assert soon(lambda: kinds == ["lost"])
+        assert soon(lambda: kinds[-1:] == ["lost"])
         assert states["knee"][0] is UNKNOWN
         assert states["knee"].is_stale
         assert states["knee"].last == 7.0
         with Side(loop, endpoint, allow_set=True) as side:
             side.knee.push(8.0, loop.now())
-            assert soon(lambda: sorted(kinds) == ["back", "lost", "restarted"])
+            assert soon(lambda: kinds[-1:] == ["back"] and "restarted" in kinds)
             assert soon(lambda: states["knee"][0] == 8.0)
             assert states["knee"].span == (states["knee"].instant, states["knee"].instant)
             assert states["knee"].is_writable
@@ -174,7 +177,7 @@ def test_a_controller_that_falls_silent_is_told_to_the_robot(loop: Loop, endpoin
     """Where set-points came and come no more, `on_lost` is called once, on the robot's clock, and an event says so."""
     called: list[int] = []
     options = {"allow_set": True, "dead_man_s": 0.1, "on_lost": lambda: called.append(loop.now())}
-    with Side(loop, endpoint, **options) as side, RemoteStates(endpoint, robot="leg") as states:
+    with Side(loop, endpoint, **options) as side, RemoteStates(endpoint, robot="leg", lost_s=5) as states:
         assert not called
         states["knee"].set(1.0)
         assert soon(lambda: called)
@@ -186,8 +189,13 @@ def test_a_controller_that_falls_silent_is_told_to_the_robot(loop: Loop, endpoin
 
 def test_junk_is_counted_on_both_sides(loop: Loop, endpoint: str) -> None:
     """Messages of anybody else are decoded strictly, bounded, counted, and do nothing."""
-    with Side(loop, endpoint, allow_set=True) as side, RemoteStates(endpoint, robot="leg") as states:
+    with (
+        Side(loop, endpoint, allow_set=True) as side,
+        RemoteStates(endpoint, robot="leg", lost_s=5) as states,
+    ):
         stranger = opened([], [endpoint], {})
+        sender = stranger.declare_publisher("aces/leg/set")
+        assert soon(lambda: sender.matching_status.matching)
         junk = [
             b"",
             b"\xff",
@@ -199,8 +207,8 @@ def test_junk_is_counted_on_both_sides(loop: Loop, endpoint: str) -> None:
             b"1" * 300_000,
         ]
         for data in junk:
-            stranger.put("aces/leg/set", data)
-        stranger.put("aces/leg/set", json.dumps({"knee": 1e308, "elbow": 1, "hip": 1}))
+            sender.put(data)
+        sender.put(json.dumps({"knee": 1e308, "elbow": 1, "hip": 1}))
         assert soon(lambda: side.taken == [1e308])
         assert side.publisher.bad == len(junk)
         inlet = side.publisher.inlet
@@ -266,7 +274,7 @@ def test_a_controller_runs_in_another_process(endpoint: str) -> None:
         try:
             assert robot.stdout is not None
             assert robot.stdout.readline() == "ready\n"
-            with RemoteStates(endpoint, robot="arm", lost_s=0.2) as states:
+            with RemoteStates(endpoint, robot="arm", lost_s=0.4) as states:
                 rise = Rise("rise", rate_hz=100, states=["joint"])
                 rise.bind(states)
                 tasks = ThreadTasks(RealClock())
@@ -276,7 +284,7 @@ def test_a_controller_runs_in_another_process(endpoint: str) -> None:
                     robot.send_signal(signal.SIGKILL)
                     assert soon(lambda: states["joint"][0] is UNKNOWN)
                 assert tasks.tasks[0].failures == 0
-                assert soon(lambda: [event.kind for event in states.events.last] == ["lost"])
+                assert soon(lambda: [event.kind for event in states.events.last][-1:] == ["lost"])
         finally:
             robot.kill()
 

@@ -1,6 +1,6 @@
 """The complete Hubo 2+ in real time: controllers on threads, twins at a bus of this machine, a minute long.
 
-    HYPOTHESIS_PROFILE=long pytest -s tests/assembly/test_real_time.py
+HYPOTHESIS_PROFILE=long pytest -s tests/assembly/test_real_time.py
 """
 
 from __future__ import annotations
@@ -28,10 +28,15 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
     robot = load_robot("hubo2plus")
     joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
     rows = [[0.05 * (n % 2) for _ in joints] for n in range(round(SECONDS) + 2)]
-    rows = [[min(max(v, j.lower or 0.0), j.upper or 0.0) for v, j in zip(row, joints, strict=True)] for row in rows]
+    rows = [
+        [min(max(v, j.lower or 0.0), j.upper or 0.0) for v, j in zip(row, joints, strict=True)]
+        for row in rows
+    ]
     trajectory = Trajectory([j.name for j in joints], rows, rate_hz=1.0, interpolation="cubic")
     player = Player("walk", trajectory, rate_hz=RATE)
-    options = {bus: {"interface": "aces", "channel": f"minute-{bus}", "bitrate": 1_000_000} for bus in robot.buses}
+    options = {
+        bus: {"interface": "aces", "channel": f"minute-{bus}", "bitrate": 1_000_000} for bus in robot.buses
+    }
     before = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)  # as `aces run` has it
     try:
@@ -39,7 +44,11 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
             Loop() as loop,
             simulate(robot, {bus: port_of(CanGate(o), loop) for bus, o in options.items()}),
             run_real(
-                robot, [player], buses=options, rate_hz=RATE, reactions={"*": IGNORE}  # a busy machine is no fault
+                robot,
+                [player],
+                buses=options,
+                rate_hz=RATE,
+                reactions={"*": IGNORE},  # a busy machine is no fault
             ) as run,
         ):
             assert run.missing == []
@@ -52,7 +61,10 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
     (task,) = run.tasks.tasks
     for name, host in run.rig.hosts.items():
         c = host.counts
-        print(f"\n{name}: {c.ticks} ticks, {c.missed} requests unanswered in time, {c.latency_ns / 1e6:.1f} ms at most", end="")
+        print(
+            f"\n{name}: {c.ticks} ticks, {c.missed} requests unanswered in time, {c.latency_ns / 1e6:.1f} ms at most",
+            end="",
+        )
     print(f"\n{task}\nCPU {cpu / wall:.0%} of one core; {ended}")
     assert ended.tripped == {}
     assert abs(task.ticks + task.missed - RATE * ended.seconds) <= 2

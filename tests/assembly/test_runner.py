@@ -141,7 +141,7 @@ def test_wrong_names_are_found_before_anything_moves() -> None:
 
     for one, error in ((lift, UnknownNameError), (heat, CallerError)):
         run = run_virtual(robot_of(ROBOT), [one], load=drivers)
-        with pytest.raises(error, match="lift|read-only"):
+        with pytest.raises(error, match=r"lift|read-only"):
             run.run(1.0)
         run.stop()
     with pytest.raises(CallerError, match="one name"):
@@ -171,7 +171,6 @@ def test_real_ports_serve_a_rig() -> None:
     before = threading.active_count()
     robot = robot_of(ROBOT)
     options = {"interface": "aces", "channel": "test-rig"}
-    with Loop() as loop:
-        with connect(robot, {"line": port_of(CanGate(options), loop)}, rate_hz=100, load=drivers):
-            pass
+    with Loop() as loop, connect(robot, {"line": port_of(CanGate(options), loop)}, rate_hz=100, load=drivers):
+        pass
     assert threading.active_count() <= before

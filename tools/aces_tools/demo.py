@@ -15,6 +15,7 @@ import argparse
 import os
 import sys
 import time
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +34,8 @@ ROBOT, RATE, SEED = "hubo2plus", 200.0, 6
 #: The joint that is drawn.
 JOINT = "RKN"
 PICTURE = "aces-demo.png"
-#: How far the knees are bent (rad), one after another, and for how long they rest there (as a repeated point).
+#: How far the knees are bent (rad), one after another; a point that is repeated is a rest. How long each takes (s).
+MOVE_S, REST_S = 1.4, 0.7
 BENDS = (0.0, 0.9, 0.9, 0.2, 1.3, 1.3, 0.5, 0.9, 0.0, 0.0)
 
 EPILOG = """\
@@ -44,9 +46,15 @@ exit status: 0; 1 when the robot did not do it; 2 a wrong call
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     parser.add_argument(
-        "--output", "-o", default=PICTURE, metavar="FILE", help="the picture: .png, .svg, .pdf (default: %(default)s)"
+        "--output",
+        "-o",
+        default=PICTURE,
+        metavar="FILE",
+        help="the picture: .png, .svg, .pdf (default: %(default)s)",
     )
-    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the twins (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=SEED, metavar="N", help="of the twins (default: %(default)s)"
+    )
 
 
 def knee_bends() -> ViaPath:
@@ -56,8 +64,8 @@ def knee_bends() -> ViaPath:
     names = [side + joint for side in "RL" for joint in ("HP", "KN", "AP")]
     points = [[part * bend for _ in "RL" for part in (-0.5, 1.0, -0.5)] for bend in BENDS]
     rests = [0.0]
-    for before, after in zip(BENDS, BENDS[1:], strict=False):
-        rests.append(rests[-1] + (0.7 if before == after else 1.4))
+    for before, after in pairwise(BENDS):
+        rests.append(rests[-1] + (REST_S if before == after else MOVE_S))
     return ViaPath(names, points, Limits(velocity=2.0, acceleration=6.0), times=rests, shape="quintic")
 
 
@@ -105,7 +113,9 @@ def _can_draw(path: str) -> bool:
     try:
         figure.load()
     except CallerError:
-        say(f"no {path}: pictures are drawn by matplotlib: pip install 'aces-bus[plot]'; here is the plot alone")
+        say(
+            f"no {path}: pictures are drawn by matplotlib: pip install 'aces-bus[plot]'; here is the plot alone"
+        )
         return False
     figure.check_output(path)
     return True
@@ -126,7 +136,9 @@ def _picture(tape: Tape) -> Picture:
                 seconds,
                 [Curve("set-point", asked, Format(line="--")), Curve("actual", did, Format(line="-"))],
             ),
-            panel_of("actual − set-point", "rad", seconds, [Curve("difference", did - asked, Format(line="-"))]),
+            panel_of(
+                "actual − set-point", "rad", seconds, [Curve("difference", did - asked, Format(line="-"))]
+            ),
         ],
         Clock(0, is_set=True),
         "Hubo 2+, simulated: set-point and actual",
@@ -144,7 +156,9 @@ def _draw(picture: Picture, path: str | None) -> None:
             height = os.get_terminal_size(sys.stdout.fileno()).lines - 4
         except (OSError, ValueError, AttributeError):
             pass
-    text = terminal.draw(picture, min(terminal_width(), 120), paint=paint, height=height, encoding=output.encoding)
+    text = terminal.draw(
+        picture, min(terminal_width(), 120), paint=paint, height=height, encoding=output.encoding
+    )
     output.write(text.encode(output.encoding, "replace"))
     output.close()
     if path is not None:

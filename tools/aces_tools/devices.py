@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError
 
-from .console import say, terminal_width
+from .console import say
+from .device_text import rows_of
 
 if TYPE_CHECKING:
     from aces_bus.device import Driver
@@ -45,10 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(found, ensure_ascii=False, indent=2))
         return status
-    widths = [max((len(str(one[key])) for one in found), default=0) for key in ("driver", "protocol")]
-    for one in found:
-        line = f"{one['driver']:<{widths[0]}}  {one['protocol']:<{widths[1]}}  {one['doc']}"
-        print(line[: terminal_width()] if terminal_width() > 40 else line)
+    print("\n".join(rows_of([(one["driver"], one["protocol"], one["doc"]) for one in found], "")))
     return status
 
 
@@ -57,6 +56,8 @@ def described(driver: Driver) -> dict[str, Any]:
     from aces_bus.device.twin import FAULTS
 
     signals: dict[str, dict[str, Any]] = {}
+    actions = dict(driver.device.actions)
+    asking = set(driver.device.asking)
     if driver.virtual:
         from aces_bus.assembly import VirtualRobot
         from aces_bus.device import load_driver, parse_robot
@@ -66,10 +67,15 @@ def described(driver: Driver) -> dict[str, Any]:
             for device in VirtualRobot(robot, load=load_driver).devices.values():
                 if device.config.driver != driver.name:
                     continue
+                actions |= device.actions  # a device may have those of its kind only
+                asking |= set(device.asking)
                 for one in device.signals.values():
                     name = one.name.partition(".")[2]
-                    known = signals.setdefault(name, {"unit": one.unit, "set": False, "doc": one.doc})
+                    known = signals.setdefault(
+                        name, {"unit": one.unit, "read": False, "set": False, "doc": one.doc}
+                    )
                     known["set"] = known["set"] or one.is_writable
+                    known["read"] = known["read"] or one.name in device.readable
     return {
         "driver": driver.name,
         "protocol": driver.protocol,
@@ -77,31 +83,33 @@ def described(driver: Driver) -> dict[str, Any]:
         "source": driver.source,
         "finds_itself": driver.scan is not None,
         "signals": signals,
-        "actions": dict(driver.device.actions),
+        "actions": actions,
+        "asking": sorted(asking & set(actions)),
         "settings": dict(driver.settings or {}),
         "faults": {**driver.twin.faults, **FAULTS},
     }
 
 
 def _show(whole: dict[str, Any]) -> None:
-    print(f"{whole['driver']}: {whole['doc']}")
-    print(f"protocol {whole['protocol']}; source: {whole['source']}")
+    head = [("protocol", whole["protocol"]), ("source", whole["source"])]
+    print("\n".join(rows_of([(f"{whole['driver']}:", whole["doc"])], "") + rows_of(head, "")))
     print(f"'aces scan' {'finds' if whole['finds_itself'] else 'cannot find'} these devices")
     _table(
         "signals",
-        {
-            name: f"{one['unit'] or '–':<8} {'set, read' if one['set'] else 'read':<9} {one['doc']}".rstrip()
+        [
+            (name, one["unit"] or "–", ", ".join(way for way in ("set", "read") if one[way]), one["doc"])
             for name, one in whole["signals"].items()
-        },
+        ],
     )
-    _table("actions", whole["actions"])
-    _table("settings in a robot's file", whole["settings"])
-    _table("faults of the twin", whole["faults"])
+    asking = whole["asking"]
+    _table(
+        "actions" + (" (those with * only ask, and need no --tx)" if asking else ""),
+        [(name + "*" * (name in asking), doc) for name, doc in whole["actions"].items()],
+    )
+    _table("settings in a robot's file", list(whole["settings"].items()))
+    _table("faults of the twin", list(whole["faults"].items()))
 
 
-def _table(title: str, rows: dict[str, str]) -> None:
+def _table(title: str, rows: Sequence[tuple[str, ...]]) -> None:
     if rows:
-        print(f"\n{title}")
-        width = max(map(len, rows))
-        for name, text in rows.items():
-            print(f"  {name:<{width}}  {text}")
+        print("\n".join([f"\n{title}", *rows_of(rows)]))

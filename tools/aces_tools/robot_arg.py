@@ -4,16 +4,18 @@
     --bus lower=can0 --bus upper=can1    where its buses are (default: what the file says)
     --bus servos=/dev/ttyUSB0            a serial line; HOST:PORT for datagrams
     -i socketcan                         python-can's interface of its CAN buses
+    -i aces                              those that `aces sim` serves: can0 is unix:can0
     --virtual                            no bus at all: its twins, here, in virtual time
 
 1. Nothing is opened before everything else about the call is known to be right.
-2. What a bus says when it cannot be opened becomes one line, with the bus's name.
+2. What a bus says when it cannot be opened becomes one line, with the bus's name and what to write.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -80,11 +82,14 @@ def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[s
             raise CallerError(f"--bus {text}: say where it is, such as {name}=can0")
         found[name]["channel"] = channel
     for name, bus in robot.buses.items():
-        channel = found[name].get("channel", "")
-        if bus.link == "can" and arguments.interface:
-            found[name]["interface"] = arguments.interface
-        elif bus.link == "can" and str(channel).startswith(("unix:", "tcp:")):
+        channel = str(found[name].get("channel", ""))
+        if bus.link == "can" and channel.startswith(("unix:", "tcp:")):
             found[name]["interface"] = "aces"
+        elif bus.link == "can" and arguments.interface:
+            found[name]["interface"] = arguments.interface
+            if arguments.interface == "aces" and not channel and bus.channel and ":" not in bus.channel:
+                # A virtual bus within this program would have nobody else on it.
+                found[name]["channel"] = f"unix:{bus.channel}"
         if bus.link == "serial" and arguments.baud:
             found[name]["baud"] = arguments.baud
     return found
@@ -129,6 +134,7 @@ def opened(
             yield Opened(robot, made.rig, made.clock, made)
         return
     options = bus_options(robot, arguments)
+    check_channels(robot, options)
     from aces_bus.assembly import open_gates
     from aces_bus.device import connect
     from aces_bus.runtime import Loop
@@ -139,8 +145,24 @@ def opened(
         rig = connect(robot, ports, rate_hz=rate_hz, rules=rules)
         stack.callback(rig.close)
         for name, host in rig.hosts.items():
-            open_host(name, host, options[name].get("channel") or robot.buses[name].channel)
+            open_host(name, host, channel_of(robot, name, options))
         yield Opened(robot, rig, loop, None)
+
+
+def channel_of(robot: Robot, name: str, options: Mapping[str, Mapping[str, Any]]) -> str | None:
+    """Where a bus is: what the call says, else the robot's file."""
+    return options[name].get("channel") or robot.buses[name].channel
+
+
+def check_channels(robot: Robot, options: Mapping[str, Mapping[str, Any]]) -> None:
+    """Whether it is known where each bus is that has active devices; raises `CallerError`."""
+    examples = {"can": "can0", "serial": "/dev/ttyUSB0"}
+    for name in dict.fromkeys(config.bus for config in robot.devices.values() if config.active):
+        if channel_of(robot, name, options) is None:
+            example = examples.get(robot.buses[name].link, "HOST:PORT")
+            raise CallerError(
+                f"bus {name}: where is it? The robot's file does not say: --bus {name}={example}, or --virtual"
+            )
 
 
 def open_host(name: str, station: Any, channel: str | None) -> None:
@@ -151,4 +173,29 @@ def open_host(name: str, station: Any, channel: str | None) -> None:
         raise
     except Exception as error:  # whatever a backend or the system may raise
         said = " ".join(str(error).split()) or type(error).__name__
-        raise CallerError(f"bus {name} ({channel}) cannot be opened: {said}") from error
+        raise CallerError(f"bus {name} ({channel}) cannot be opened: {_clearer(said)}") from error
+
+
+#: What backends say when they cannot open a bus, and what helps.
+_SAYINGS = (
+    (
+        re.compile(r'Unknown interface type "None"'),
+        "which interface? -i socketcan for one, -i aces for those of `aces sim` (also CAN_INTERFACE, or"
+        " interface = in the robot's file)",
+    ),
+    (re.compile(r"\[Errno \d+\] could not open port \S+ \[Errno \d+\] ([^:]+):.*"), r"\1"),
+    (re.compile(r"\[Errno \d+\] (Address family not supported.*)"), r"\1: this system has no SocketCAN"),
+    (
+        re.compile(r"(unix:\S+: no server answers .*); start one: aces bus serve"),
+        r"\1; start one: aces sim ROBOT, or aces bus serve",
+    ),
+)
+
+
+def _clearer(said: str) -> str:
+    """What a backend says, without what says nothing, and with what helps."""
+    for pattern, instead in _SAYINGS:
+        found = pattern.fullmatch(said)
+        if found:
+            return found.expand(instead)
+    return said

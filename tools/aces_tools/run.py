@@ -5,7 +5,7 @@
   aces run hubo2plus walk.py -i socketcan           on its buses: looks, sends no set-points
   aces run hubo2plus walk.py -i socketcan --tx      and now it moves
   aces run hubo2plus walk.py --replay walk.blf      what it would have done
-  aces run hubo2plus walk.py:knee balance.py --for 10s --log a.mcap:L*,FT_LF.force.2
+  aces run hubo2plus walk.py:knee balance.py --for 10s --log a.mcap:L*,LFFT.fz
 
 A CONTROLLER is a Python file, of which every controller is run (FILE.py:NAME takes one,
 or calls a function that makes it), or a file of set-points: a trajectory or a walking
@@ -72,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("files of set-points")
     group.add_argument("--loop", action="store_true", help="play them again and again")
     group.add_argument("--speed", type=float, default=1.0, metavar="X", help="play them X times as fast")
-    group.add_argument("--rows-hz", type=float, metavar="N", help="rows a second, where the name does not say")
+    group.add_argument(
+        "--rows-hz", type=float, metavar="N", help="rows a second, where the name does not say"
+    )
     group.add_argument("--degrees", action="store_true", help="they are in degrees, not in rad")
     group.add_argument(
         "--rename",
@@ -87,13 +89,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from .running.loading import load_controllers, make_loggers
 
-    for option, value in (("--rate", arguments.rate), ("--rows-hz", arguments.rows_hz), ("--speed", arguments.speed)):
+    for option, value in (
+        ("--rate", arguments.rate),
+        ("--rows-hz", arguments.rows_hz),
+        ("--speed", arguments.speed),
+    ):
         if value is not None and not (math.isfinite(value) and 0 < value <= 1e6):
             raise CallerError(f"{option} {value:g}: give a number above 0")
     if arguments.virtual and arguments.replay:
         raise CallerError("choose one of --virtual and --replay")
     if (arguments.virtual or arguments.replay) and (arguments.bus or arguments.interface):
-        raise CallerError(f"{'--virtual' if arguments.virtual else '--replay'} has no buses; leave --bus and -i away")
+        raise CallerError(
+            f"{'--virtual' if arguments.virtual else '--replay'} has no buses; leave --bus and -i away"
+        )
     if arguments.replay and (arguments.tx or arguments.home):
         raise CallerError("--replay moves nothing; leave --tx and --home away")
     duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)

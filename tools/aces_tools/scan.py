@@ -9,6 +9,9 @@
 It asks each number in turn and reads: nothing is set, nothing moves. On a bus
 in use it adds traffic. The file has what devices say of themselves; gears,
 limits and names of joints are for you to add.
+
+  aces scan -p hubo --bus unix:can0 > found.toml
+  aces device JMC3 get -r found.toml
 """
 
 from __future__ import annotations
@@ -19,11 +22,12 @@ import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.errors import CallerError
+from aces_bus.errors import AcesError, CallerError
 
-from .console import Output, say
+from .console import Output, say, terminal_width
+from .device_show import numbers
 from .live import LivePatience
-from .robot_arg import add_robot_arguments, bus_options, chosen_robot, open_host
+from .robot_arg import add_robot_arguments, bus_options, channel_of, check_channels, chosen_robot, open_host
 
 if TYPE_CHECKING:
     from aces_bus.device import Driver, Host, Robot
@@ -31,8 +35,14 @@ if TYPE_CHECKING:
 #: Seconds of the bus's time that a scan may take at most.
 LONGEST_S = 600
 
+EPILOG = """\
+exit status: 0; 1 when something is missing, nothing was found, or a bus could not
+be looked through; 2 a wrong call, or a bus that cannot be opened
+"""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = EPILOG
     add_robot_arguments(parser)
     add = parser.add_argument
     add("-p", "--protocol", metavar="NAME[:DIALECT]", help="without a robot: what is spoken on the bus")
@@ -42,16 +52,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     robot = _robot(arguments)
+    if arguments.output is not None and arguments.robot_given:
+        raise CallerError(
+            "--output is for what --protocol finds: the robot that --robot names has a file already"
+        )
+    scanners = _scanners(robot)
     found: list[Any] = []
+    is_whole = True
     with ExitStack() as stack:
         patience = stack.enter_context(LivePatience())
-        hosts = _hosts(robot, arguments, stack)
-        for name, host in hosts.items():
-            for driver in _scanners(host):
-                found += _scanned(name, host, driver, patience)
+        for name, host in _hosts(robot, arguments, stack).items():
+            for driver in scanners:
+                if driver.protocol in host.variants and not patience.is_over:
+                    these = _scanned(name, host, driver, patience)
+                    is_whole = is_whole and these is not None
+                    found += these or []
     expected = {(c.bus, tuple(sorted(c.credentials.items()))): c for c in robot.devices.values() if c.active}
     there = {(c.bus, tuple(sorted(c.credentials.items()))) for c in found}
-    missing = [config.name for key, config in expected.items() if key not in there]
+    # Of what was not looked for to the end, nobody can say that it is missing.
+    missing = [config.name for key, config in expected.items() if key not in there and not patience.is_over]
     if arguments.json:
         listed = [
             {
@@ -69,17 +88,17 @@ def run(arguments: argparse.Namespace) -> int:
         for config in found:
             key = (config.bus, tuple(sorted(config.credentials.items())))
             name = expected[key].name if key in expected else "not in the robot's file"
-            print(f"{config.bus}: {_numbers(config)}  {name}")
+            print(f"{config.bus}: {config.driver} {numbers(config.credentials)}  {name}")
         for name in missing:
-            print(f"{robot.devices[name].bus}: {_numbers(robot.devices[name])}  {name} does not answer")
-    else:
+            config = robot.devices[name]
+            print(f"{config.bus}: {config.driver} {numbers(config.credentials)}  {name} does not answer")
+    elif found:
         _write(robot, found, arguments)
+    else:
+        options = bus_options(robot, arguments)["bus"]
+        say(f"nobody answers on {options.get('channel')}: is it powered, and is the bit rate or baud right?")
     say(f"found={len(found)} missing={len(missing)}" + (" (interrupted)" if patience.is_over else ""), who="")
-    return 1 if missing or not found else 0
-
-
-def _numbers(config: Any) -> str:
-    return f"{config.driver} " + ", ".join(f"{k} {v:#04x}" for k, v in config.credentials.items())
+    return 1 if missing or not found or not is_whole else 0
 
 
 def _robot(arguments: argparse.Namespace) -> Robot:
@@ -87,6 +106,7 @@ def _robot(arguments: argparse.Namespace) -> Robot:
     from aces_bus.device import Bus, Robot
     from aces_bus.protocol import load_protocol
 
+    arguments.robot_given = arguments.protocol is None
     if arguments.protocol is None:
         return chosen_robot(arguments.robot)
     if arguments.robot:
@@ -97,7 +117,9 @@ def _robot(arguments: argparse.Namespace) -> Robot:
     protocol = load_protocol(name)
     protocol.variant(dialect or None)  # raises for one that does not exist
     if not arguments.bus:
-        raise CallerError("which bus? --bus can0, --bus /dev/ttyUSB0, --bus HOST:PORT")
+        raise CallerError("which bus? --bus can0 -i socketcan, --bus unix:can0, --bus /dev/ttyUSB0")
+    if len(arguments.bus) > 1:
+        raise CallerError("one bus at a time: a protocol is looked for on one --bus")
     bus = Bus(
         name="bus",
         link=protocol.link,
@@ -115,9 +137,12 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
     from aces_bus.device.rig import variants_of
 
     hosts: dict[str, Host] = {}
+    options: dict[str, dict[str, Any]] = {name: {} for name in robot.buses}
     if arguments.virtual:
         from aces_bus.assembly import VirtualRobot
 
+        if arguments.bus or arguments.interface:
+            raise CallerError("--virtual has no buses; leave --bus and -i away")
         virtual = VirtualRobot(robot, seed=arguments.seed)
         stack.enter_context(virtual.simulation)
         ports: dict[str, Any] = virtual.ports("scan")
@@ -128,26 +153,44 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
 
         loop = stack.enter_context(Loop())
         options = bus_options(robot, arguments)
+        check_channels(robot, options)
+        used = {config.bus for config in robot.devices.values() if config.active} or set(robot.buses)
         ports = {
             name: port_for(gate_of(bus, load_protocol(bus.protocol), options[name]), bus, loop)
             for name, bus in robot.buses.items()
+            if name in used
         }
     for name, port in ports.items():
         hosts[name] = Host(port, variants_of(robot, name), name=name)
         stack.callback(hosts[name].close)
-        open_host(name, hosts[name], None)
+        open_host(name, hosts[name], channel_of(robot, name, options))
     return hosts
 
 
-def _scanners(host: Host) -> list[Driver]:
-    """The drivers that can find their devices on this bus."""
+def _scanners(robot: Robot) -> list[Driver]:
+    """The drivers that can find their devices on the robot's buses; one that cannot be loaded is said, and left out."""
     from aces_bus.device import list_drivers, load_driver
 
-    drivers = [load_driver(name) for name in list_drivers()]
-    return [one for one in drivers if one.protocol in host.variants and one.scan is not None]
+    wanted = {bus.protocol for bus in robot.buses.values()}
+    wanted |= {robot.protocol_of(config)[0] for config in robot.devices.values() if config.active}
+    found: list[Driver] = []
+    for name in list_drivers():
+        try:
+            driver = load_driver(name)
+        except AcesError as error:
+            say(f"{error}; its devices are not looked for")
+            continue
+        if driver.scan is not None and driver.protocol in wanted:
+            found.append(driver)
+    if not found:
+        raise CallerError(
+            f"no driver finds devices that speak {', '.join(sorted(wanted))}; `aces devices NAME` says which do"
+        )
+    return found
 
 
-def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any]:
+def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any] | None:
+    """What a driver finds on a bus; None: it was interrupted, or failed."""
     from msgspec.structs import replace
 
     from aces_bus.device import Job
@@ -155,20 +198,23 @@ def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> l
     scan = driver.scan
     assert scan is not None
     job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))
-    is_shown = sys.stderr.isatty()
+    is_shown = sys.stderr is not None and sys.stderr.isatty()
     end = host.clock.now() + LONGEST_S * 1_000_000_000
     while not job.is_over and host.clock.now() < end and not patience.is_over:
         host.clock.wait(lambda: job.is_over or patience.is_over, 200_000_000)
         if is_shown:
-            print(f"\r{name} {driver.name}: {job.progress:4.0%} {job.text:<20.20}", end="", file=sys.stderr)
+            text = f"{name} {driver.name}: {job.progress:4.0%} {job.text:<20.20}"
+            print(f"\r{text:.{terminal_width() - 1}}", end="", file=sys.stderr, flush=True)
     if is_shown:
-        print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
+        print("\r" + " " * (terminal_width() - 1) + "\r", end="", file=sys.stderr, flush=True)
     if not job.is_over:
-        job.cancel()
-        return []
+        host.clock.call(job.cancel)
+        if not patience.is_over:
+            say(f"{name}: {driver.name} is not through after {LONGEST_S} s")
+        return None
     if job.error is not None:
-        say(f"{name}: {job.error}")
-        return []
+        say(f"{name}: {driver.name}: {job.error}")
+        return None
     return [replace(config, bus=name) for config in job.result]
 
 

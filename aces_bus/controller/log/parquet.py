@@ -11,6 +11,7 @@ rest as JSON under `aces_log` in the schema's. Needs the extra `[columns]` (pyar
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Generator, Iterator, Sequence
 from importlib import import_module
@@ -54,6 +55,8 @@ class ParquetSink(Sink):
         if os.path.isdir(path):
             raise IsADirectoryError(21, "is a folder", path)
         self._schema = _schema(pa, about)
+        # The first batch of a program has the library import what it needs, for half a second: not while rows wait.
+        self._batch([(0, [math.nan] * len(about.columns))])
         self._journal = AppendFile(journal_of(path))
         self._journal.write(self._schema.serialize().to_pybytes())
         if os.path.exists(path):
@@ -61,6 +64,9 @@ class ParquetSink(Sink):
 
     def append(self, rows: Sequence[Row]) -> None:
         """One record batch."""
+        self._journal.write(self._batch(rows).serialize().to_pybytes())
+
+    def _batch(self, rows: Sequence[Row]) -> Any:
         pa = pyarrow()
         table = np.array([values for _, values in rows], np.float64)
         table = table.reshape(len(rows), len(self.about.columns))
@@ -68,8 +74,7 @@ class ParquetSink(Sink):
         arrays = [pa.array(seconds)]
         for column in table.T:
             arrays.append(pa.array(np.ascontiguousarray(column), from_pandas=True))  # NaN is null
-        batch = pa.RecordBatch.from_arrays(arrays, schema=self._schema)
-        self._journal.write(batch.serialize().to_pybytes())
+        return pa.RecordBatch.from_arrays(arrays, schema=self._schema)
 
     def sync(self) -> None:
         """To the disk."""

@@ -38,6 +38,8 @@ class Template:
         self.is_moved = self.framing is not None and self.framing.stuffing is not None
         self.marks: list[Mark] = marks_of(message)
         self._ends = self._field_ends()
+        #: What bytes are that only construct takes apart.
+        self._opaque = "" if not self.plan.opaque else self._payload_name()
         self._owners: dict[int, str] = {}
         for label, places in self._labels():
             for place in places:
@@ -152,7 +154,7 @@ class Template:
             return ""
         if self.plan.split is not None and at >= self.plan.split.start and at == len(prefix) - 1:
             return self._delimited(prefix)[0]
-        return _VALUE.sub("", self._owners.get(at, ""))
+        return _VALUE.sub("", self._owners.get(at, self._opaque if at >= self.message.payload_start else ""))
 
     def _is_in_place(self, at: int) -> bool:
         """Whether byte `at` of the wire is byte `at` of the plan, whatever is stuffed."""
@@ -167,6 +169,15 @@ class Template:
                 if constant.offset == at and constant.mask == 0xFF:
                     return f"{constant.value:02X}"
         return self.label(at, size)
+
+    def _payload_name(self) -> str:
+        heads = {head.name for head in self.message.heads}
+        names = [
+            field.name
+            for field in self.plan.fields
+            if isinstance(field.node, p.Opaque) and field.name not in heads
+        ]
+        return names[0] if len(names) == 1 else "payload"
 
     def _labels(self) -> Iterator[tuple[str, list[int]]]:
         for mark in self.marks:

@@ -23,6 +23,7 @@ from ..spec.fields import FlagSet
 from ..spec.message import Message
 from ..spec.packet import ContentError, LengthError, NotThisError, WrongCheckError
 from ..spec.protocol import Protocol, Variant
+from ..spec.stuffing import Insert
 from .finding import Finding
 
 
@@ -67,7 +68,7 @@ def failure(message: Message, example: Example) -> str | None:
     try:
         values = message.struct.parse(image, request=request)
     except NotThisError as error:
-        return f"it is not {message.name}: {_said(error)}"
+        return f"it is not {message.name}: {_said(error)}{_wanted_check(message, image)}"
     except LengthError as error:
         return f"its length does not go with the fields of {message.name}: {_said(error)}"
     except WrongCheckError:
@@ -89,6 +90,21 @@ def failure(message: Message, example: Example) -> str | None:
     if built != image and not (isinstance(message.payload, Delimited) and _reads_as(message, built, found)):
         return f"its fields are written as {_shown(built, example.word)}"
     return _unrecognised(message, example)
+
+
+def _wanted_check(message: Message, packet: bytes) -> str:
+    """Of a packet whose framing's check fails: what it would have to be."""
+    framing = message.framing
+    if framing is None or framing.check is None or framing.judge(packet, 0, silent=True).reason != "checksum":
+        return ""
+    try:
+        whole = packet if isinstance(framing.stuffing, Insert) else framing.logical(packet)
+    except ValueError:
+        return ""
+    end = len(whole) - len(framing.end) - framing.check_size
+    covered = framing.check.covered(whole, len(framing.sync), end, extra=message.check_extra)
+    wanted, given = framing.check.encode(covered), whole[end : end + framing.check_size]
+    return f" {given.hex(' ').upper()}; by the spec it is {wanted.hex(' ').upper()}"
 
 
 def _reads_as(message: Message, image: bytes, found: Any) -> bool:

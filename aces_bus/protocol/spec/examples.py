@@ -53,7 +53,9 @@ class Word:
         if self.identifier is not None:
             return frame_text(self)
         # Sentences read better as characters.
-        is_text = len(self.data) > 3 and self.data.isascii() and self.data.decode("ascii").rstrip().isprintable()
+        is_text = (
+            len(self.data) > 3 and self.data.isascii() and self.data.decode("ascii").rstrip().isprintable()
+        )
         return repr(self.data) if is_text else self.data.hex(" ").upper()
 
 

@@ -148,7 +148,7 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
         inner = _walk(con.subcon, place, path)
         return c.Array(con.count, inner) if isinstance(con, c.Array) else c.GreedyRange(inner)
     if isinstance(con, c.Prefixed):
-        return Exactly(con.lengthfield, _walk(con.subcon, place, path), con.includelength)
+        return Prefixed(con.lengthfield, _walk(con.subcon, place, path), con.includelength)
     if isinstance(con, c.IfThenElse):
         then, otherwise = (_walk(one, place, path) for one in (con.thensubcon, con.elsesubcon))
         return c.IfThenElse(con.condfunc, then, otherwise)
@@ -161,8 +161,8 @@ def _walk(con: c.Construct, place: Place, path: str) -> Any:
     return con
 
 
-class Exactly(c.Prefixed):
-    """A `Prefixed` whose content takes all of its bytes; what it would leave over were lost."""
+class Prefixed(c.Prefixed):
+    """construct's own, whose content takes all of its bytes; what it would leave over were lost."""
 
     def _parse(self, stream: Any, context: Any, path: str) -> Any:
         length = self.lengthfield._parsereport(stream, context, path)

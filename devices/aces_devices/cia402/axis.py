@@ -15,7 +15,19 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.device import Joint, Signal
 from aces_bus.errors import CallerError
 
-from .states import AT_ONCE, LIMITED, MODE_NAMES, MODES, REACHED, START, TAKEN, TARGETS, USUAL, WARNING, state_of
+from .states import (
+    AT_ONCE,
+    LIMITED,
+    MODE_NAMES,
+    MODES,
+    REACHED,
+    START,
+    TAKEN,
+    TARGETS,
+    USUAL,
+    WARNING,
+    state_of,
+)
 from .units import units_of
 
 if TYPE_CHECKING:
@@ -133,11 +145,11 @@ class Axis:
         signals = self.signals
         if index == POSITION:
             self.position_raw = value
-            signals["position"].update((value - self.units.zero) / self.units.per_rad, instant)
+            signals["position"].update((value - self.units.zero) / self.units.per_rad + 0.0, instant)
         elif index == VELOCITY:
-            signals["velocity"].update(value / self.units.per_speed, instant)
+            signals["velocity"].update(value / self.units.per_speed + 0.0, instant)
         elif index == TORQUE:
-            signals["torque"].update(value / self.units.per_torque, instant)
+            signals["torque"].update(value / self.units.per_torque + 0.0, instant)
         elif index == MODE_SHOWN:
             self.mode_shown = value
             signals["mode"].update(MODE_NAMES.get(value, str(value)), instant)
@@ -188,7 +200,9 @@ class Axis:
 
     def _give(self, raw: int) -> None:
         if self.state != "operation enabled" or self.mode_shown != MODES[self.wanted]:
-            self.device.tell_event("not sent", f"{self.joint.name} is {self._why()}: the set-point is dropped")
+            self.device.tell_event(
+                "not sent", f"{self.joint.name} is {self._why()}: the set-point is dropped"
+            )
             return
         index = TARGETS[self.wanted][1]
         self.outputs[index] = raw

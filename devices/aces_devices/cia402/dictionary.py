@@ -25,7 +25,9 @@ def dictionary_of(path: str | None, node: int) -> Any:
 
     Raises `CallerError` for a file that is not there or is none. Shared: nobody may change it.
     """
-    from canopen.objectdictionary.eds import import_eds
+    from canopen.objectdictionary import eds
+
+    read: Any = eds.import_eds
 
     try:
         if path is None:
@@ -43,7 +45,7 @@ def dictionary_of(path: str | None, node: int) -> Any:
     source = io.StringIO(text)
     source.name = path or "drive.eds"
     try:
-        found = import_eds(source, node)
+        found = read(source, node)
     except Exception as error:  # whatever the library lets through on a file that is none
         raise CallerError(f"{path}: not an EDS or DCF file that canopen can read: {error}") from error
     if 0x6041 not in found:

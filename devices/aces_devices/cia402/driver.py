@@ -13,12 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Job, Poll, Signal, Steps
+from aces_bus.device import Job, Poll, Signal, Steps
 from aces_bus.device.ticket import Awaited
-from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError, NoReplyError
 
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, Axis
-from .dictionary import dictionary_of, object_of
+from .dictionary import dictionary_of
+from .objects import ObjectAccess
 from .pdo import RECEIVED, SENT, Layout, Place, from_file, offset_of
 from .sdo import SdoChannel
 from .set_up import set_up
@@ -55,7 +56,7 @@ _SHOWN = {
 NMT = ("start", "stop", "pre_operational", "reset_node", "reset_communication")
 
 
-class Cia402(Device):
+class Cia402(ObjectAccess):
     """Signals of each joint: position, velocity, torque (the one that its mode takes can be set), state, mode and status;
     of the drive: network (NMT state) and error (the last emergency).
     """
@@ -104,10 +105,12 @@ class Cia402(Device):
         self.sdo = SdoChannel(self, float(settings.get("sdo_timeout_s", 0.3)))
         self.is_set_up = False
         self.last_beat: int | None = None
+        self._tried_at = self.clock.now()
         self._set_up: Job | None = None
         self._waiting: list[tuple[Callable[[], bool], Awaited, Any]] = []
         self._by_sdo: dict[int, int] = {}
         self._writing: Job | None = None
+        self._led: list[Job] = []
         self._wire()
         if self.sync:
             number = holder.number if holder is not None else 1
@@ -143,7 +146,7 @@ class Cia402(Device):
     def start(self) -> Job:
         """Set the node up; again whenever it has booted."""
         self._quiet(True)
-        self.clock.call_in(RETRY, self._look)
+        self._look()
         return self.set_up()
 
     def set_up(self) -> Job:
@@ -154,17 +157,24 @@ class Cia402(Device):
 
         def steps(job: Job) -> Steps:
             yield from set_up(self, job)
-            self._wire()
-            self.is_set_up = True
-            self._quiet(False)
 
         made = self.job("set up", steps)
+        self._set_up, self._tried_at = made, self.clock.now()
         made.then(self._was_set_up)
-        self._set_up = made
         return made
 
+    def begin(self) -> None:
+        """It was started, and its PDOs are known: from now on it is to be heard."""
+        self._wire()
+        self.is_set_up = True
+        self._quiet(False)
+
     def _was_set_up(self, job: Job) -> None:
-        if job is self._set_up and job.error is not None and not isinstance(job.error, NoReplyError):
+        if job is not self._set_up or job.error is None:
+            return
+        self.is_set_up = False
+        self._quiet(True)
+        if not isinstance(job.error, NoReplyError):
             self.tell_event("alarm", f"cannot be set up: {job.error}")
 
     def _quiet(self, on: bool) -> None:
@@ -181,15 +191,16 @@ class Cia402(Device):
     def _look(self) -> None:
         """Every now and then: is a node that was absent there, is one that was there gone?"""
         now = self.clock.now()
-        if not self.is_set_up and (self._set_up is None or self._set_up.is_over):
+        is_idle = self._set_up is None or self._set_up.is_over
+        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY:
             self.set_up()
         beat = self.heartbeat_ms * 1_000_000
         if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
-            age = now - self.last_beat
-            if age > 3 * beat and now - (self.last_heard or 0) > 3 * beat:
+            age = now - max(self.last_beat, self.last_heard or 0)
+            if age > 3 * beat:
                 self.is_silent = True
                 self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
-        self.clock.call_in(min(RETRY, 2 * beat or RETRY), self._look)
+        self.clock.call_in(min(RETRY, beat or RETRY), self._look)
 
     def heard(self, record: Any, instant: int) -> None:
         """PDOs, heartbeats and emergencies."""
@@ -293,18 +304,6 @@ class Cia402(Device):
             index = next(iter(self._by_sdo))
             yield self.sdo.download(index, 0, self.raw(index, 0, self._by_sdo.pop(index)))
 
-    def raw(self, index: int, subindex: int, value: Any) -> bytes:
-        """An object's value as bytes, as the node's file says. Raises `CallerError` for what does not fit."""
-        known = self.dictionary.get_variable(index, subindex)
-        if known is None:
-            raise CallerError(
-                f"{self.name}: its file has no object {index:04X}:{subindex}; give bytes, as value=\"0f 00\""
-            )
-        try:
-            return bytes(known.encode_raw(value))
-        except Exception as error:  # of canopen and struct, by type of object
-            raise CallerError(f"{self.name}: {value!r} is no value of {known.name}: {error}") from None
-
     def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
         """An RPDO: all its objects as they are wanted now."""
         layout: Layout | None = self.outputs.get(int(message[-1]))
@@ -353,6 +352,12 @@ class Cia402(Device):
 
     # ------------------------------------------------------------------ actions
 
+    def _leading(self, name: str, steps: Callable[[Job], Steps]) -> Job:
+        """A job that leads axes somewhere: stopping and disabling end it."""
+        made = self.job(name, steps)
+        self._led = [job for job in self._led if not job.is_over] + [made]
+        return made
+
     def enable(self, joint: str | None = None) -> Job:
         """Bring the joints, or one, to "operation enabled". Fails with `DeviceError` where a joint is in fault."""
         axes = self._axes(joint)
@@ -364,7 +369,7 @@ class Cia402(Device):
                 yield from self._enabled(axis)
                 job.progress = (number + 1) / len(axes)
 
-        return self.job("enable", steps)
+        return self._leading("enable", steps)
 
     def _enabled(self, axis: Axis) -> Steps:
         if axis.state != "operation enabled":
@@ -384,7 +389,9 @@ class Cia402(Device):
             yield self.until(
                 lambda state=state: axis.state != state,  # type: ignore[misc]
                 STEP_S,
-                lambda: f"{axis.joint.name} stays {axis.state!r} with controlword {axis.outputs[CONTROLWORD]:04X}",
+                lambda: (
+                    f"{axis.joint.name} stays {axis.state!r} with controlword {axis.outputs[CONTROLWORD]:04X}"
+                ),
             )
         raise DeviceError(f"{self.name}: {axis.joint.name} does not get enabled; it is {axis.state!r}")
 
@@ -397,7 +404,9 @@ class Cia402(Device):
         return self._down("stop", QUICK_STOP, self.axes)
 
     def _down(self, name: str, word: int, axes: list[Axis]) -> Job:
-        for axis in axes:  # at once, whatever else is going on
+        for job in self._led:
+            job.cancel()
+        for axis in axes:  # at once
             axis.hold()
             axis.outputs[CONTROLWORD] = word
             if self.is_set_up:
@@ -431,11 +440,13 @@ class Cia402(Device):
                 yield self.until(
                     lambda axis=axis: axis.state != "fault",  # type: ignore[misc]
                     STEP_S,
-                    lambda axis=axis: f"{axis.joint.name} stays in fault: {self.error.last or 'no reason given'}",  # type: ignore[misc]
+                    lambda axis=axis: (
+                        f"{axis.joint.name} stays in fault: {self.error.last or 'no reason given'}"
+                    ),  # type: ignore[misc]
                 )
                 yield from self._control(axis, DISABLE_VOLTAGE)
 
-        return self.job("reset fault", steps)
+        return self._leading("reset fault", steps)
 
     def set_mode(self, mode: str, joint: str | None = None) -> Job:
         """Another mode of operation; the joint holds where it is. Raises `CallerError` for one that is none."""
@@ -450,7 +461,7 @@ class Cia402(Device):
                 yield from self._into_mode(axis, mode)
                 axis.choose(mode)
 
-        return self.job(f"mode {mode}", steps)
+        return self._leading(f"mode {mode}", steps)
 
     def _into_mode(self, axis: Axis, mode: str) -> Steps:
         number = MODES[mode]
@@ -474,7 +485,9 @@ class Cia402(Device):
             if axis.mode_shown == number:
                 return
             yield round(MODE_S * 1e9 / 20)
-        raise DeviceError(f"{self.name}: {axis.joint.name} does not go into mode {mode}; does the drive have it?")
+        raise DeviceError(
+            f"{self.name}: {axis.joint.name} does not go into mode {mode}; does the drive have it?"
+        )
 
     def home(self, joint: str | None = None, method: int | None = None, timeout_s: float = 30.0) -> Job:
         """Search home; the job's text says how far it is. Fails with `DeviceError` when the drive does not find it."""
@@ -488,7 +501,7 @@ class Cia402(Device):
                 job.text = f"{axis.joint.name} is home"
                 job.progress = (number + 1) / len(axes)
 
-        return self.job("home", steps)
+        return self._leading("home", steps)
 
     def _homed(self, axis: Axis, method: int | None, timeout_s: float) -> Steps:
         if method is not None:
@@ -534,54 +547,3 @@ class Cia402(Device):
                 self._quiet(False)
 
         return self.job(f"nmt {command}", steps)
-
-    def read(self, object: str | int) -> Job:
-        """Read an object over SDO: its value, or its bytes in hexadecimal where the file does not know it."""
-        index, subindex, known = object_of(self.dictionary, object)
-
-        def steps(job: Job) -> Steps:
-            data: bytes = yield self.sdo.upload(index, subindex)
-            if known is None:
-                return data.hex(" ")
-            try:
-                return known.decode_raw(data)
-            except Exception:  # another length than the file says
-                return data.hex(" ")
-
-        return self.job(f"read {index:04X}:{subindex}", steps)
-
-    def write(self, object: str | int, value: Any, confirm: bool = False) -> Job:
-        """Write an object over SDO. Raises `CallerError` without `confirm`: it may move the drive, or outlive it."""
-        index, subindex, known = object_of(self.dictionary, object)
-        if confirm is not True:
-            raise CallerError(
-                f"{self.name}: writing object {index:04X}:{subindex} goes past all checks; confirm=true if you mean it"
-            )
-        if known is None and isinstance(value, str):
-            try:
-                data = bytes.fromhex(value)
-            except ValueError:
-                raise CallerError(f"{self.name}: {value!r} is not bytes in hexadecimal") from None
-        else:
-            data = self.raw(index, subindex, value)
-        return self.sdo.download(index, subindex, data)
-
-    def identity(self) -> Job:
-        """What the drive says it is: device type, vendor, product, revision, serial number, name."""
-
-        def steps(job: Job) -> Steps:
-            found: dict[str, Any] = {}
-            wanted = (("type", 0x1000, 0), ("vendor", 0x1018, 1), ("product", 0x1018, 2))
-            more = (("revision", 0x1018, 3), ("serial", 0x1018, 4), ("name", 0x1008, 0))
-            for number, (name, index, subindex) in enumerate((*wanted, *more)):
-                try:
-                    data: bytes = yield self.sdo.upload(index, subindex)
-                except AcesError:
-                    if index == 0x1000:
-                        raise
-                    continue  # optional
-                found[name] = data.decode("ascii", "replace") if name == "name" else int.from_bytes(data, "little")
-                job.progress = (number + 1) / 6
-            return found
-
-        return self.job("identity", steps)

@@ -37,7 +37,9 @@ class Place:
 
     def put(self, word: int, value: int) -> int:
         """The content with another value; values that do not fit stop at the end of the range."""
-        low, high = (-(1 << self.size - 1), (1 << self.size - 1) - 1) if self.is_signed else (0, (1 << self.size) - 1)
+        low, high = (
+            (-(1 << self.size - 1), (1 << self.size - 1) - 1) if self.is_signed else (0, (1 << self.size) - 1)
+        )
         mask = (1 << self.size) - 1
         return word & ~(mask << self.shift) | (min(max(value, low), high) & mask) << self.shift
 
@@ -71,7 +73,9 @@ def offset_of(index: int) -> int:
     return (index - 0x6000) & ~0x7FF if index >= 0x6000 else 0
 
 
-def layout_of(who: str, dictionary: Any, number: int, base: int, node: int, raw: dict[int, int], entries: list[int]) -> Layout | None:
+def layout_of(
+    who: str, dictionary: Any, number: int, base: int, node: int, raw: dict[int, int], entries: list[int]
+) -> Layout | None:
     """A PDO from its communication parameters (`raw`: subindex → value) and mapping entries; None: it is switched off.
 
     Raises `DeviceError` for another identifier than the predefined one.
@@ -121,7 +125,9 @@ def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) 
         if raw[1] is None:
             raw[1] = base + 0x100 * (number - 1) + node
         count = _default(dictionary, mapping + number - 1, 0) or 0
-        entries = [_default(dictionary, mapping + number - 1, sub) or 0 for sub in range(1, min(count, 64) + 1)]
+        entries = [
+            _default(dictionary, mapping + number - 1, sub) or 0 for sub in range(1, min(count, 64) + 1)
+        ]
         known = {sub: value for sub, value in raw.items() if value is not None}
         made = layout_of(who, dictionary, number, base, node, known, [one for one in entries if one])
         if made is not None:

@@ -98,7 +98,9 @@ class SdoChannel:
             f"{self.device.name} answers about other objects than {index:04X}:{subindex}: does another master use its SDO?"
         )
 
-    def _segment(self, message: str, reply: str, index: int, subindex: int, toggle: int, **fields: Any) -> Steps:
+    def _segment(
+        self, message: str, reply: str, index: int, subindex: int, toggle: int, **fields: Any
+    ) -> Steps:
         """One segment. It is not repeated: the node would take it for the next one."""
         told = yield self.device.ask(
             message, reply=(reply, "SdoAborted"), timeout_s=self.timeout_s, retries=0, toggle=toggle, **fields
@@ -107,7 +109,9 @@ class SdoChannel:
             raise SdoRefused(self.device.name, index, subindex, told.code)
         if told.toggle != toggle:
             self._abort(index, subindex, "toggle")
-            raise DeviceError(f"{self.device.name}: a segment of {index:04X}:{subindex} came twice or not at all")
+            raise DeviceError(
+                f"{self.device.name}: a segment of {index:04X}:{subindex} came twice or not at all"
+            )
         return told
 
     def _abort(self, index: int, subindex: int, code: str) -> None:
@@ -125,7 +129,9 @@ class SdoChannel:
             is_last, toggle = bool(part.last), toggle ^ 1
             if len(data) > LONGEST:
                 self._abort(index, subindex, "too_long")
-                raise DeviceError(f"{self.device.name}: object {index:04X}:{subindex} is longer than {LONGEST} bytes")
+                raise DeviceError(
+                    f"{self.device.name}: object {index:04X}:{subindex} is longer than {LONGEST} bytes"
+                )
         return bytes(data)
 
     def _download(self, index: int, subindex: int, data: bytes) -> Steps:

@@ -69,12 +69,16 @@ def set_up(device: Cia402, job: Job) -> Steps:
     yield from _last_error(device)
     job.progress, job.text = 0.9, "start"
     yield device.tell("Nmt", command="start")
-    if device.heartbeat_ms:
-        yield device.until(
-            lambda: device.network.last == "operational",
-            1.0 + 2 * device.heartbeat_ms / 1000,
-            lambda: f"node {device.node} does not become operational; it is {device.network.last}",
-        )
+    device.begin()
+    heard = [axis.heard for axis in device.axes]
+    yield device.until(
+        lambda: (
+            device.network.last == "operational"
+            or any(axis.heard > before for axis, before in zip(device.axes, heard, strict=True))
+        ),
+        1.0 + 2 * device.heartbeat_ms / 1000,
+        lambda: f"node {device.node} was started, and sends neither PDOs nor that it is operational",
+    )
 
 
 def _last_error(device: Cia402) -> Steps:
@@ -150,7 +154,9 @@ def _write(device: Cia402) -> Steps:
     """
     axes = len(device.axes)
     if axes > MOST:
-        raise DeviceError(f"{device.name}: {axes} axes need {axes} PDOs each way; {MOST} have predefined identifiers")
+        raise DeviceError(
+            f"{device.name}: {axes} axes need {axes} PDOs each way; {MOST} have predefined identifiers"
+        )
     out: dict[int, list[int]] = {}
     back: dict[int, list[int]] = {}
     for number, axis in enumerate(device.axes, 1):
@@ -160,7 +166,9 @@ def _write(device: Cia402) -> Steps:
         if number + axes <= MOST:
             rest = [index for index in (0x60FF, 0x6071) if index != target]
             rest += [0x607A] if target in (0x60FF, 0x6042) and len(rest) < 2 else []
-            known = [index + axis.offset for index in rest if device.dictionary.get_variable(index + axis.offset)]
+            known = [
+                index + axis.offset for index in rest if device.dictionary.get_variable(index + axis.offset)
+            ]
             out[number + axes] = known
             back[number + axes] = [index + axis.offset for index in (VELOCITY, TORQUE)]
     device.outputs = yield from _write_side(device, RECEIVED, out)
@@ -197,4 +205,3 @@ def _write_side(device: Cia402, side: tuple[int, int, int], wanted: dict[int, li
         if made is not None:
             found[number] = made
     return found
-

@@ -117,4 +117,3 @@ def text_of(code: int) -> str:
         if code & mask == value:
             return f"0x{code:04X}, {text}"
     return f"0x{code:04X}"
-

@@ -37,6 +37,8 @@ _COMPLIANCE = {"set_compliance": "let the joints give way (on), or be rigid agai
 class HuboMotor(Homing, Compliance):
     """One motor board."""
 
+    asking = ("parameters",)
+
     def setup(self) -> None:
         """As declared in `shapes`; the actions that this board has."""
         super().setup()

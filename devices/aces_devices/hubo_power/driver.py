@@ -79,7 +79,7 @@ def _scan(host: Host, job: Job) -> Steps:
     for board in [number for number, kind in table.items() if kind == "power"]:
         probe = host.probe("hubo", board=board)
         try:
-            yield probe.ask("PowerQuery", reply="Power", timeout_s=0.01, retries=1)
+            yield probe.ask("PowerQuery", reply="Power", timeout_s=0.03, retries=1)
         except NoReplyError:
             continue
         finally:

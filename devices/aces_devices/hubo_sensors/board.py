@@ -35,6 +35,7 @@ class SensorBoard(Device):
         "set_period": "set the board's period: a number of ms, by default the robot file's",
         "offsets": "ask for the D/A and A/D offsets (D08)",
     }
+    asking: ClassVar = ("offsets",)
 
     #: Where the meaning of its signals comes from.
     facts: ClassVar[str]
@@ -216,7 +217,7 @@ def _times(factor: float) -> Callable[[Any], Any]:
 # ---------------------------------------------------------------------- finding
 
 
-def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.01) -> Steps:
+def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.03) -> Steps:
     """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
 
     Nothing is set: D12 boards are asked for data, D08 boards for their D/A offsets. What kind a board number is, the

@@ -71,6 +71,7 @@ class Qik(Device):
         "set_timeout": "set the serial time-out: a number of seconds, 0 for none",
         "set_id": "give the device another number, and go on with that",
     }
+    asking: ClassVar = ("firmware", "configuration")
 
     def setup(self) -> None:
         """A duty for each joint; errors, when somebody listens."""

@@ -89,6 +89,7 @@ class RobotisRX(RegisterDevice):
         "set_baud": "give it another line speed; it is deaf on this line from then on",
         "factory_reset": "everything as from the factory, id and line speed too",
     }
+    asking: ClassVar = ("ping", "read", "read_all")
 
     # ------------------------------------------------------------------ declaration
 

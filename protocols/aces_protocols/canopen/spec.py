@@ -2,7 +2,7 @@
 
 1. An identifier is function << 7 | node; nodes are 1 to 127. Objects at other identifiers are no messages here.
 2. What a PDO carries is the device's own: `data` is its bytes. A file of the device (`-p drive.eds`) knows what they mean.
-3. SDO and EMCY have eight bytes, always. Block transfers are left out: in the middle of one, bytes alone do not say which it is.
+3. SDO and EMCY have eight bytes, always. Block transfers are left out: bytes alone do not tell their segments.
 
 Numbers are little-endian. Sources are CiA 301 as the `canopen` library and ros2_canopen have it, and bytes that the
 library made.

@@ -86,7 +86,9 @@ class Figures:
     @property
     def oldest(self) -> StateLine | None:
         """The oldest value in use."""
-        return max((s for s in self.states if s.age_ns is not None), key=lambda s: s.age_ns or 0, default=None)
+        return max(
+            (s for s in self.states if s.age_ns is not None), key=lambda s: s.age_ns or 0, default=None
+        )
 
     @property
     def unknown(self) -> list[str]:

@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
@@ -47,9 +47,9 @@ def _split(word: str) -> tuple[str, str]:
 
 
 def _is_controller(item: Any) -> bool:
-    return all(callable(getattr(item, part, None)) for part in ("bind", "start", "step", "stop")) and not isinstance(
-        item, type
-    )
+    return all(
+        callable(getattr(item, part, None)) for part in ("bind", "start", "step", "stop")
+    ) and not isinstance(item, type)
 
 
 def _of_program(path: str, name: str) -> list[ControllerLike]:
@@ -66,7 +66,8 @@ def _of_program(path: str, name: str) -> list[ControllerLike]:
                 raise
             except Exception as error:  # the user's own program
                 raise CallerError(f"{path}: {name}() raised {type(error).__name__}: {error}") from error
-        items = [item] if _is_controller(item) else list(item) if isinstance(item, (list, tuple)) else []
+        several: list[Any] = list(cast("list[Any]", item)) if isinstance(item, (list, tuple)) else []
+        items: list[Any] = [item] if _is_controller(item) else several
         if not items or not all(map(_is_controller, items)):
             raise CallerError(f"{path}: {name} is no controller, but {type(item).__name__}")
         return items
@@ -98,7 +99,9 @@ def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespa
                 f"{path}: {robot.name} has no joint {name}: --rename {name}=JOINT plays it on another, "
                 f"--rename {name}= leaves it out"
             )
-    commands = {name: joint.command for joint in robot.joints.values() for name in (joint.name, *joint.aliases)}
+    commands = {
+        name: joint.command for joint in robot.joints.values() for name in (joint.name, *joint.aliases)
+    }
     are_angles = all(commands.get(renamed.get(name, name), "") == "position" for name in trajectory.names)
     try:
         return Player(
@@ -126,9 +129,8 @@ def _trajectory(path: str, arguments: argparse.Namespace) -> Trajectory:
         first = file.readline(32_768).split()
     if len(first) in WALK_COLUMNS and _are_numbers(first):
         return read_walk(path, rate_hz=rate or WALK_HZ)
-    unit = "deg" if arguments.degrees else "rad"
     try:
-        return read_trajectory(path, rate_hz=rate, unit=unit)
+        return read_trajectory(path, rate_hz=rate, unit="deg" if arguments.degrees else "rad")
     except CallerError as error:
         text = str(error).replace("give rate_hz (rows a second)", "--rows-hz N (rows a second)")
         text = text.replace("give columns=[…]", "a first line has to name them")
@@ -162,11 +164,12 @@ def _without(trajectory: Trajectory, names: set[str]) -> Trajectory:
     keep = [number for number, name in enumerate(trajectory.names) if name not in names]
     if not keep:
         raise CallerError("--rename leaves no column")
+    how: Any = trajectory.interpolation
     return Trajectory(
         [trajectory.names[number] for number in keep],
         trajectory.rows[:, keep],
         rate_hz=trajectory.rate_hz,
-        interpolation=trajectory.interpolation,
+        interpolation=how,
         source=trajectory.source,
     )
 
@@ -202,7 +205,9 @@ def _log_parts(text: str) -> tuple[str, list[str]]:
         raise CallerError(f"--log {text}: which file? write FILE:STATE,STATE")
     names = [name.strip() for name in states.split(",") if name.strip()]
     if not names:
-        raise CallerError(f"--log {text}: no state behind the colon; without it, what the controllers use is logged")
+        raise CallerError(
+            f"--log {text}: no state behind the colon; without it, what the controllers use is logged"
+        )
     return path, names
 
 

@@ -52,7 +52,11 @@ STATES: Sequence[Column] = (
 def panel(figures: Figures, title: str, width: int, height: int) -> list[Line]:
     """The whole panel, at most `width` × `height`."""
     width = max(LEAST_WIDTH, width)
-    parts = [_head(figures, title, width), *_components(figures.components, width), *_buses(figures.buses, width)]
+    parts = [
+        _head(figures, title, width),
+        *_components(figures.components, width),
+        *_buses(figures.buses, width),
+    ]
     feet = _feet(figures, width)
     room = height - len(parts) - len(feet) - 1
     parts += _states(figures, width, room) if room >= 3 else []
@@ -143,7 +147,11 @@ def _states(figures: Figures, width: int, room: int) -> list[Line]:
 
 def _feet(figures: Figures, width: int) -> list[Line]:
     clipped = f", {figures.clipped} clipped (most: {figures.clipped_most})" if figures.clipped else ""
-    counts = {kind: n for kind, n in figures.counts.items() if kind not in ("opened", "closed", "error-active", "clipped")}
+    counts = {
+        kind: n
+        for kind, n in figures.counts.items()
+        if kind not in ("opened", "closed", "error-active", "clipped")
+    }
     lines: list[Line] = [[("", f"{figures.set_points} set-points"), ("yellow" if clipped else "", clipped)]]
     if counts:
         text = ", ".join(f"{kind} {number}" for kind, number in sorted(counts.items()))
@@ -153,7 +161,9 @@ def _feet(figures: Figures, width: int) -> list[Line]:
 
 
 def _eventful(figures: Figures) -> int:
-    return sum(n for kind, n in figures.counts.items() if kind not in ("opened", "closed", "error-active", "clipped"))
+    return sum(
+        n for kind, n in figures.counts.items() if kind not in ("opened", "closed", "error-active", "clipped")
+    )
 
 
 def _value(one: StateLine) -> str:
@@ -170,7 +180,9 @@ def _load(bus: BusLine) -> str:
     return f"{'≤ ' if bus.is_most else ''}{bus.load or 0.0:.0%}".replace("%", " %")
 
 
-def _table(columns: Sequence[Column], rows: Sequence[Sequence[str]], styles: Sequence[str], width: int) -> list[Line]:
+def _table(
+    columns: Sequence[Column], rows: Sequence[Sequence[str]], styles: Sequence[str], width: int
+) -> list[Line]:
     """A head and rows, with those columns that there is room for."""
     if not rows:
         return []

@@ -210,7 +210,9 @@ class Session:
     @property
     def _on_terminal(self) -> bool:
         out = sys.stdout
-        return not self.arguments.quiet and out is not None and out.isatty() and os.environ.get("TERM") != "dumb"
+        return (
+            not self.arguments.quiet and out is not None and out.isatty() and os.environ.get("TERM") != "dumb"
+        )
 
     def _show(self, figures: Figures) -> None:
         if self._live is not None:

@@ -65,13 +65,16 @@ class Tape:
         return self._table()[:, 1 + self.states.index(name)]
 
 
+PLAIN = Format()
+
+
 @dataclass(frozen=True)
 class Curve:
     """One line of a picture: its label and values; `format` as of `aces plot`."""
 
     label: str
     values: Array
-    format: Format = Format()
+    format: Format = PLAIN
 
 
 def panel_of(title: str, unit: str, seconds: Array, curves: Sequence[Curve]) -> Panel:

@@ -1,0 +1,288 @@
+"""The twin of a CiA 402 drive: a local node of `canopen` with the drive's dictionary, and axes that move.
+
+1. `canopen` answers SDO and NMT and repeats heartbeats; PDOs are ours: its local node takes no RPDO (canopen 2.4).
+2. What canopen sends is read by the spec and leaves as that message: so the twin misbehaves as all twins do.
+3. It begins as a drive does: a boot-up message, pre-operational, "switch on disabled".
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from aces_bus import Frame
+from aces_bus.device import Twin
+from aces_bus.protocol import make_scanner
+from aces_bus.protocol.scan.record import as_dict
+
+from .dictionary import dictionary_of
+from .model import HOT, OVER_VOLTAGE, REGISTERS, AxisModel
+from .pdo import MOST, RECEIVED, SENT, Layout, layout_of, offset_of
+from .units import units_of
+
+#: From power to the boot-up message (ns).
+BOOT = 1_000_000
+RESETS = ("reset_node", "reset_communication")
+
+
+class Cia402Twin(Twin):
+    """A drive: state machine, profile and cyclic modes, homing, limits, emergencies, PDOs at SYNC or on a timer."""
+
+    protocol = "canopen"
+    faults: ClassVar = {
+        "jammed": "the joint is blocked: a following error when it is to move",
+        "over_voltage": "too high a voltage inside: a fault, until it is gone and acknowledged",
+        "hot": "warns of its temperature",
+        "no_home": "homing does not find its switch",
+        "no_heartbeat": "sends no heartbeat",
+        "refuses": "refuses every SDO transfer (abort 08000022)",
+        "no_pdo": "sends no PDOs",
+    }
+    network: Any = None
+
+    def setup(self) -> None:
+        """The node and its axes, as just switched on."""
+        import canopen
+
+        from .network import StationNetwork
+
+        if self.network is not None:
+            self.network.stop()
+        settings = self.config.settings
+        path = settings.get("eds")
+        number = self.credentials["node"]
+        self.dictionary = dictionary_of(None if path is None else str(path), number)
+        self._scanner = make_scanner([self.variant], direction="from device")
+        self.network = network = StationNetwork(self.clock, self._put)
+        node: Any = canopen.LocalNode(number, self.dictionary)
+        self.node = node
+        network[number] = node
+        node.add_read_callback(self._read)
+        node.add_write_callback(self._written)
+        now = self.clock.now()
+        self.axes: dict[int, AxisModel] = {}
+        for joint in self.joints:
+            offset = 0x800 * joint.channel
+            units = units_of(self.name, joint, settings)
+            old = self.world.joints.get(joint.name)
+            made = AxisModel(joint, units, self._numbers(offset), now, self._emergency)
+            if isinstance(old, AxisModel):  # it was switched off where it stood
+                made.motor.q = old.position(now)
+                made.demand = made.goal = made.motor.q * units.per_rad + units.zero
+            self.axes[offset] = self.world.joints[joint.name] = made
+        self.inputs: dict[int, Layout] = {}
+        self.outputs: dict[int, Layout] = {}
+        self._pending: dict[int, bytes] = {}
+        self._syncs = 0
+        self._timers_of_pdos: list[Any] = []
+        self._apply_faults()
+        self.clock.call_in(BOOT, lambda: self._boot(network))
+
+    def _numbers(self, offset: int) -> dict[int, int]:
+        """The numbers of an axis in the dictionary."""
+        found: dict[int, int] = {}
+        for index, entry in self.dictionary.items():
+            if index < 0x6000 or offset_of(index) != offset:
+                continue
+            members = [entry] if hasattr(entry, "data_type") else entry.values()
+            for one in members:
+                value = one.value if one.value is not None else one.default
+                if isinstance(value, int):
+                    key = index - offset if one is entry else (index - offset) << 8 | one.subindex
+                    found[key] = value
+        return found
+
+    def _boot(self, network: Any) -> None:
+        if network is self.network and self.is_powered:
+            self.node.nmt.state = "INITIALISING"  # says so
+            self.node.nmt.state = "PRE-OPERATIONAL"
+
+    # ------------------------------------------------------------------ hearing
+
+    def heard(self, record: Any, instant: int) -> None:
+        """All messages of the spec."""
+        name = type(record).__name__
+        state = self.node.nmt.state
+        if name in ("Sync", "SyncCounter"):
+            if state == "OPERATIONAL":
+                self._sync(instant)
+        elif name.startswith("Rpdo"):
+            if state == "OPERATIONAL":
+                self._process(int(name[-1]), record.data, instant)
+        elif name == "Nmt":
+            self._nmt(record)
+        elif name.startswith("Sdo") and state != "STOPPED":
+            if "refuses" in self.active_faults and name != "SdoAbort":
+                index, subindex = getattr(record, "index", 0), getattr(record, "subindex", 0)
+                self.reply("SdoAborted", index=index, subindex=subindex, code="device_state")
+                return
+            self.network.notify(record.meta.identifier, bytearray(record.meta.raw), instant / 1e9)
+
+    def _nmt(self, record: Any) -> None:
+        if record.command in RESETS:
+            self.setup()
+            return
+        self.node.nmt.on_command(0, bytearray(record.meta.raw), 0.0)
+        for timer in self._timers_of_pdos:
+            timer.stop()
+        self._timers_of_pdos.clear()
+        if self.node.nmt.state == "OPERATIONAL":
+            self.inputs, self.outputs = self._layouts(RECEIVED), self._layouts(SENT)
+            self._repeat()
+
+    def _layouts(self, side: tuple[int, int, int]) -> dict[int, Layout]:
+        """The PDOs as the dictionary has them now."""
+        communication, mapping, base = side
+        found: dict[int, Layout] = {}
+        for number in range(1, MOST + 1):
+            index = communication + number - 1
+            if index not in self.dictionary:
+                continue
+            raw = {sub: self._number(index, sub) for sub in (1, 2)}
+            if side is SENT and 5 in self.dictionary[index]:
+                raw[5] = self._number(index, 5)
+            objects = mapping + number - 1
+            entries = [self._number(objects, sub + 1) for sub in range(self._number(objects, 0))]
+            made = layout_of(self.name, self.dictionary, number, base, self.node.id, raw, entries)
+            if made is not None:
+                found[number] = made
+        return found
+
+    def _number(self, index: int, subindex: int) -> int:
+        return int.from_bytes(self.node.get_data(index, subindex), "little")
+
+    def _process(self, number: int, data: bytes, now: int) -> None:
+        """An RPDO: at once, or at the next SYNC."""
+        layout = self.inputs.get(number)
+        if layout is None:
+            return
+        if len(data) < layout.size:
+            self._emergency(0x8210, 0x11)  # PDO not processed: its length
+        elif layout.is_synchronous:
+            self._pending[number] = data
+        else:
+            self._take(layout, data, now)
+
+    def _take(self, layout: Layout, data: bytes, now: int) -> None:
+        word = int.from_bytes(data, "little")
+        # Targets before the controlword: a rising bit 4 takes what came with it.
+        for place in sorted(layout.places, key=lambda one: one.index - offset_of(one.index) == 0x6040):
+            offset = offset_of(place.index)
+            axis = self.axes.get(offset)
+            if axis is not None and not place.subindex:
+                axis.written(place.index - offset, place.take(word), now)
+
+    def _sync(self, now: int) -> None:
+        self._syncs += 1
+        for number, data in sorted(self._pending.items(), reverse=True):
+            self._take(self.inputs[number], data, now)
+        self._pending.clear()
+        for number, layout in self.outputs.items():
+            if layout.is_synchronous and self._syncs % max(1, layout.kind) == 0:
+                self._send_pdo(number, layout, now)
+
+    def _repeat(self) -> None:
+        """PDOs that go out by themselves: on a timer, which here is also how soon a change is seen."""
+        from .network import Periodic
+
+        for number, layout in self.outputs.items():
+            if layout.is_synchronous or not layout.event_ms:
+                continue
+
+            def send(_: bytes, number: int = number, layout: Layout = layout) -> None:
+                self._send_pdo(number, layout, self.clock.now())
+
+            self._timers_of_pdos.append(Periodic(self.clock, layout.event_ms / 1000, send, b""))
+
+    def _send_pdo(self, number: int, layout: Layout, now: int) -> None:
+        if "no_pdo" in self.active_faults:
+            return
+        word = 0
+        for place in layout.places:
+            offset = offset_of(place.index)
+            axis = self.axes.get(offset)
+            value = None if axis is None or place.subindex else axis.read(place.index - offset, now)
+            if value is None:
+                value = self._number(place.index, place.subindex)
+            word = place.put(word, value)
+        self.reply(f"Tpdo{number}", data=word.to_bytes(layout.size, "little"))
+
+    # ------------------------------------------------------------------ the dictionary
+
+    def _read(self, index: int, subindex: int, od: Any) -> Any:
+        """What the axes know better than the dictionary."""
+        if index == 0x1001:
+            return self._register()
+        offset = offset_of(index)
+        axis = self.axes.get(offset)
+        if axis is None or subindex or index < 0x6000:
+            return None
+        return axis.read(index - offset, self.clock.now())
+
+    def _written(self, index: int, subindex: int, od: Any, data: bytes) -> None:
+        offset = offset_of(index)
+        axis = self.axes.get(offset)
+        if axis is None or index < 0x6000:
+            return
+        value = od.decode_raw(bytes(data))
+        if isinstance(value, int):
+            own = index - offset
+            axis.written(own if not subindex else own << 8 | subindex, value, self.clock.now())
+
+    def _register(self) -> int:
+        found = 0
+        for axis in self.axes.values():
+            for code in (*axis.causes, *((axis.error,) if axis.error else ())):
+                found |= REGISTERS.get(code, 1)
+        return found
+
+    # ------------------------------------------------------------------ saying
+
+    def _put(self, identifier: int, data: bytes) -> None:
+        """What canopen sends."""
+        if not self.is_powered or ("no_heartbeat" in self.active_faults and identifier & 0x780 == 0x700):
+            return
+        for record in self._scanner.feed([Frame(identifier, data)]):
+            fields = as_dict(record)
+            fields.pop("node", None)
+            self.reply(type(record).__name__, **fields)
+
+    def _emergency(self, code: int, register: int) -> None:
+        if self.node.nmt.state in ("OPERATIONAL", "PRE-OPERATIONAL"):
+            self.node.emcy.send(code, register)
+
+    # ------------------------------------------------------------------ misbehaving
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """As `Twin.fault`; what the axes must know is told to them."""
+        super().fault(name, amount, on=on)
+        self._apply_faults()
+
+    def _apply_faults(self) -> None:
+        faults = self.active_faults
+        now = self.clock.now()
+        for axis in self.axes.values():
+            axis.advance(now)
+            axis.motor.jammed = "jammed" in faults
+            axis.cannot_home = "no_home" in faults
+            axis.cause(OVER_VOLTAGE, "over_voltage" in faults)
+            if ("hot" in faults) != axis.is_hot:
+                axis.is_hot = "hot" in faults
+                self._emergency(*((HOT, REGISTERS[HOT]) if axis.is_hot else (0, 0)))
+
+    def power(self, on: bool) -> None:
+        """Switch it off, or on again."""
+        if not on:
+            self.network.stop()
+            for axis in self.axes.values():
+                axis.advance(self.clock.now())
+                axis.state = "not ready to switch on"
+            for timer in self._timers_of_pdos:
+                timer.stop()
+        super().power(on)
+
+    def stop(self) -> None:
+        """End what repeats."""
+        super().stop()
+        self.network.stop()
+        for timer in self._timers_of_pdos:
+            timer.stop()

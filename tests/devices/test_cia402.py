@@ -1,0 +1,498 @@
+"""CiA 402 drives: driver and twin over the virtual bus, bytes against the facts, canopen's own classes at either end."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from aces_bus import Frame
+from aces_bus.assembly import VirtualRobot
+from aces_bus.device import UNKNOWN, connect, parse_robot, simulate
+from aces_bus.errors import CallerError, DeviceError
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.hardware.wire import Recorder
+from aces_bus.runtime import Loop
+from aces_bus.testing.conformance import driver_tests
+from aces_devices.cia402 import driver
+from aces_devices.cia402.dictionary import dictionary_of, object_of
+from aces_devices.cia402.states import state_of, text_of
+
+test_driver = driver_tests(driver)
+
+ONE = """
+name = "one"
+rate_hz = 100
+[buses]
+drives = { link = "can", protocol = "canopen", bitrate = 1_000_000 }
+[devices]
+D = { driver = "cia402", bus = "drives", credentials = { node = 5 }, settings = { SETTINGS } }
+[joints]
+J = { device = "D", channel = 0, lower = -1.5, upper = 1.5, MORE }
+"""
+
+
+def _robot(settings: str = "", more: str = 'command = "position"') -> Any:
+    text = ONE.replace("SETTINGS", f"counts_per_turn = 100_000, {settings}".rstrip(", ")).replace(
+        "MORE", more
+    )
+    robot, problems = parse_robot(text, "one.toml")
+    assert robot is not None, problems
+    return robot
+
+
+def _load(name: str) -> Any:
+    assert name == "cia402"
+    return driver
+
+
+@contextmanager
+def _running(settings: str = "", more: str = 'command = "position"', enabled: bool = True) -> Generator[Any]:
+    """One drive that is set up, and enabled."""
+    with VirtualRobot(_robot(settings, more), rate_hz=100, load=_load) as robot:
+        robot.advance(0.5)
+        if enabled:
+            robot.devices["D"].enable().wait(5)
+        yield robot
+
+
+def _frames(recorder: Recorder, *identifiers: int) -> list[str]:
+    return [f.data.hex(" ").upper() for f in recorder.frames() if f.arbitration_id in identifiers]
+
+
+def _changes(items: list[str]) -> list[str]:
+    """Without repetitions in a row."""
+    return [one for n, one in enumerate(items) if n == 0 or one != items[n - 1]]
+
+
+# ---------------------------------------------------------------------- bytes
+
+
+def test_enabling_is_the_controlwords_of_the_standard() -> None:
+    """0006, 0007, 000F in RPDO 1 with mode and position, one each tick, as the state machine goes on; SYNC follows."""
+    with _running(enabled=False) as robot:
+        recorder = Recorder(robot.wires["drives"])
+        robot.devices["D"].enable().wait(5)
+        sent = _changes(_frames(recorder, 0x205))
+        assert sent == [
+            "00 00 00 00 00 00 01",
+            "06 00 00 00 00 00 01",
+            "07 00 00 00 00 00 01",
+            "0F 00 00 00 00 00 01",
+        ]
+        kinds = [f.arbitration_id for f in recorder.frames()]
+        assert kinds.count(0x80) == kinds.count(0x185)
+        assert robot["J.state"].value == "operation enabled"
+
+
+def test_setting_up_is_what_the_facts_have() -> None:
+    """Identity is read, the heartbeat written, the node started: the frames of the facts, for node 5."""
+    with VirtualRobot(_robot("heartbeat_ms = 1000"), rate_hz=100, load=_load) as robot:
+        recorder = Recorder(robot.wires["drives"])
+        robot.advance(1.5)
+        sent = _frames(recorder, 0x605)
+        assert sent[0] == "40 00 10 00 00 00 00 00"
+        assert "2B 17 10 00 E8 03 00 00" in sent
+        assert _frames(recorder, 0x000) == ["01 05"]
+        assert _frames(recorder, 0x705)[0] == "00"
+        assert "05" in _frames(recorder, 0x705)
+
+
+def test_every_worked_example_reaches_the_drive() -> None:
+    """Mode 8, controlword 000F, target −1000 and the statusword, byte for byte as in the facts, are sent and received."""
+    with _running(enabled=False) as robot:
+        recorder = Recorder(robot.wires["drives"])
+        device = robot.devices["D"]
+        device.write("0x6060", 8, confirm=True).wait(1)
+        device.write("controlword", 0x0F, confirm=True).wait(1)
+        device.write("607A", -1000, confirm=True).wait(1)
+        device.read("Statusword").wait(1)
+        assert _frames(recorder, 0x605) == [
+            "2F 60 60 00 08 00 00 00",
+            "2B 40 60 00 0F 00 00 00",
+            "23 7A 60 00 18 FC FF FF",
+            "40 41 60 00 00 00 00 00",
+        ]
+        assert robot.twins["D"].axes[0].objects[0x607A] == -1000
+        with pytest.raises(DeviceError, match="refuses object 6065:0: it has another length"):
+            device.sdo.download(0x6065, 0, b"\x01").wait(1)
+        with pytest.raises(DeviceError, match="refuses object 5FFF:0: the drive has no such object"):
+            device.read("5FFF").wait(1)
+
+
+def test_written_pdos_are_the_mapping_of_the_facts() -> None:
+    """With pdo = "write" RPDO 1 is 6040 and 607A first: 000F and −1000 make `0F 00 18 FC FF FF` as in the facts."""
+    with _running('pdo = "write", mode = "cyclic_position"') as robot:
+        recorder = Recorder(robot.wires["drives"])
+        robot["J.position"].set(-1000 / 100_000 * 6.283185307179586)
+        robot.advance(0.1)
+        assert _frames(recorder, 0x205)[-1].startswith("0F 00 18 FC FF FF")
+        assert robot["J.position"].value == pytest.approx(-0.0628, abs=1e-3)
+
+
+# ---------------------------------------------------------------------- motion
+
+
+def test_profile_position_hands_over_each_target() -> None:
+    """Bit 4 rises with the target, falls when it was taken; a target set meanwhile follows."""
+    with _running() as robot:
+        recorder = Recorder(robot.wires["drives"])
+        robot["J.position"].set(0.5)
+        robot["J.position"].set(0.2)
+        robot.advance(0.5)
+        robot["J.position"].set(1.0)
+        robot.advance(3)
+        words = [one[:2] for one in _changes([f[:5] for f in _frames(recorder, 0x205)])]
+        assert words[:4] in (["3F", "0F", "3F", "0F"], ["0F", "3F", "0F", "3F"])
+        assert robot["J.position"].value == pytest.approx(1.0, abs=1e-4)
+        assert robot["J.reached"].value is True
+
+
+def test_velocity_and_torque_modes_take_their_own_set_points() -> None:
+    """A mode's target can be set and nothing else; another mode begins with no speed and no torque."""
+    with _running() as robot:
+        device = robot.devices["D"]
+        assert [robot[f"J.{name}"].is_writable for name in ("position", "velocity", "torque")] == [
+            True,
+            False,
+            False,
+        ]
+        device.set_mode("profile_velocity").wait(2)
+        assert [robot[f"J.{name}"].is_writable for name in ("position", "velocity", "torque")] == [
+            False,
+            True,
+            False,
+        ]
+        robot["J.velocity"].set(0.5)
+        robot.advance(1)
+        assert robot["J.velocity"].value == pytest.approx(0.5, rel=0.01)
+        device.set_mode("cyclic_torque").wait(2)
+        assert robot["J.mode"].value == "cyclic_torque"
+        robot.advance(0.2)
+        assert robot["J.torque"].value == 0
+        robot["J.torque"].set(0.25)
+        robot.advance(0.1)
+        assert robot["J.torque"].value == pytest.approx(0.25)
+        with pytest.raises(CallerError, match="no mode 'profile_velocty'"):
+            device.set_mode("profile_velocty")
+
+
+def test_a_mode_that_the_drive_does_not_have_is_told() -> None:
+    """Interpolated position is not among the twin's modes: after a second the driver says so."""
+    with _running() as robot, pytest.raises(DeviceError, match="does not go into mode interpolated_position"):
+        robot.devices["D"].set_mode("interpolated_position").wait(5)
+
+
+def test_objects_that_no_pdo_has_go_over_sdo() -> None:
+    """The target of velocity mode, 6042, is mapped nowhere: it is written as an object."""
+    with _running('mode = "velocity"', more='command = "speed"') as robot:
+        robot["J.velocity"].set(0.3)
+        robot.advance(1)
+        assert robot["J.velocity"].value == pytest.approx(0.3, rel=0.01)
+
+
+def test_set_points_of_a_disabled_axis_are_dropped() -> None:
+    """Before it is enabled nothing moves, and the dropped set-point is told; enabling holds where it is."""
+    with _running(enabled=False) as robot:
+        robot["J.position"].set(1.0)
+        assert "J is not enabled but switch on disabled" in robot.events.of("not sent")[0].detail
+        robot.devices["D"].enable().wait(5)
+        robot.advance(0.5)
+        assert robot["J.position"].value == 0
+
+
+def test_quick_stop_stops_a_movement() -> None:
+    """Stopping ramps down within what 6085 allows, and the drive is not enabled any more."""
+    with _running() as robot:
+        robot["J.position"].set(1.4)
+        robot.advance(0.2)
+        moving = robot["J.position"].value
+        robot.devices["D"].stop_motion().wait(2)
+        robot.advance(0.5)
+        assert robot["J.state"].value == "switch on disabled"
+        assert 0 < moving <= robot["J.position"].value < 1.0
+        robot.devices["D"].enable().wait(5)
+        robot.advance(0.5)
+        assert robot["J.position"].value < 1.0
+
+
+def test_stopping_ends_what_leads_the_drive_on() -> None:
+    """A stop in the middle of enabling or homing is the last word: the job fails, and the drive stays disabled."""
+    with _running(enabled=False) as robot:
+        device = robot.devices["D"]
+        for begin in (device.enable, device.home):
+            job = begin()
+            robot.advance(0.05)
+            device.stop_motion().wait(2)
+            robot.advance(1)
+            assert job.state == "failed"
+            assert robot["J.state"].value != "operation enabled"
+
+
+def test_homing_sets_the_offset_and_says_when_it_fails() -> None:
+    """Method 17 runs to the negative switch, whose count is 607C afterwards; without a switch the job fails by name."""
+    with _running() as robot:
+        device = robot.devices["D"]
+        device.write("Home offset", -20_000, confirm=True).wait(1)
+        job = device.home(method=17)
+        robot.advance(0.3)
+        assert job.text == "J searches"
+        job.wait(30)
+        robot.advance(0.1)
+        assert robot["J.position"].value == pytest.approx(-20_000 / 100_000 * 6.283185, abs=1e-3)
+        assert robot["J.mode"].value == "profile_position"
+        assert robot["J.state"].value == "operation enabled"
+        robot.twins["D"].fault("no_home")
+        with pytest.raises(
+            DeviceError, match="J has not found home: homing error \\(0xFF01, device specific"
+        ):
+            device.home().wait(30)
+
+
+# ---------------------------------------------------------------------- trouble
+
+
+def test_a_following_error_is_a_fault_until_it_is_acknowledged() -> None:
+    """A blocked joint: EMCY 8611 is an alarm, the state is fault, enabling says what to do, resetting helps."""
+    with _running() as robot:
+        device, twin = robot.devices["D"], robot.twins["D"]
+        twin.fault("jammed")
+        robot["J.position"].set(1.0)
+        robot.advance(1)
+        assert robot["J.state"].value == "fault"
+        assert robot["D.error"].value == "0x8611, following error"
+        assert "0x8611" in robot.events.of("alarm")[0].detail
+        with pytest.raises(
+            DeviceError, match="J is in fault \\(0x8611, following error\\); reset_fault first"
+        ):
+            device.enable().wait(5)
+        twin.fault("jammed", on=False)
+        device.reset_fault().wait(5)
+        assert robot["D.error"].value == ""
+        assert robot.events.count("alarm over", "D") == 1
+        robot.advance(0.5)
+        assert robot["J.state"].value == "switch on disabled"
+        device.enable().wait(5)
+
+
+def test_a_fault_stays_while_its_cause_is_there() -> None:
+    """Over-voltage cannot be acknowledged away; resetting fails and names it."""
+    with _running() as robot:
+        robot.twins["D"].fault("over_voltage")
+        robot.advance(0.1)
+        with pytest.raises(DeviceError, match="J stays in fault: 0x3210, voltage inside"):
+            robot.devices["D"].reset_fault().wait(5)
+        robot.twins["D"].fault("over_voltage", on=False)
+        robot.devices["D"].reset_fault().wait(5)
+
+
+def test_a_hot_drive_warns() -> None:
+    """The warning bit is a signal, the emergency an alarm; both go."""
+    with _running() as robot:
+        robot.twins["D"].fault("hot")
+        robot.advance(0.1)
+        assert robot["J.warning"].value is True
+        assert robot["D.error"].value == "0x4210, device temperature"
+        robot.twins["D"].fault("hot", on=False)
+        robot.advance(0.1)
+        assert robot["J.warning"].value is False
+
+
+def test_a_reboot_is_told_and_leaves_the_drive_disabled() -> None:
+    """After its boot-up message the node is set up again; nothing that was known stays, nothing moves."""
+    with _running() as robot:
+        robot["J.position"].set(0.5)
+        robot.advance(2)
+        robot.twins["D"].reboot()
+        robot.advance(0.004)
+        assert robot["J.position"].value is UNKNOWN or robot["J.state"].value != "operation enabled"
+        robot.advance(1)
+        assert robot.events.count("rebooted", "D") == 1
+        assert robot["J.state"].value == "switch on disabled"
+        assert robot["J.position"].value == pytest.approx(0.5, abs=1e-3)
+        robot.devices["D"].enable().wait(5)
+
+
+def test_a_node_without_sync_falls_silent_by_its_heartbeat() -> None:
+    """A drive that sends by itself is missed when neither PDOs nor heartbeats come."""
+    with _running('pdo = "write", sync = false, heartbeat_ms = 100') as robot:
+        assert not [f for f in (Recorder(robot.wires["drives"]).frames()) if f.arbitration_id == 0x80]
+        robot.twins["D"].fault("silent")
+        robot.advance(1)
+        assert "no heartbeat for" in robot.events.of("silent")[0].detail
+        assert robot["J.position"].is_stale
+        robot.twins["D"].fault("silent", on=False)
+        robot.advance(1)
+        assert robot.events.count("answers", "D") == 1
+        assert robot["J.position"].value == 0
+
+
+def test_a_lost_heartbeat_alone_makes_the_network_state_unknown() -> None:
+    """PDOs go on; the state of the node is stale."""
+    with _running("heartbeat_ms = 100") as robot:
+        robot.twins["D"].fault("no_heartbeat")
+        robot.advance(1)
+        assert robot["D.network"].value is UNKNOWN
+        assert robot["J.state"].value == "operation enabled"
+
+
+def test_a_stopped_node_is_not_expected_to_answer() -> None:
+    """After NMT stop no PDO comes and nobody complains; after start they come again."""
+    with _running(enabled=False) as robot:
+        robot.devices["D"].nmt("stop").wait(1)
+        robot.advance(1)
+        assert robot["D.network"].value == "stopped"
+        assert robot["J.position"].is_stale
+        assert robot.events.count("silent") == 0
+        robot.devices["D"].nmt("start").wait(1)
+        robot.advance(0.2)
+        assert robot["J.position"].value == 0
+        with pytest.raises(CallerError, match="no command 'go'"):
+            robot.devices["D"].nmt("go")
+
+
+def test_a_refused_set_up_is_an_alarm_with_what_to_do() -> None:
+    """A drive that refuses SDO cannot be set up; that is told with the object and the reason, again and again not."""
+    with VirtualRobot(_robot(), rate_hz=100, load=_load) as robot:
+        robot.twins["D"].fault("refuses")
+        robot.advance(1)
+        assert "cannot be set up: D refuses object 1000:0" in robot.events.of("alarm")[0].detail
+        robot.twins["D"].fault("refuses", on=False)
+        robot.advance(3)
+        assert robot.devices["D"].is_set_up
+
+
+def test_a_mapping_that_cannot_work_says_how_to_change_it() -> None:
+    """The drive sends its statusword on events where SYNC is expected: named, with the settings that help."""
+    with VirtualRobot(_robot(), rate_hz=100, load=_load) as robot:
+        robot.twins["D"].node.set_data(0x1800, 2, b"\xff")
+        robot.advance(0.5)
+        detail = robot.events.of("alarm")[0].detail
+        assert "PDO 1 is sent by transmission type 255, not at each SYNC" in detail
+        assert 'pdo = "write"' in detail
+
+
+def test_long_objects_are_read_and_written_in_segments() -> None:
+    """The device's name has 14 bytes; reading it takes two segments."""
+    with _running(enabled=False) as robot:
+        recorder = Recorder(robot.wires["drives"])
+        assert robot.devices["D"].read("Device name").wait(1) == "aces-bus drive"
+        assert [one[:2] for one in _frames(recorder, 0x605)] == ["40", "60", "70"]
+        found = robot.devices["D"].identity().wait(1)
+        assert found["type"] == 0x20192
+        assert found["name"] == "aces-bus drive"
+
+
+def test_writing_wants_a_word() -> None:
+    """A write without confirm=true is refused before anything is sent; so is a value that does not fit."""
+    with _running(enabled=False) as robot:
+        device = robot.devices["D"]
+        with pytest.raises(CallerError, match="confirm=true"):
+            device.write("607A", 5)
+        with pytest.raises(CallerError, match="is no value of Target position"):
+            device.write("607A", 1 << 40, confirm=True)
+        with pytest.raises(CallerError, match="did you mean 'target position'"):
+            device.read("Target positon")
+
+
+def test_files_that_are_none_are_refused(tmp_path: Any) -> None:
+    """A missing file, and one without a statusword, are named."""
+    with pytest.raises(CallerError, match=r"nowhere\.eds: No such file"):
+        dictionary_of(str(tmp_path / "nowhere.eds"), 5)
+    other = tmp_path / "other.eds"
+    other.write_text(
+        "[DeviceInfo]\nVendorName=none\n[1000]\nParameterName=Device type\nObjectType=7\nDataType=7\nAccessType=ro\n"
+    )
+    with pytest.raises(CallerError, match="no statusword"):
+        dictionary_of(str(other), 5)
+    text = ONE.replace("SETTINGS", "sync = true").replace("MORE", 'command = "position"')
+    robot, _ = parse_robot(text, "one.toml")
+    assert robot is not None
+    with pytest.raises(CallerError, match="needs its counts"):
+        VirtualRobot(robot, load=_load)
+
+
+def test_statuswords_and_codes() -> None:
+    """0637 of the facts is enabled, remote, reached; codes name their group."""
+    assert state_of(0x0637) == "operation enabled"
+    assert text_of(0x2310) == "0x2310, current, output side"
+    assert object_of(dictionary_of(None, 5), "6099:2")[:2] == (0x6099, 2)
+
+
+# ---------------------------------------------------------------------- canopen's own classes, in real time
+
+
+def test_canopens_own_drive_class_drives_the_twin() -> None:
+    """`BaseNode402` enables the twin and reads its position, over python-can, in real time."""
+    canopen = pytest.importorskip("canopen")
+    from canopen.profiles import p402
+
+    logging.getLogger("canopen").setLevel(logging.CRITICAL)
+    with Loop() as loop:
+        gate = CanGate({"interface": "aces", "channel": "cia402 twin"}, name="drives")
+        simulation = simulate(_robot(), {"drives": port_of(gate, loop)}, load=_load)
+        with simulation:
+            network = canopen.Network()
+            network.NOTIFIER_CYCLE = 0.01
+            network.connect(interface="aces", channel="cia402 twin")
+            try:
+                drive: Any = p402.BaseNode402
+                node = drive(5, dictionary_of(None, 5))
+                network.add_node(node)
+                node.nmt.state = "PRE-OPERATIONAL"
+                assert node.sdo[0x1008].raw == "aces-bus drive"
+                for number in (1, 2):
+                    node.rpdo[number].read()
+                    node.tpdo[number].read()
+                node.setup_402_state_machine(read_pdos=False)
+                node.nmt.state = "OPERATIONAL"
+                for word in (6, 7, 15):
+                    node.sdo[0x6040].raw = word
+                assert node.sdo[0x6041].raw & 0x6F == 0x27
+                network.sync.transmit()
+                assert loop.wait(lambda: node.statusword & 0x6F == 0x27, 1_000_000_000)
+                assert node.state == "OPERATION ENABLED"
+            finally:
+                network.disconnect()
+
+
+def test_driver_and_twin_meet_in_real_time() -> None:
+    """On two gates of one bus, each with the loop's thread: set up, enabled, moved, without a sleep."""
+    robot = _robot()
+    with Loop() as loop:
+        gates = [CanGate({"interface": "aces", "channel": "cia402 real"}, name=f"gate {n}") for n in (1, 2)]
+        with (
+            simulate(robot, {"drives": port_of(gates[0], loop)}, load=_load),
+            connect(robot, {"drives": port_of(gates[1], loop)}, rate_hz=100, load=_load) as rig,
+        ):
+            device: Any = rig.devices["D"]
+            assert loop.wait(lambda: device.is_set_up, 3_000_000_000)
+            loop.call(device.enable).wait(3)
+            loop.call(lambda: rig["J.position"].set(0.05))
+            assert loop.wait(lambda: abs((rig["J.position"].value or 0) - 0.05) < 1e-3, 3_000_000_000)
+        assert not loop.failures
+
+
+def test_the_driver_speaks_to_a_bare_node_of_canopen() -> None:
+    """What no twin of ours answers: a plain `LocalNode` gives the driver's SDO what canopen's own client reads."""
+    canopen = pytest.importorskip("canopen")
+    from aces_devices.cia402.network import StationNetwork
+
+    robot = VirtualRobot(
+        _robot('sync = false, pdo = "file"', 'command = "position"'), rate_hz=100, load=_load
+    )
+    port = robot.ports("bare")["drives"]
+    node = canopen.LocalNode(5, dictionary_of(None, 5))
+    network = StationNetwork(robot.clock, lambda identifier, data: port.send(Frame(identifier, data)))
+    network[5] = node
+    port.open(lambda frame, now: network.notify(frame.arbitration_id, bytearray(frame.data), now / 1e9))
+    robot.rig.open()
+    device: Any = robot.devices["D"]
+    assert device.sdo.upload(0x1008).wait(5) == b"aces-bus drive"
+    device.sdo.download(0x6081, 0, (1234).to_bytes(4, "little")).wait(5)
+    assert node.sdo[0x6081].raw == 1234
+    robot.rig.close()

@@ -1,0 +1,320 @@
+"""What `aces device` does on an open bus: get, watch, set, and a device's actions.
+
+1. Everything about the call that can be wrong without a bus was looked at before (`checked`).
+2. Whatever ends it, motion that this call began is stopped: after `set --enable`, and when an action is interrupted.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+import time
+from argparse import Namespace
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import CallerError, DeviceError, UnknownNameError
+
+from .console import say
+from .device_text import plain, reading, result_lines, shown, value_for
+from .live import LivePatience
+
+if TYPE_CHECKING:
+    from aces_bus.device import Device, Signal
+
+    from .happenings import Happenings
+    from .robot_arg import Opened
+
+#: Seconds in which a signal must be heard by `get`, and a device before it is told anything.
+HEARD_S, ANSWERS_S = 2.0, 1.0
+#: How long `set` keeps it up when nobody says (ns); how long an action may take at most (ns); a look at what happens (ns).
+SET_FOR, LONGEST, STEP = 2_000_000_000, 300_000_000_000, 200_000_000
+
+
+def signals_of(device: Device, part: str | None) -> list[Signal]:
+    """All signals, or those of one joint or sensor with those of the device itself."""
+    if part is None:
+        return list(device.signals.values())
+    names = {part, *(joint.name for joint in device.joints if part in joint.aliases)}
+    names |= {sensor.name for sensor in device.sensors if part in sensor.aliases}
+    owned = [(one.name.partition(".")[0], one) for one in device.signals.values()]
+    return [one for owner, one in owned if owner in names] + [
+        one for owner, one in owned if owner == device.name and owner not in names
+    ]
+
+
+def chosen_signals(device: Device, part: str | None, names: list[str]) -> list[Signal]:
+    """The signals of these names, with or without their owner's; raises `UnknownNameError`."""
+    signals = signals_of(device, part)
+    found: list[Signal] = []
+    for name in names:
+        near = [one for one in signals if name in (one.name, one.name.partition(".")[2])]
+        if not near:
+            raise UnknownNameError(f"signal of {part or device.name}", name, [one.name for one in signals])
+        found += [one for one in near if one not in found]
+    return found
+
+
+def checked(device: Device, part: str | None, action: str, values: Any) -> None:
+    """Whether a device has such signals, such an action with such arguments; raises `CallerError`."""
+    if action in ("get", "watch"):
+        for one in chosen_signals(device, part, values):
+            if one.name not in device.readable:
+                raise CallerError(f"{one.name} can only be set: {device.name} does not tell it")
+        if not values and not any(one.name in device.readable for one in signals_of(device, part)):
+            raise CallerError(f"{part or device.name} tells nothing: it can only be set")
+        return
+    if action == "set":
+        if not values:
+            raise CallerError("set what? aces device NAME set SIGNAL=VALUE …")
+        _targets(device, part, values)
+        return
+    if action not in device.actions:
+        known = ["get", "set", "watch", *device.actions]
+        raise UnknownNameError(f"action of {device.name} ({device.config.driver})", action, known)
+    signature = inspect.signature(getattr(device, action))
+    takes_any = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in signature.parameters.values())
+    for name in values:
+        if name not in signature.parameters and not takes_any:
+            raise UnknownNameError(f"argument of {action}", name, signature.parameters)
+    missing = [
+        one.name
+        for one in signature.parameters.values()
+        if one.default is inspect.Parameter.empty
+        and one.kind not in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+        and one.name not in values
+        and not (one.name == "joint" and part is not None)
+    ]
+    if missing:
+        raise CallerError(f"{action} needs {' '.join(f'{name}=…' for name in missing)}")
+
+
+def _targets(device: Device, part: str | None, values: dict[str, Any]) -> list[tuple[Signal, Any]]:
+    """What is to be set to what; raises `CallerError`."""
+    targets: list[tuple[Signal, Any]] = []
+    for name, value in values.items():
+        for one in chosen_signals(device, part, [name]):
+            if not one.is_writable:
+                can = [s.name for s in signals_of(device, part) if s.is_writable]
+                raise CallerError(f"{one.name} can only be read (to be set: {', '.join(can) or 'none'})")
+            targets.append((one, value_for(one, value)))
+    return targets
+
+
+@dataclass
+class Doing:
+    """One call, on an open bus."""
+
+    live: Opened
+    device: Device
+    #: The joint or sensor that is meant; None: the whole device.
+    part: str | None
+    arguments: Namespace
+    patience: LivePatience
+    told: Happenings
+
+    def wait(self, until: Any, duration: int) -> bool:
+        """Let time pass until that holds or Ctrl-C, telling what happens meanwhile; whether it holds."""
+        clock = self.live.clock
+        end = clock.now() + duration
+        while not until() and not self.patience.is_over and clock.now() < end:
+            clock.wait(lambda: until() or self.patience.is_over, min(STEP, end - clock.now()))
+            self.told.tell()
+        return bool(until())
+
+    def readable(self, names: list[str]) -> list[Signal]:
+        """What is to be read: those of these names, by default all that the device tells."""
+        if names:
+            return chosen_signals(self.device, self.part, names)
+        return [one for one in signals_of(self.device, self.part) if one.name in self.device.readable]
+
+    # ------------------------------------------------------------------ get and watch
+
+    def get(self) -> int:
+        """All that is known, once; 1 when something is unknown."""
+        signals = self.readable(self.arguments.values)
+        self.wait(lambda: all(one.instant is not None for one in signals), round(HEARD_S * 1e9))
+        if self.arguments.json:
+            whole = {
+                one.name: {"value": plain(one.value), "unit": one.unit, "age_s": _age(one)} for one in signals
+            }
+            print(json.dumps(whole, ensure_ascii=False, indent=2))
+        else:
+            width = max(len(one.name) for one in signals)
+            for one in signals:
+                print(f"{one.name:<{width}}  {reading(one)}")
+        return 1 if any(one.instant is None for one in signals) else 0
+
+    def watch(self, every: int, duration: int | None) -> int:
+        """Again and again: a table that is kept up to date on a terminal, else a line each time."""
+        signals = self.readable(self.arguments.values)
+        is_terminal = sys.stdout is not None and sys.stdout.isatty()
+        if is_terminal and not self.arguments.json:
+            from .device_watch import watched
+
+            with watched(signals) as show:
+                return self._watch(signals, every, duration, show, is_paced=True)
+        show = self._print_object if self.arguments.json else self._print_line
+        if not self.arguments.json:
+            names = [one.name.rjust(_width(one)) for one in signals]
+            print("  ".join(["time".rjust(9), *names]), flush=True)
+        return self._watch(signals, every, duration, show, is_paced=is_terminal)
+
+    def _watch(
+        self, signals: list[Signal], every: int, duration: int | None, show: Any, *, is_paced: bool
+    ) -> int:
+        clock = self.live.clock
+        start, began = clock.now(), time.monotonic_ns()
+        due = start + every
+        while not self.patience.is_over and (duration is None or due <= start + duration):
+            self.wait(lambda: False, due - clock.now())
+            if self.live.virtual is not None and is_paced:
+                self.patience.wait_until(began + due - start)  # somebody looks on
+            if not self.patience.is_over:
+                show((clock.now() - start) / 1e9, signals)
+            due += every
+            if self.live.virtual is None and due < clock.now():
+                due += (clock.now() - due) // every * every + every  # late by whole lines: they are left out
+        return 1 if all(one.instant is None for one in signals) else 0
+
+    @staticmethod
+    def _print_line(seconds: float, signals: list[Signal]) -> None:
+        cells = [reading(one).rjust(_width(one)) for one in signals]
+        print("  ".join([f"{seconds:9.3f}", *cells]), flush=True)
+
+    @staticmethod
+    def _print_object(seconds: float, signals: list[Signal]) -> None:
+        values = {one.name: plain(one.value) for one in signals}
+        print(json.dumps({"time": round(seconds, 6), **values}, ensure_ascii=False), flush=True)
+
+    # ------------------------------------------------------------------ set
+
+    def set(self, values: dict[str, Any], duration: int | None) -> int:
+        """Give set-points for a while; 1 when they cannot have been followed."""
+        device = self.device
+        if self.arguments.enable and "enable" not in device.actions:
+            raise CallerError(f"{device.name} is not enabled or disabled; leave --enable away")
+        if not self._is_there():
+            say(f"{device.name} does not answer: nothing was set; {self.told.look_at(device.name)}")
+            self.told.tell(without=("silent",))
+            return 1
+        self.told.holding.add("not sent")
+        targets = _targets(device, self.part, values)  # again: now it is known what kind of value each has
+        try:
+            if self.arguments.enable:
+                self.finish(self.live.clock.call(getattr(device, "enable")), stops=False)  # noqa: B009
+            self.live.clock.call(lambda: _give(targets))
+            self.wait(lambda: False, SET_FOR if duration is None else duration)
+            return self._show_set(targets)
+        except DeviceError as error:
+            self.told.tell(without=("no reply",))
+            say(f"{self.arguments.name} set: {error}")
+            return 1
+        finally:
+            if self.arguments.enable:
+                self.stop()
+
+    def _is_there(self) -> bool:
+        """Whether the device has been heard; one that is never asked anything may be there."""
+        device = self.device
+        return not device.polls or self.wait(
+            lambda: device.last_heard is not None or self.patience.is_over, round(ANSWERS_S * 1e9)
+        )
+
+    def _show_set(self, targets: list[tuple[Signal, Any]]) -> int:
+        device = self.device
+        if self.arguments.json:
+            print(json.dumps({one.name: plain(one.value) for one, _ in targets}, ensure_ascii=False))
+        else:
+            for one, value in targets:
+                now = f", is {reading(one)}" if one.name in device.readable else ""
+                print(f"{one.name}: set to {shown(plain(value))} {one.unit}".rstrip() + now)
+        owners = {one.name.partition(".")[0] for one, _ in targets}
+        idle = [o for o in owners if (e := device.signals.get(f"{o}.enabled")) and e.value is False]
+        if idle and not self.arguments.enable:
+            self.told.drop("not sent")
+            say(f"{', '.join(sorted(idle))}: not enabled, so it follows no set-points; add --enable")
+            return 1
+        is_deaf = bool(device.polls) and device.is_silent
+        # What it has not taken was told when it happened.
+        return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
+
+    def stop(self) -> None:
+        """Stop what moves, whatever was interrupted."""
+        ended = self.live.clock.call(self.device.stop_motion)
+        if ended is None:
+            return
+        if not self.live.clock.wait(lambda: ended.is_over, 5_000_000_000) or ended.error is not None:
+            say(f"{self.device.name}: was not stopped: {ended.error or 'it does not answer'}")
+
+    # ------------------------------------------------------------------ actions
+
+    def act(self, action: str, values: dict[str, Any]) -> int:
+        """Have the device do something; 1 when it fails."""
+        device = self.device
+        method = getattr(device, action)
+        if self.part is not None and "joint" in inspect.signature(method).parameters:
+            values.setdefault("joint", self.live.rig.aliases.get(self.part, self.part))
+        self._is_there()
+        try:
+            started = self.live.clock.call(lambda: method(**values))
+            result = None if started is None else self.finish(started, stops=action not in device.asking)
+        except DeviceError as error:
+            self.told.tell(without=("no reply", "silent"))
+            say(f"{self.arguments.name} {action}: {error}")
+            return 1
+        except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            raise CallerError(f"{action}: one of its arguments is not of the right kind: {error}") from None
+        found = plain(result)
+        if self.arguments.json:
+            print(json.dumps({"action": action, "result": found}, ensure_ascii=False))
+        else:
+            lines = result_lines(found)
+            if len(lines) == 1:
+                print(f"{self.arguments.name} {action}: {lines[0]}")
+            else:
+                print("\n".join([f"{self.arguments.name} {action}: done", *("  " + line for line in lines)]))
+        return 0
+
+    def finish(self, awaited: Any, *, stops: bool = True) -> Any:
+        """Wait for a ticket or job, with its progress; Ctrl-C cancels it and stops what moves. Raises its error."""
+        is_shown = sys.stderr is not None and sys.stderr.isatty() and self.live.virtual is None
+        end = self.live.clock.now() + LONGEST
+        text = ""
+        while not awaited.is_over and not self.patience.is_over and self.live.clock.now() < end:
+            self.wait(lambda: awaited.is_over, STEP)
+            if is_shown and hasattr(awaited, "progress"):
+                before, text = text, f"{awaited.progress:4.0%} {awaited.text:.60}".rstrip()
+                print(f"\r{text:<{len(before)}}", end="", file=sys.stderr, flush=True)
+        if text:
+            print(f"\r{' ' * len(text)}\r", end="", file=sys.stderr, flush=True)
+        if not awaited.is_over:
+            if hasattr(awaited, "cancel"):
+                self.live.clock.call(awaited.cancel)
+            if stops:
+                self.stop()
+            why = "interrupted" if self.patience.is_over else f"not over after {LONGEST / 1e9:g} s"
+            raise DeviceError(f"{why}{', and stopped' if stops else ''}")
+        if awaited.error is not None:
+            raise awaited.error
+        return awaited.result
+
+
+def _give(targets: list[tuple[Signal, Any]]) -> None:
+    for one, value in targets:
+        try:
+            one.set(value)
+        except (TypeError, ValueError, ArithmeticError) as error:
+            raise CallerError(f"{one.name} cannot be set to {value!r}: {error}") from None
+
+
+def _width(one: Signal) -> int:
+    return max(len(one.name), 14)
+
+
+def _age(one: Signal) -> float | None:
+    return None if one.age_ns is None else one.age_ns / 1e9
+
+
+__all__ = ["Doing", "checked", "chosen_signals", "signals_of"]

@@ -1,0 +1,164 @@
+"""What is known of devices, as people and programs read it; and what people write, as devices take it."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import CallerError
+
+from .console import terminal_width
+from .values import parse_value
+
+if TYPE_CHECKING:
+    from aces_bus.device import Signal
+
+#: Words for yes and no.
+WORDS: Mapping[str, bool] = {"true": True, "false": False, "yes": True, "no": False, "on": True, "off": False}
+_DEGREES = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?:deg|°)(/s)?")
+
+
+# ---------------------------------------------------------------------- values
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: unknown, NaN and infinities are null, flags a list of names, bytes hexadecimal."""
+    from aces_bus.device import UNKNOWN
+    from aces_bus.protocol.spec.fields import FlagSet
+
+    if value is UNKNOWN or value is None:
+        return None
+    if isinstance(value, FlagSet):
+        return [*value, hex(value.unknown)] if value.unknown else list(value)
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, bytes | bytearray):
+        return value.hex()
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "__struct_fields__"):
+        names = [name for name in value.__struct_fields__ if not name.startswith("_")]
+        return {name: plain(getattr(value, name)) for name in names}
+    try:
+        return [plain(item) for item in value]
+    except TypeError:
+        return str(value)
+
+
+def shown(value: Any) -> str:
+    """A plain value for people, in one line."""
+    if value is None:
+        return "unknown"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value + 0.0:.6g}"
+    if isinstance(value, list):
+        return ", ".join(shown(item) for item in value) or "none"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {shown(item)}" for key, item in value.items())
+    return str(value)
+
+
+def reading(one: Signal) -> str:
+    """A signal's value with its unit; what is unknown or stale says so."""
+    if one.instant is None:
+        return "unknown"
+    whole = f"{shown(plain(one.last))} {one.unit}".rstrip()
+    age = one.age_ns
+    return f"{whole} (stale, {age / 1e9:.1f} s old)" if one.is_stale and age is not None else whole
+
+
+def result_lines(value: Any, indent: str = "") -> list[str]:
+    """What an action has found, a line a name."""
+    if not isinstance(value, dict):
+        return [] if value is None else [f"{indent}{shown(value)}"]
+    lines: list[str] = []
+    width = max((len(str(key)) for key, item in value.items() if not isinstance(item, dict)), default=0)
+    for key, item in value.items():
+        if isinstance(item, dict):
+            lines += [f"{indent}{key}", *result_lines(item, indent + "  ")]
+        else:
+            lines.append(f"{indent}{key:<{width}}  {shown(item)}")
+    return lines
+
+
+# ---------------------------------------------------------------------- tables
+
+
+def rows_of(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[str]:
+    """Columns under each other; on a terminal the last one is wrapped to its width."""
+    if not rows:
+        return []
+    widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]) - 1)]
+    is_terminal = sys.stdout is not None and sys.stdout.isatty()
+    lines: list[str] = []
+    for row in rows:
+        head = indent + "".join(f"{cell:<{width}}  " for cell, width in zip(row, widths, strict=False))
+        room = terminal_width() - len(head)
+        if not is_terminal:
+            lines.append(f"{head}{row[-1]}".rstrip())
+        elif room >= 20:
+            lines += _wrapped(head, " " * len(head), row[-1])
+        else:  # a narrow terminal: what is long stands below
+            lines.append(head.rstrip())
+            lines += _wrapped(indent * 3, indent * 3, row[-1]) if row[-1] else []
+    return lines
+
+
+def _wrapped(first: str, others: str, text: str) -> list[str]:
+    width = max(terminal_width(), len(others) + 10)
+    made = textwrap.wrap(text, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+    return made or [first.rstrip()]
+
+
+# ---------------------------------------------------------------------- what people write
+
+
+def parse_pairs(texts: Sequence[str]) -> dict[str, Any]:
+    """`kp=200 confirm=true mode=torque` as values: numbers, true and false, [lists], hex:0a; everything else is text.
+
+    Raises `CallerError` for what is no NAME=VALUE, or is given twice.
+    """
+    found: dict[str, Any] = {}
+    for one in texts:
+        name, equals, value = one.partition("=")
+        if not equals or not name or not value:
+            raise CallerError(f"{one}: write NAME=VALUE")
+        if name in found:
+            raise CallerError(f"{name} is given twice")
+        found[name] = value == "true" if value in ("true", "false") else parse_value(value, None, name)
+    return found
+
+
+def value_for(one: Signal, value: Any) -> Any:
+    """What is to be set, as the signal takes it: a finite number in its unit, `30deg` where that is rad; yes and no.
+
+    Raises `CallerError`.
+    """
+    if not one.unit:
+        if isinstance(one.last, bool) and (value in (0, 1) or value in WORDS):
+            return WORDS[value] if isinstance(value, str) else bool(value)
+        return value
+    degrees = _DEGREES.fullmatch(value) if isinstance(value, str) else None
+    if degrees is not None and one.unit == f"rad{degrees[2] or ''}":
+        value = math.radians(float(degrees[1]))
+    try:
+        number = float("nan" if isinstance(value, bool | str) else value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        also = ", or degrees: 30deg" if one.unit == "rad" else ""
+        raise CallerError(f"{one.name}: {value!r} is no number of {one.unit}{also}")
+    return value
+
+
+__all__ = ["parse_pairs", "plain", "reading", "result_lines", "rows_of", "shown", "value_for"]

@@ -1,0 +1,189 @@
+"""Where a robot's twins stand: on the buses of the call, or on served ones, pseudo-terminals and UDP ports of our own.
+
+1. Clients come and go: a bus of ours is there until the end, whoever joins or leaves it.
+2. What others write to join a bus is a line that can be copied.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import CallerError
+
+from .console import say
+from .robot_arg import check_channels, open_host
+
+if TYPE_CHECKING:
+    from aces_bus.device import Robot, Simulation
+
+
+class Stand:
+    """A robot's twins on their buses, open. What is to be closed is put on `stack`. Raises `CallerError`."""
+
+    def __init__(self, robot: Robot, options: dict[str, dict[str, Any]], seed: int, stack: ExitStack) -> None:
+        from aces_bus.assembly import open_gates
+        from aces_bus.device import simulate
+        from aces_bus.runtime import Loop
+
+        self.robot = robot
+        self.loop = stack.enter_context(Loop())
+        #: Bus → how others reach it: `kind`, `address`, and what tools take as options.
+        self.reached: dict[str, dict[str, Any]] = {}
+        used = [name for name in robot.buses if any(device.active for device in robot.devices_on(name))]
+        links = {name: robot.buses[name].link for name in used}
+        lines = self._own_lines(
+            [n for n in used if links[n] == "serial" and not options[n].get("channel")], stack
+        )
+        self._serve({n: self._wanted(n, options[n]) for n in used if links[n] == "can"}, options, stack)
+        for name in used:
+            if links[name] == "datagram":
+                self._bind(name, options[name])
+        check_channels(robot, {n: {"channel": "ours"} if n in lines else o for n, o in options.items()})
+        gates = open_gates(robot, self.loop, {n: o for n, o in options.items() if n not in lines})
+        ports = {name: lines.get(name) or gates[name] for name in used}
+        self.simulation: Simulation = simulate(robot, ports, seed=seed)
+        stack.callback(self.simulation.close)
+        for name, twins in self.simulation.buses.items():
+            channel = options[name].get("channel") or robot.buses[name].channel
+            open_host(name, twins, channel or "a pseudo-terminal")
+            if name not in self.reached:
+                self.reached[name] = {"kind": links[name], "address": str(channel), **options[name]}
+
+    # ------------------------------------------------------------------ serial lines
+
+    def _own_lines(self, names: list[str], stack: ExitStack) -> dict[str, Any]:
+        """A simulated line for each of these buses, with a pseudo-terminal as its other end."""
+        if not names:
+            return {}
+        from aces_bus.assembly import wire_of
+        from aces_bus.device.rig import spoken_on
+        from aces_bus.hardware import SerialPort
+        from aces_bus.hardware.pty import PtyPort
+        from aces_bus.runtime import VirtualClock
+
+        found: dict[str, Any] = {}
+        for name in names:
+            protocol = spoken_on(self.robot)[name]
+            wire: Any = wire_of(self.robot.buses[name], protocol, VirtualClock(time.monotonic_ns()))
+            pty = stack.enter_context(PtyPort(wire))
+            found[name] = SerialPort(wire, name=name)
+            self.reached[name] = {
+                "kind": "serial",
+                "address": pty.path,
+                "baud": wire.baud,
+                "half_duplex": wire.half_duplex,
+            }
+        return found
+
+    # ------------------------------------------------------------------ CAN
+
+    def _wanted(self, name: str, options: Mapping[str, Any]) -> str | None:
+        """The served bus's address for a CAN bus, `unix:NAME`; None: it is a bus that is there."""
+        if not options:
+            return f"unix:{self.robot.buses[name].channel or name}"
+        channel = str(options.get("channel", ""))
+        is_ours = channel.startswith("unix:") and options.get("interface") == "aces"
+        return channel if is_ours else None
+
+    def _serve(
+        self, wanted: Mapping[str, str | None], options: dict[str, dict[str, Any]], stack: ExitStack
+    ) -> None:
+        """Serve a bus for each address that nobody serves yet; one that the call names and somebody serves is joined."""
+        from aces_bus.hardware.served.address import parse_address
+        from aces_bus.hardware.served.channel import ServedChannel
+        from aces_bus.hardware.served.server import BusServer
+
+        for name, text in wanted.items():
+            if text is None:
+                continue
+            address = parse_address(text)
+            is_served = _answers(address)
+            if is_served and not options[name]:
+                other = f"{self.robot.name}_{name}"
+                raise CallerError(
+                    f"bus {name}: {text} is served already; --bus {name}={text} joins it, --bus {name}=unix:{other} is"
+                    " another"
+                )
+            options[name].update(interface="aces", channel=text)
+            self.reached[name] = {"kind": "can", "interface": "aces", "address": text}
+            if is_served:
+                continue
+            bus = self.robot.buses[name]
+            _warm()
+            plain = text.removeprefix("unix:")
+            is_path = "/" in plain
+            channel = ServedChannel(name if is_path else plain, bitrate=bus.bitrate or 1_000_000)
+            server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
+            stack.callback(server.close)
+            thread = threading.Thread(target=server.serve, name=f"bus {name}", daemon=True)
+            thread.start()
+            stack.callback(thread.join, 5.0)
+            stack.callback(server.stop)
+
+    # ------------------------------------------------------------------ datagrams
+
+    def _bind(self, name: str, options: dict[str, Any]) -> None:
+        """Receive where the call says, else on the port of the robot's file, of this machine only."""
+        given = options.pop("channel", None)
+        text = str(given or self.robot.buses[name].channel or "127.0.0.1:0")
+        host, _, port = text.rpartition(":")
+        if not port.isdecimal() or int(port) > 65_535 or (given is not None and not host):
+            raise CallerError(
+                f"--bus {name}={text}: datagrams are received at HOST:PORT, such as {name}=127.0.0.1:11000"
+            )
+        options["bind"] = text if given is not None else f"127.0.0.1:{port}"
+        self.reached[name] = {"kind": "datagram", "address": options["bind"]}
+
+    # ------------------------------------------------------------------ how others join
+
+    def listen_with(self, name: str, robot: str) -> str:
+        """A command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
+        from aces_bus.device.rig import spoken_on
+
+        protocol = spoken_on(self.robot)[name]
+        device = next(d for d in self.robot.devices_on(name) if d.active)
+        dialect = self.robot.protocol_of(device)[1]
+        said = protocol.name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
+        if self.robot.tables(protocol):
+            said += f"@{robot}"
+        way = self.reached[name]
+        if way["kind"] == "can":
+            interface = f"-i {way['interface']} " if way.get("interface") else ""
+            return f"aces sniff {interface}-c {way['address']} -p {said}"
+        if way["kind"] == "serial":
+            baud = f" --baud {way['baud']}" if way.get("baud") else ""
+            return f"aces scan --bus {way['address']}{baud} -p {said}"
+        return f"udp {way['address']}, {said}"
+
+    @property
+    def device_options(self) -> str:
+        """What `aces device`, `scan -r` and `run` take to reach all buses."""
+        said = [f"--bus {name}={way['address']}" for name, way in self.reached.items()]
+        interface = next((way["interface"] for way in self.reached.values() if way.get("interface")), None)
+        if interface not in (None, "aces"):
+            said.append(f"-i {interface}")
+        return " ".join(said)
+
+
+def _answers(address: Any) -> bool:
+    """Whether somebody serves there."""
+    try:
+        address.connect(1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def _warm() -> None:
+    """Fill the tables of frame times before the first request: it would be answered late."""
+    from aces_bus.frame import Frame
+    from aces_bus.hardware.frame_time import frame_bits
+
+    frame_bits(Frame(arbitration_id=0x123, data=bytes(8)))
+
+
+__all__ = ["Stand"]
