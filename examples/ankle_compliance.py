@@ -91,11 +91,11 @@ def main() -> dict[float, dict[str, float]]:
     pose = {**legs, "LAR": 0.0, "RAR": 0.0}
     stand = Trajectory(pose, [list(pose.values())] * 2, rate_hz=RATE, source="stand")
     compliant = AnkleCompliance(Player("stand", stand, rate_hz=RATE, gentle=Limits(1.5, 6.0)))
-    run = run_virtual(load_robot("hubo2"), [compliant])
+    run = run_virtual(load_robot("hubo2").part(*pose, "LFFT", "RFFT"), [compliant])
     given: dict[float, dict[str, float]] = {}
     with run:
-        run.do("home", devices=pose)
-        run.do("enable", devices=pose)
+        run.do("home")
+        run.do("enable")
         began = run.clock.now() + 1_000_000_000  # it bends its knees first
 
         def feel(now: int) -> tuple[float, float, float]:

@@ -31,7 +31,7 @@ def complete() -> Robot:
     return replace(robot, devices={**robot.devices, **neck}, joints={**robot.joints, **joints})
 
 
-def main(seconds: float = 3.0) -> dict[str, float]:
+def main(seconds: float = 3.0, *, home: bool = True) -> dict[str, float]:
     robot = complete()
     joints = [joint for joint in robot.joints.values() if joint.active]
     boards = {joint.device for joint in joints}
@@ -41,8 +41,9 @@ def main(seconds: float = 3.0) -> dict[str, float]:
     )
     with VirtualRobot(robot, rate_hz=RATE) as hubo:
         rig = hubo.rig
-        rig.each("home").wait(120)
-        print(f"homed after {hubo.clock.now() / 1e9:.1f} s")
+        if home:
+            rig.each("home").wait(120)
+            print(f"homed after {hubo.clock.now() / 1e9:.1f} s")
         rig.each("enable").wait(30)
         hubo.advance(0.2)
         begun = hubo.clock.now()

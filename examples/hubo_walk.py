@@ -50,7 +50,7 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
         pattern = read_trajectory(arguments[0], rate_hz=rate_in_name(arguments[0]) or RATE)
     else:
         pattern = stepping()
-    robot = load_robot("hubo2plus")
+    robot = load_robot("hubo2plus").part(*pattern.names)  # the arms stay off
     worst = dict.fromkeys(pattern.names, 0.0)
     before: dict[str, float] = {}
 
@@ -64,8 +64,8 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
     player = Player("walk", pattern, rate_hz=pattern.rate_hz, hook=compare)
     run = run_virtual(robot, [player], rate_hz=pattern.rate_hz)
     with run:
-        homed = run.do("home", devices=pattern.names)
-        run.do("enable", devices=pattern.names)
+        homed = run.do("home")
+        run.do("enable")
         print(f"{pattern!r}, on {len(homed)} boards of {robot.name}, homed and on")
         ended = run.run(pattern.duration_s + 10, until=lambda: player.mode == "ended")
     end = ", ".join(ended.tripped.values()) or "nothing went wrong"

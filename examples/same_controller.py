@@ -1,7 +1,7 @@
 """The paper's claim: one controller, unchanged, on a humanoid over CAN, on a small one over serial, and on a recording.
 
-`walk_controller.py` steps in place on Hubo 2+ (motor boards, two CAN buses), on MiniHubo (servos, one serial line), and on
-what was recorded of the first run: only the robot's file is another. On the recording it sees what it saw then and gives
+`walk_controller.py` steps in place on Hubo 2+ (motor boards on CAN), on MiniHubo (servos on a serial line), and on what was
+recorded of the first run: only the robot's file is another. On the recording it sees what it saw then and gives
 what it gave then, and nothing moves.
 
     python examples/same_controller.py
@@ -22,7 +22,8 @@ from aces_bus.hardware import Recorder
 from aces_devices.robots import load_robot as load_shipped
 
 SECONDS = 2.4
-MINIHUBO = Path(__file__).with_name("minihubo_like_hubo.toml")
+HUBO = load_shipped("hubo2plus").part(*walk.writes)  # its legs and waist
+MINIHUBO = load_robot(Path(__file__).with_name("minihubo_like_hubo.toml"))
 
 
 class Notes:
@@ -60,12 +61,12 @@ def said(where: str, notes: Notes, run: Runner) -> None:
 
 def on_hubo() -> tuple[Notes, list[Frame], int]:
     """Over CAN; what was on both buses, and when (ns) the controller began."""
-    hubo = VirtualRobot(load_shipped("hubo2plus"), rate_hz=100)
+    hubo = VirtualRobot(HUBO, rate_hz=100)
     recorders = {name: Recorder(wire) for name, wire in hubo.wires.items()}
     notes = Notes()
     run = notes.run = run_virtual(hubo, [walk], loggers=[notes])
     with run:
-        run.do("home", devices=walk.writes)
+        run.do("home")
         run.do("enable")
         began = run.clock.now()
         run.run(SECONDS)
@@ -81,7 +82,7 @@ def on_hubo() -> tuple[Notes, list[Frame], int]:
 def on_minihubo() -> Notes:
     """Over serial."""
     notes = Notes()
-    run = notes.run = run_virtual(load_robot(MINIHUBO), [walk], loggers=[notes])
+    run = notes.run = run_virtual(MINIHUBO, [walk], loggers=[notes])
     with run:
         run.do("enable")
         run.run(SECONDS)
@@ -93,7 +94,7 @@ def on_recording(frames: list[Frame], began: int) -> Notes:
     """On what was recorded, from a little before the controller began."""
     since = [frame for frame in frames if (frame.timestamp or 0.0) > began / 1e9 - 0.1]
     notes = Notes()
-    run = notes.run = run_replay(load_shipped("hubo2plus"), since, [walk], loggers=[notes])
+    run = notes.run = run_replay(HUBO, since, [walk], loggers=[notes])
     with run:
         run.clock.wait(lambda: False, began - round((since[0].timestamp or 0.0) * 1e9))
         run.run(SECONDS)

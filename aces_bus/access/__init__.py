@@ -13,6 +13,7 @@ from __future__ import annotations
 from .events import AccessEvent
 from .inlet import Inlet
 from .udp import UdpStates
-from .zenoh import ENDPOINT, Publisher, RemoteStates
+from .zenoh import Publisher, RemoteStates
+from .zenoh_wire import ENDPOINT
 
 __all__ = ["ENDPOINT", "AccessEvent", "Inlet", "Publisher", "RemoteStates", "UdpStates"]

@@ -18,9 +18,8 @@ Needs the extra `[zenoh]` (eclipse-zenoh).
 from __future__ import annotations
 
 import atexit
-import json
+import os
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, Self
@@ -33,112 +32,21 @@ from ..state import UNKNOWN, State
 from .events import AccessEvent, Events
 from .inlet import Inlet
 from .remote import RemoteClock, RemoteState
-
-ENDPOINT = "tcp/127.0.0.1:7447"
-#: Bytes of a message: 2,000 states.
-MOST_BYTES = 1 << 18
-MOST_STATES = 2_000
-#: Messages that wait to be taken, at most.
-WAITING = 64
-#: How long an answer is waited for (s).
-ANSWER_S = 0.1
-Options = Mapping[str, Any]
-
-
-class Values(msgspec.Struct):
-    """One cycle of a publisher: by state the value (None where unknown) and its instant."""
-
-    session: int
-    now: int
-    states: dict[str, tuple[float | None, int | None]]
-
-
-class StateAbout(msgspec.Struct):
-    """What a state is."""
-
-    unit: str = ""
-    writable: bool = False
-    stale_after_s: float | None = None
-
-
-class AboutStates(msgspec.Struct):
-    """What a publisher publishes."""
-
-    session: int
-    rate_hz: float
-    clock: str
-    states: dict[str, StateAbout]
-    takes: bool = False
-
-
-def zenoh() -> Any:
-    """The library; `CallerError` naming the extra when it is missing."""
-    try:
-        import zenoh as library
-    except ImportError as missing:
-        raise CallerError(
-            f"zenoh needs eclipse-zenoh: pip install 'aces-bus[zenoh]' ({missing})"
-        ) from missing
-    return library
-
-
-def opened(listen: Iterable[str], connect: Iterable[str], options: Options) -> Any:
-    """A session with these endpoints and no others; raises `CallerError` when that cannot be."""
-    library = zenoh()
-    told = {
-        "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
-        "connect/exit_on_failure": False,
-        "connect/timeout_ms": 0,
-        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
-        **options,
-    }
-    try:
-        config = library.Config()
-        for key, value in told.items():
-            config.insert_json5(key, json.dumps(value))
-        return library.open(config)
-    except library.ZError as error:
-        why = " ".join(str(error).partition(" at /")[0].split()).removeprefix("Json5Err(Message { msg: ")
-        raise CallerError(f"zenoh at {', '.join([*listen, *connect])}: {why[:300]}") from None
-
-
-def heard(declare: Callable[..., Any], key: str, take: Callable[[Any], None]) -> threading.Thread:
-    """Have `take` called with all that comes at a key, until the session is closed; the oldest of too many is left out.
-
-    On a thread of our own: a program that ends with one of the library's (eclipse-zenoh 1.10) does not end.
-    """
-    channel = declare(key, zenoh().handlers.RingChannel(WAITING))
-
-    def run() -> None:
-        with suppress(Exception):  # the library's own kind: the session is closed
-            for one in channel:
-                take(one)
-
-    thread = threading.Thread(target=run, name=f"zenoh {key}", daemon=True)
-    thread.start()
-    return thread
-
-
-def closed(session: Any, threads: list[threading.Thread]) -> None:
-    """Close a session, and let what hears it end: a thread inside the library must not outlive the interpreter."""
-    session.close()
-    for thread in threads:
-        if thread is not threading.current_thread():
-            thread.join(2.0)
-    threads.clear()
-
-
-def key_of(robot: str) -> str:
-    """The beginning of a robot's keys; raises `CallerError` for a name that cannot be in one."""
-    if not robot or len(robot) > 100 or set(robot) & set("*$?#/ ") or not robot.isprintable():
-        raise CallerError(
-            f"{robot!r} cannot be a robot's name in zenoh; say robot=, without * $ ? # / and blanks"
-        )
-    return f"aces/{robot}"
+from .zenoh_wire import (
+    ANSWER_S,
+    ENDPOINT,
+    MOST_ANSWER_S,
+    MOST_STATES,
+    AboutStates,
+    Options,
+    StateAbout,
+    Values,
+    closed,
+    decoded,
+    heard,
+    key_of,
+    opened,
+)
 
 
 class Publisher:
@@ -215,8 +123,8 @@ class Publisher:
         if not self._bound:
             raise CallerError(f"{self.name}: give it its states first: bind(states)")
         key = key_of(self.robot)
-        # A number that no other run has: the wall clock's, as it goes nowhere but there.
-        self._number = time.time_ns() & ((1 << 53) - 1)
+        # A number that no other run has, and that fits JSON in every language.
+        self._number = int.from_bytes(os.urandom(6))
         about = AboutStates(self._number, self.rate_hz, self._clock.name, {}, self.allow_set)
         for name, state in self._bound.items():
             about.states[name] = StateAbout(
@@ -287,7 +195,7 @@ class Publisher:
 
     def _set(self, sample: Any) -> None:
         inlet = self._inlet
-        values = _decoded(self._decode, sample)
+        values = decoded(self._decode, sample)
         if values is None or inlet is None or len(values) > MOST_STATES:
             self.bad += 1
         else:
@@ -299,17 +207,6 @@ class Publisher:
 
     def __exit__(self, *_: object) -> None:
         self.stop(0)
-
-
-def _decoded(decode: Callable[[bytes], Any], sample: Any) -> Any:
-    """A message, or None."""
-    try:
-        payload = sample.payload
-        if len(payload) > MOST_BYTES:
-            return None
-        return decode(bytes(payload))
-    except Exception:  # the library's own kinds too
-        return None
 
 
 class RemoteStates(Mapping[str, State]):
@@ -357,6 +254,7 @@ class RemoteStates(Mapping[str, State]):
         self._threads: list[threading.Thread] = []
         #: Somebody publishes who was not asked yet what.
         self._wants = threading.Event()
+        self._patience_s = ANSWER_S
         self._was_lost = False
         self._decode = msgspec.json.Decoder(Values).decode
         self._decode_about = msgspec.json.Decoder(AboutStates).decode
@@ -372,6 +270,7 @@ class RemoteStates(Mapping[str, State]):
         atexit.register(self.close)
         self._threads = [heard(self._session.declare_subscriber, f"{self._key}/values", self._heard)]
         self._wants.set()
+        self._patience_s = ANSWER_S
         self._watcher = threading.Thread(target=self._watch, name=self.name, daemon=True)
         self._watcher.start()
         if not self._known.wait(self.timeout_s):
@@ -452,13 +351,14 @@ class RemoteStates(Mapping[str, State]):
         if session is None:
             return
         with suppress(Exception):  # the library's own kinds: not connected, or closed meanwhile
-            for reply in session.get(f"{self._key}/about", timeout=ANSWER_S):
+            for reply in session.get(f"{self._key}/about", timeout=self._patience_s):
                 self._answered(reply)
+        self._patience_s = min(MOST_ANSWER_S, 2 * self._patience_s)
 
     def _answered(self, reply: Any) -> None:
         if reply.ok is None:
             return  # nobody answered in time: asked again, if need be
-        about = _decoded(self._decode_about, reply.ok)
+        about = decoded(self._decode_about, reply.ok)
         if about is None or len(about.states) > MOST_STATES or not 0 < about.rate_hz <= 1e6:
             self.bad += 1
             return
@@ -488,12 +388,13 @@ class RemoteStates(Mapping[str, State]):
                 del self._states[name]
         self.clock.forget()
         self._about, self.takes = about, about.takes
+        self._patience_s = ANSWER_S / 2  # `_ask` doubles it
         if before is not None:
             self.events.tell(AccessEvent("restarted", self.local.now(), self.name, "another run answers"))
         self._known.set()
 
     def _heard(self, sample: Any) -> None:
-        cycle = _decoded(self._decode, sample)
+        cycle = decoded(self._decode, sample)
         if cycle is None or not 0 <= cycle.now < 1 << 62 or len(cycle.states) > MOST_STATES:
             self.bad += 1
             return

@@ -31,8 +31,8 @@ from .states import States
 
 T = TypeVar("T")
 
-#: Priorities of components where nobody says otherwise (the paper's order: control above logging).
-CONTROL, LOGGING = 40, 5
+#: Priorities of components where nobody says otherwise: buses above control above logging.
+BUSES, CONTROL, LOGGING = 50, 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
 #: Seconds in which devices must have been heard before controllers begin.
@@ -279,6 +279,13 @@ class Runner:
         kind = OF_LOGS[0] if is_log else "raised"
         self._tell_all(ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500]))
 
+    def bus_failed(self, error: BaseException) -> None:
+        """Something raised on the buses' thread."""
+        now = self.clock.now()
+        if now - self._told.get("buses", -TELL_EVERY) >= TELL_EVERY:
+            self._told["buses"] = now
+            self._tell_all(ControlEvent("bug", now, "buses", f"{type(error).__name__}: {error}"[:500]))
+
     def _tell_all(self, event: ControlEvent) -> None:
         """What components tell reaches every supervisor, too."""
         self._note(event)
@@ -288,7 +295,10 @@ class Runner:
     def _note(self, event: Any) -> None:
         self.events.append(event)
         for handler in self.handlers:
-            handler(event)
+            try:
+                handler(event)
+            except Exception as error:  # a user's code: all others are told the same
+                self.rig.events.failures.append(error)
 
     def _fault(self, source: str, error: BaseException | str) -> None:
         """Something of the end went wrong; the end goes on."""
@@ -413,17 +423,16 @@ class Runner:
     def start(self) -> None:
         """Start controllers and loggers. Raises `UnknownNameError` for a state that the robot has not."""
         self.bind()
-        now = self.clock.now()
-        self._began = now
-        for logger in self.loggers:
+        for logger in self.loggers:  # files take their time
             self._logging.append(logger)
-            logger.start(now)
+            logger.start(self.clock.now())
+        self._began = now = self.clock.now()
         for supervisor in self.supervisors:
             supervisor.start(now)
         self._phase = "running"
-        if isinstance(self.tasks, ThreadTasks):
-            self.clock.call(self._watch)
         self.tasks.start()
+        if isinstance(self.tasks, ThreadTasks):
+            self.clock.call_soon(self._watch)
 
     def bind(self) -> None:
         """Give controllers and loggers their states; may be done before the buses are opened. Raises as `start`."""

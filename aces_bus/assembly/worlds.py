@@ -13,9 +13,10 @@ from ..device import Robot, connect
 from ..device.registry import Driver, load_driver
 from ..frame import Frame
 from ..runtime import Loop, ThreadTasks, VirtualTasks
+from ..runtime.tasks import run_at
 from .buses import open_gates
 from .replay import Replay
-from .runner import Runner
+from .runner import BUSES, Runner
 from .virtual import VirtualRobot
 
 Load = Callable[[str], Driver]
@@ -56,13 +57,18 @@ def run_real(
 ) -> Runner:
     """A runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system allows it.
 
+    What raises on the buses' thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise.
     `buses` says where each is, see `gate_of`. Other options are `Runner`'s.
     """
-    loop = Loop()
+    failed: list[Callable[[BaseException], None]] = []
+    loop = Loop(failed=lambda error: failed[0](error))
     ports = open_gates(robot, loop, buses, load=load)
     rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, load=load)
     runner = Runner(rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), **options)
+    failed.append(runner.bus_failed)
     runner.before.append(loop.start)
+    if real_time:
+        runner.before.append(lambda: loop.call(lambda: run_at(BUSES)))
     runner.after.append(loop.stop)
     return runner
 

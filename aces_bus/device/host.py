@@ -624,7 +624,7 @@ class Host(Station[Device]):
             if isinstance(getattr(record, n, None), int)
         )
         self.strangers[f"{kind.__name__} {who}"] += 1
-        self.tell("stranger", "", f"{kind.__name__} of {who or 'somebody'}, which is not in this robot")
+        self.tell("stranger", "", f"{kind.__name__} of {who or 'somebody'}, which is not on this bus in the robot's file")
 
     def tell(self, kind: Kind, device: str, detail: str = "") -> None:
         """Tell what has happened; the same of one device at most once a second, all are counted."""

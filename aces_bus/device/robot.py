@@ -233,6 +233,34 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         """The devices of a bus."""
         return tuple(device for device in self.devices.values() if device.bus == bus)
 
+    def part(self, *names: str) -> Robot:
+        """The robot with nothing active but these: names of buses, devices, joints (with their whole board) or sensors.
+
+        What is inactive in the file stays so. Raises `UnknownNameError`.
+        """
+        there: set[str] = set()
+        parts: tuple[Joint | Sensor, ...] = (*self.joints.values(), *self.sensors.values())
+        for name in names:
+            if name in self.buses:
+                there |= {device.name for device in self.devices_on(name)}
+                continue
+            of = {part.device for part in parts if name == part.name or name in part.aliases}
+            if name not in self.devices and not of:
+                known = (*self.buses, *self.devices, *self.joints, *self.sensors)
+                raise UnknownNameError(f"bus, device, joint or sensor of {self.name}", name, known)
+            there |= of or {name}
+        replace = msgspec.structs.replace
+        return replace(
+            self,
+            devices={k: replace(one, active=one.active and k in there) for k, one in self.devices.items()},
+            joints={
+                k: replace(one, active=one.active and one.device in there) for k, one in self.joints.items()
+            },
+            sensors={
+                k: replace(one, active=one.active and one.device in there) for k, one in self.sensors.items()
+            },
+        )
+
     def protocol_of(self, device: DeviceConfig) -> tuple[str, str | None]:
         """Protocol and dialect (None: the protocol's default) that a device speaks."""
         bus = self.buses[device.bus]

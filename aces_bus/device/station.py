@@ -151,8 +151,8 @@ class Station(Generic[M]):
     def open(self) -> None:
         """Begin to hear; what is open stays so."""
         if not self._is_open:
-            self._is_open = True
             self.port.open(self._received)
+            self._is_open = True  # not before: what is planned already may send from another thread
 
     def close(self) -> None:
         """Hear no more."""

@@ -79,7 +79,7 @@ class CanPort:
 
             loop.call_soon(hand_over)
 
-        self._send = self._bus.send
+        self._send = _sender(self._bus)
         self._bus.__enter__()
         self._inbox = self._bus.listen(heard)
 
@@ -165,7 +165,7 @@ class SerialPort:
 
             loop.call_soon(hand_over)
 
-        self._send = self._line.send
+        self._send = _sender(self._line)
         self._line.__enter__()
         self._inbox = self._line.listen(heard)
 
@@ -175,9 +175,8 @@ class SerialPort:
             _forward(self._line, self.clock, handler)
 
     def send(self, word: bytes) -> bool:
-        """Send bytes."""
-        self._send(word)
-        return True
+        """Send bytes; False when they cannot be (the line is lost, too much waits)."""
+        return self._send(word) is not False
 
     def wire_ns(self, word: bytes) -> int:
         """How long bytes occupy the line."""
@@ -241,8 +240,7 @@ class DatagramPort:
         to = self._network.peer or self._last_source
         if to is None:
             return False
-        self._network.send(word, to)
-        return True
+        return _sender(self._network)(word, to)
 
     def wire_ns(self, word: bytes) -> int:
         """Nothing worth counting."""
@@ -257,6 +255,25 @@ class DatagramPort:
             if self._inbox is not None:
                 self._inbox.inbox.close()
             self._network.stop()
+
+
+def _sender(gate: CanGate | SerialGate | DatagramGate) -> Callable[..., bool]:
+    """What sends through a gate; False: it does not take the word.
+
+    On a bus that is lost words do not wait: sent when it is back, an old set-point would move a robot.
+    """
+    send: Callable[..., Any] = gate.send
+
+    def give(*word: Any) -> bool:
+        if gate.state != "open":
+            return False
+        try:
+            send(*word)
+        except CallerError:  # too much waits already, or not of this bus's kind
+            return False
+        return True
+
+    return give
 
 
 def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:

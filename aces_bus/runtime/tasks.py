@@ -171,6 +171,7 @@ class ThreadTasks(Tasks):
         super().__init__(failed)
         self.clock, self.real_time = clock, real_time
         self._stopping = threading.Event()
+        self._stopped_at = 0
         self._threads: list[threading.Thread] = []
 
     def start(self) -> Self:
@@ -185,6 +186,7 @@ class ThreadTasks(Tasks):
 
     def stop(self) -> None:
         """Let the ticks under way end, and the threads."""
+        self._stopped_at = self.clock.now()
         self._stopping.set()
         for thread in self._threads:
             if thread is not threading.current_thread():
@@ -198,7 +200,7 @@ class ThreadTasks(Tasks):
         while not self._stopping.is_set():
             left = due - self.clock.now()
             if left > 0 and self._wait(left):
-                return
+                break
             task.tick(due, self.clock, self.failed)
             due += task.period_ns
             now = self.clock.now()
@@ -206,6 +208,8 @@ class ThreadTasks(Tasks):
                 passed = (now - due) // task.period_ns + 1
                 task.missed += passed
                 due += passed * task.period_ns
+        if due <= self._stopped_at:  # woken too late for what was due before the end
+            task.missed += (self._stopped_at - due) // task.period_ns + 1
 
     def _wait(self, left: int) -> bool:
         """Let `left` ns pass; True when it is time to end."""

@@ -158,13 +158,11 @@ def check_set(stand: Stand) -> None:
         enable(robot)
         robot.advance(4.0)  # hold-offs
         for device, twin in stand.mine(robot):
-            goals: dict[str, tuple[float, float]] = {}
+            goals: dict[str, tuple[Any, Any]] = {}
             requests = twin.requests
             for one in device.signals.values():
                 if one.is_writable and not stand.is_excused("set", one.name):
-                    known = isinstance(one.value, int | float)
-                    start = float(one.value) if known else 0.0
-                    goals[one.name] = start, _goal(one, start)
+                    goals[one.name] = _goal(one)
                     one.set(goals[one.name][1])
             robot.advance(5.5)
             if goals:
@@ -174,14 +172,31 @@ def check_set(stand: Stand) -> None:
                     continue
                 value = device.signals[name].value
                 assert value is not UNKNOWN, f"{name} is not heard"
+                if not _is_number(goal):
+                    assert value == goal, f"{name} was set from {start!r} to {goal!r} and is {value!r}"
+                    continue
                 near = abs(value - goal) <= 0.02 * max(1, abs(goal))
                 assert near or abs(value - goal) < abs(start - goal), (
                     f"{name} was set from {start} to {goal} and is {value}"
                 )
 
 
-def _goal(one: Signal, start: float) -> float:
-    """A set-point well inside the limits, not far from where it is."""
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _goal(one: Signal) -> tuple[Any, Any]:
+    """What it is, and another value: a number well inside the limits, not far away; yes for no; a name again."""
+    value = one.value
+    if isinstance(value, bool):
+        return value, not value
+    if value is not UNKNOWN and not _is_number(value):
+        return value, value
+    start = float(value) if value is not UNKNOWN else 0.0
+    return start, _near(one, start)
+
+
+def _near(one: Signal, start: float) -> float:
     low = one.lower if one.lower is not None else start - 1.0
     high = one.upper if one.upper is not None else start + 1.0
     middle = (max(low, start - 0.5) + min(high, start + 0.5)) / 2

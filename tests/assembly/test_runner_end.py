@@ -238,3 +238,57 @@ def test_steps_are_given_the_instants_that_they_were_due() -> None:
         run = run_real(robot, [Drive(seen.append)], buses={"line": options}, load=drivers)
         run.run(5.0, until=lambda: len(seen) > 6)
     assert {(b - a) % 20_000_000 for a, b in pairwise(seen)} == {0}
+
+
+def test_what_raises_on_the_buses_thread_stops_motion() -> None:
+    """A driver's fault is told as "bug" with what it was, and ends the run."""
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-bug", "bitrate": 500_000}
+    with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
+        run = run_real(robot, [Drive()], buses={"line": options}, load=drivers)
+
+        def broken(record: Any, instant: int) -> None:
+            if run.set_points:
+                raise RuntimeError("off by one")
+
+        run.rig.devices["A"].heard = broken  # type: ignore[method-assign]
+        ended = run.run(5.0)
+    assert ended.tripped["drive"] == "buses: bug: RuntimeError: off by one"
+
+
+def test_users_code_is_never_on_a_receive_thread() -> None:
+    """Steps run on their controller's thread, handlers on that of the buses; neither on a gate's."""
+    threads: dict[str, set[str]] = {"step": set(), "handle": set()}
+
+    class Where(Drive):
+        def step(self, now_ns: int) -> Mapping[str, float]:
+            threads["step"].add(threading.current_thread().name)
+            return super().step(now_ns)
+
+        def handle(self, event: Any) -> None:
+            threads["handle"].add(threading.current_thread().name)
+
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-threads", "bitrate": 500_000}
+    with Loop("twins") as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers) as twins:
+
+        def silence(now: int) -> None:
+            if twins["A"].left > 0:  # type: ignore[attr-defined]
+                twins["A"].fault("silent")
+
+        run = run_real(robot, [Where(silence)], buses={"line": options}, load=drivers)
+        ended = run.run(10.0)
+    assert "silent" in ended.tripped["drive"]
+    assert threads == {"step": {"drive"}, "handle": {"aces loop"}}
+
+
+def test_every_deadline_is_a_step_or_missed() -> None:
+    """On threads, what a slow controller left out is counted, to the last deadline before the end."""
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-count", "bitrate": 500_000}
+    with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
+        run = run_real(robot, [Drive(lambda now: threading.Event().wait(0.05))], buses={"line": options}, load=drivers)
+        ended = run.run(0.5)
+    (task,) = run.tasks.tasks
+    assert task.missed > 5
+    assert abs(task.ticks + task.missed - 1 - 50 * ended.seconds) <= 1

@@ -141,7 +141,8 @@ def read(message: Message, image: bytes) -> Mapping[str, Any] | None:
 def test_replies_are_told_by_the_rule(name: str, direction: laws.Way) -> None:
     """Frame by frame, the scanner chooses what the model chooses."""
     told = 0
-    for variant in PROTOCOLS[name].variants()[-2:]:
+    variants = [v for v in PROTOCOLS[name].variants() if Model(v, direction).bound]
+    for variant in variants[-2:]:
         for seed in range(1, 30):
             (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed), size=700)
             model = Model(variant, direction)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from aces_tools import demo
 from tests.tools.conftest import Aces
@@ -14,7 +15,13 @@ from tests.tools.conftest import Aces
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One little knee bend."""
+    """One little knee bend, of a robot that has only the boards of hips, knees and ankles."""
+    from aces_devices import robots
+
+    whole = robots.load_robot(demo.ROBOT)
+    used = {whole.joints[name].device for name in demo.knee_bends().names}
+    devices = {name: replace(one, active=name in used) for name, one in whole.devices.items()}
+    monkeypatch.setattr(robots, "load_robot", lambda name: replace(whole, devices=devices))
     monkeypatch.setattr(demo, "BENDS", (0.0, 0.2, 0.0))
     monkeypatch.setattr(demo, "MOVE_S", 0.5)
 

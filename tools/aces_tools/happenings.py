@@ -44,6 +44,8 @@ class Happenings:
         #: Who has fallen silent, and that has not been said yet.
         self._silent: dict[str, DeviceEvent] = {}
         self._said_silent: set[str] = set()
+        #: The buses that are lost.
+        self._lost: set[str] = set()
         self._others = {
             frozenset(f"{name} {value:#04x}" for name, value in config.credentials.items())
             for config in robot.devices.values()
@@ -87,7 +89,13 @@ class Happenings:
                 say(f"{who}: answers again")
         elif event.kind == "late reply":
             pass  # counted by the rig; see `_tell_late`
+        elif event.kind == "lost":
+            self._lost.add(event.bus)
+            say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
+        elif event.kind == "not sent" and event.bus in self._lost:
+            pass  # of course
         elif not (event.kind == "stranger" and self._is_known(event.detail)):
+            self._lost -= {event.bus} if event.kind == "reopened" else set()
             hint = HINTS.get(event.kind)
             detail = f": {event.detail}" if event.detail else ""
             say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")

@@ -32,6 +32,9 @@ from .sinks import log_format, open_sink
 KEPT_S = 0.25
 #: How often the disk itself is waited for, in real time (ns).
 SYNC_NS = 1_000_000_000
+#: A disk that took rows for so long is well again, and its next trouble told (s): a full one takes a small piece now and
+#: then.
+WELL_S = 5
 #: Rows written at once.
 MOST_ROWS = 4096
 #: The queue holds at least so many rows.
@@ -109,7 +112,7 @@ class Logger:
         self._queue: deque[Row] = deque()
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
-        self._began = self._synced = 0
+        self._began = self._synced = self._good = 0
         self._is_direct = self._is_dropping = self._is_failing = False
         if self._given and len(self._given) == len(self.states):
             self.bind({})
@@ -243,10 +246,13 @@ class Logger:
                 self._fail(error, len(rows))
             else:
                 self.written += len(rows)
-                self._is_failing = False
+                self._good += len(rows)
+                if self._good >= WELL_S * self.rate_hz:
+                    self._is_failing = False
 
     def _fail(self, error: Exception, rows: int) -> None:
         self.lost += rows
+        self._good = 0
         if not self._is_failing:
             self._is_failing = True
             self._tell("log-failed", f"{self.path}: {_why(error)}; {self._total()}, and counting")

@@ -21,6 +21,7 @@ hubo = Protocol(
         "D08": "Hubo 2 (2008–2011), as acesHubo drove it",
         "D08X": "Hubo 2 by the vendor's sheet alone: its byte order of home offsets and its places of status bytes",
         "D12": "Hubo 2+ and DRC-Hubo (2012–2014)",
+        "D15": "DRC-HUBO+ and later (2015–), as RoboWorld2018 drives it",
     },
     dialect="D12",
     configurations=CONFIGURATIONS,
@@ -32,6 +33,8 @@ hubo = Protocol(
 
 #: Both readings of the older firmware.
 D08 = ("D08", "D08X")
+#: All that share the identifiers and board numbers of the first; D15 has its own (see `d15`).
+BEFORE_D15 = (*D08, "D12")
 
 #: identifier = base + board; motor boards have 0x00–0x2F, sensor boards 0x30–0x3F.
 Board = Capture("board", range(0x30), doc="motor board")
@@ -42,7 +45,9 @@ channels = hubo.configured("channels", by="board")
 sensors = hubo.configured("sensors", by="sensor")
 
 #: Every command's first bytes. One message an opcode.
-command = hubo.family(Struct("board" / Byte, "opcode" / Byte), id=0x001, direction="to device")
+command = hubo.family(
+    Struct("board" / Byte, "opcode" / Byte), id=0x001, direction="to device", dialect=BEFORE_D15
+)
 
 #: Bytes behind the known ones: absent when we send, kept when we receive.
 Rest = Default(GreedyBytes, b"")

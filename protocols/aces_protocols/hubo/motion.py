@@ -11,7 +11,7 @@ from construct import Array, Byte, Default, Int8sl, Int16sl, Int16ul, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, Quantity, SignMagnitude, Split, Tuple, bits
 
-from .base import D08, HOME_SEARCH_D08, SM24, Board, channels, command, hubo
+from .base import BEFORE_D15, D08, HOME_SEARCH_D08, SM24, Board, channels, command, hubo
 from .commands import ControlMode
 
 # ---------------------------------------------------------------------- references
@@ -20,6 +20,7 @@ Reference = hubo.message(
     "Reference",
     id=0x010 + Board,
     direction="to device",
+    dialect=BEFORE_D15,
     when=channels(1, 2),
     payload=Struct("position" / Array(2, SM24)),
     doc="Position set-points. On a one-channel board repeat the first one.",

@@ -64,7 +64,7 @@ class GetBoardInfo(Record, frozen=True):
 class SendStatus(Record, frozen=True):
     """Ask for the status. hubo-ach sends a third byte without meaning; leave it out.
 
-    to device; source: X2; hubo-ach; HuboCan
+    to device; dialects D08, D08X, D12; source: X2; hubo-ach; HuboCan
     """
     board: int
     rest: bytes
@@ -87,7 +87,7 @@ class SendEncoder(Record, frozen=True):
 class SendCurrent(Record, frozen=True):
     """Ask for the motor currents.
 
-    to device; source: X2; hubo-ach
+    to device; dialects D08, D08X, D12; source: X2; hubo-ach
     """
     board: int
 
@@ -117,7 +117,7 @@ class EncoderZero(Record, frozen=True):
 class PositionGainA(Record, frozen=True):
     """Position gains of the first motor: roll on a three-channel board, all channels on one of D12.
 
-    to device; source: X2; acesHubo; hubo-ach
+    to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach
     """
     board: int
     kp: int
@@ -127,7 +127,7 @@ class PositionGainA(Record, frozen=True):
 class PositionGainB(Record, frozen=True):
     """Position gains of the second motor: pitch and yaw on a three-channel board of D08.
 
-    to device; source: X2; acesHubo; hubo-ach
+    to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach
     """
     board: int
     kp: int
@@ -137,7 +137,7 @@ class PositionGainB(Record, frozen=True):
 class TorqueGainA(Record, frozen=True):
     """Torque (current) gains of the first motor.
 
-    to device; source: X2; hubo-ach
+    to device; dialects D08, D08X, D12; source: X2; hubo-ach
     """
     board: int
     kp: int
@@ -147,7 +147,7 @@ class TorqueGainA(Record, frozen=True):
 class TorqueGainB(Record, frozen=True):
     """Torque (current) gains of the second motor.
 
-    to device; source: X2; hubo-ach
+    to device; dialects D08, D08X, D12; source: X2; hubo-ach
     """
     board: int
     kp: int
@@ -157,7 +157,7 @@ class TorqueGainB(Record, frozen=True):
 class DriverSwitch(Record, frozen=True):
     """Switch the motor drivers (FETs); HIP enable in the sheet.
 
-    to device; source: X2; acesHubo; hubo-ach
+    to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach
     """
     board: int
     state: Literal["off", "on"] | int
@@ -176,14 +176,14 @@ class GoHome(Record, frozen=True):
 class ControlOn(Record, frozen=True):
     """Run: control the motors.
 
-    to device; source: X2; acesHubo; hubo-ach; HuboCan
+    to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach; HuboCan
     """
     board: int
 
 class ControlOff(Record, frozen=True):
     """Stop controlling the motors.
 
-    to device; source: X2; acesHubo; hubo-ach; HuboCan
+    to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach; HuboCan
     """
     board: int
 
@@ -258,10 +258,361 @@ class PowerQuery(Record, frozen=True):
     """
     board: int
 
+class ReferenceD15(Record, frozen=True):
+    """Set-points of both channels, two's complement. Of a channel in current mode: 16 bits of current, then zeros.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    position: tuple[int, int]
+    """-2147483648…2147483647 count"""
+
+class GetBoardInfoD15(Record, frozen=True):
+    """Ask what the board is; BoardInfoD15 answers. Whether a period goes with it, as in D12, is not known.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    rest: bytes
+
+class SendStatusD15(Record, frozen=True):
+    """Ask for the status.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    rest: bytes
+
+class SendEncoderD15(Record, frozen=True):
+    """Ask for the encoder positions, once or from now on.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    mode: Literal["once", "continuous"] | int
+
+class DriverSwitchD15(Record, frozen=True):
+    """Switch a channel's motor driver (FET).
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    channel: int
+    state: Literal["off", "on"] | int
+
+class _PwmD15_motor(Part, frozen=True):
+    mode: Literal["percent", "per_mille", "feed_forward_per_mille", "feed_forward_milliampere"] | int
+    duty: int
+
+class PwmD15(Record, frozen=True):
+    """Open-loop duty, or what is added to the control's, of both channels; `mode` says its unit: %, 0.1 %, 0.1 %, mA.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    motor: tuple[_PwmD15_motor, _PwmD15_motor]
+
+class ControlD15(Record, frozen=True):
+    """Control a channel, or stop controlling it.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    channel: int
+    state: Literal["off", "on"] | int
+
+class HomeD15(Record, frozen=True):
+    """Search home with the settings stored in the board.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    channel: int
+
+class PositionModeD15(Record, frozen=True):
+    """What a position set-point counts from.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    channel: int
+    mode: Literal["absolute", "incremental"] | int
+
+class MaxSpeedD15(Record, frozen=True):
+    """Largest acceleration and velocity of a channel, which is part of the opcode here only.
+
+    to device; dialect D15; source: RoboWorld2018 (fields as in D12: hubo-ach)
+    """
+    board: int
+    """motor board"""
+    channel: int
+    """channel, from 1"""
+    acceleration: int
+    velocity: int
+
+class ClearErrorD15(Record, frozen=True):
+    """Clear a channel's error bits.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    channel: int
+
+class SendTemperatureD15(Record, frozen=True):
+    """Ask for the temperatures.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    rest: bytes
+
+class FrictionD15(Record, frozen=True):
+    """Friction compensation, two commands; their fields behind the channel are not known.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    opcode: int
+    channel: int
+    rest: bytes
+
+class MaxDutyD15(Record, frozen=True):
+    """Largest duty; its form behind the channel is not known.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    channel: int
+    rest: bytes
+
+class EncoderD15(Record, frozen=True):
+    """Encoder positions of both channels; comes by itself after a continuous request.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    position: tuple[int, int]
+    """-2147483648…2147483647 count"""
+
+class _StatusD15_motor_drive(FlagSet):
+    driver_on: bool
+    control_on: bool
+    current_mode: bool
+    limit_switch: bool
+
+class _StatusD15_motor_errors(FlagSet):
+    jam: bool
+    saturated: bool
+    big_error: bool
+    input_error: bool
+    driver_fault: bool
+    encoder_fail: bool
+    current_difference: bool
+    temperature_error: bool
+
+class _StatusD15_motor_modes(FlagSet):
+    limit_1: bool
+    limit_2: bool
+    complementary: bool
+    gain_override: bool
+    friction_compensation: bool
+    incremental: bool
+    can_recovered: bool
+    reply_ok: bool
+
+class _StatusD15_motor(Part, frozen=True):
+    drive: _StatusD15_motor_drive
+    home: Literal["homed"] | int
+    errors: _StatusD15_motor_errors
+    modes: _StatusD15_motor_modes
+
+class StatusD15(Record, frozen=True):
+    """State and errors of both motors, three bytes each. Bit 3 of the errors is the input here, D12's is the encoder.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    motor: tuple[_StatusD15_motor, _StatusD15_motor]
+    rest: bytes
+
+class _StatusShortD15_motor_drive(FlagSet):
+    driver_on: bool
+    control_on: bool
+    current_mode: bool
+    limit_switch: bool
+
+class _StatusShortD15_motor_errors(FlagSet):
+    jam: bool
+    saturated: bool
+    big_error: bool
+    input_error: bool
+    driver_fault: bool
+    encoder_fail: bool
+    current_difference: bool
+    temperature_error: bool
+
+class _StatusShortD15_motor_modes(FlagSet):
+    limit_1: bool
+    limit_2: bool
+    complementary: bool
+    gain_override: bool
+    friction_compensation: bool
+    incremental: bool
+    can_recovered: bool
+    reply_ok: bool
+
+class _StatusShortD15_motor(Part, frozen=True):
+    drive: _StatusShortD15_motor_drive
+    home: Literal["homed"] | int
+    errors: _StatusShortD15_motor_errors
+    modes: _StatusShortD15_motor_modes
+
+class StatusShortD15(Record, frozen=True):
+    """StatusD15 of a board that leaves the second motor out.
+
+    from device; dialect D15; source: RoboWorld2018 (three bytes a motor)
+    """
+    board: int
+    """motor board"""
+    motor: tuple[_StatusShortD15_motor]
+    rest: bytes
+
+class BoardInfoD15(Record, frozen=True):
+    """A board's period and the version of its firmware.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    period: int
+    """0…255 ms"""
+    unknown: bytes
+    version: int
+    rest: bytes
+
+class TemperatureD15(Record, frozen=True):
+    """Temperatures of the board and of both motors; read as unsigned.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """motor board"""
+    board_temperature: float
+    """0…6553.5 °C"""
+    motor: tuple[float, float]
+    """0…6553.5 °C"""
+    rest: bytes
+
+class PowerSwitchD15(Record, frozen=True):
+    """12 V, 48 V sequencing, beeper and PC toggles; how they are said is not known.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """smart power board"""
+    rest: bytes
+
+class AlarmD15(Record, frozen=True):
+    """Sound the alarm.
+
+    to device; dialect D15; source: RoboWorld2018 (sounds as in D12: hubo-ach)
+    """
+    board: int
+    """smart power board"""
+    sound: Literal["off", "sound_1", "sound_2", "sound_3", "sound_4"] | int
+
+class BeepD15(Record, frozen=True):
+    """Beep for a time.
+
+    to device; dialect D15; source: RoboWorld2018 (unit as in D12: hubo-ach)
+    """
+    board: int
+    """smart power board"""
+    time: float
+    """0…25.5 s"""
+
+class PowerQueryD15(Record, frozen=True):
+    """Ask for voltage and current; what 0xE1 asks for beyond that is not known.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """smart power board"""
+    opcode: int
+
+class PowerD15(Record, frozen=True):
+    """The smart power board's reply.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    board: int
+    """smart power board"""
+    voltage: float
+    """0…655.35 V"""
+    current: float
+    """0…655.35 A"""
+    rest: bytes
+
+class SensorRequestD15(Record, frozen=True):
+    """Ask one sensor, or all (0xFF); modes are taken to be D12's.
+
+    to device; dialect D15; source: RoboWorld2018
+    """
+    sensor: int
+    mode: int
+    rest: bytes
+
+class ForceTorqueD15(Record, frozen=True):
+    """Force and torque: D12's fields a byte later and negated.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    sensor: int
+    """sensor id"""
+    lead: bytes
+    mx: float
+    """-327.67…327.68 N·m"""
+    my: float
+    """-327.67…327.68 N·m"""
+    fz: float
+    """-3276.7…3276.8 N"""
+    rest: bytes
+
+class ForceTorqueLateralD15(Record, frozen=True):
+    """The other three of a six-axis sensor; taken to lie and count as in the first frame.
+
+    from device; dialect D15; source: RoboWorld2018
+    """
+    sensor: int
+    """sensor id"""
+    lead: bytes
+    fx: float
+    """-3276.7…3276.8 N"""
+    fy: float
+    """-3276.7…3276.8 N"""
+    mz: float
+    """-327.67…327.68 N·m"""
+    rest: bytes
+
 class Reference(Record, frozen=True):
     """Position set-points. On a one-channel board repeat the first one.
 
-    to device; source: X2; acesHubo; hubo-ach; HuboCan (it and acesHubo send 0 as a missing second one)
+    to device; dialects D08, D08X, D12; source: X2; acesHubo; hubo-ach; HuboCan (it and acesHubo send 0 as a missing second one)
     """
     board: int
     """motor board"""
@@ -676,7 +1027,7 @@ class Current5(Record, frozen=True):
 class Encoder(Record, frozen=True):
     """Encoder positions; a one-channel board has a second slot too.
 
-    from device; source: X2; hubo-ach; HuboCan; RoboWorld2018
+    from device; dialects D08, D08X, D12; source: X2; hubo-ach; HuboCan; RoboWorld2018
     """
     board: int
     """motor board"""
@@ -686,7 +1037,7 @@ class Encoder(Record, frozen=True):
 class EncoderShort(Record, frozen=True):
     """Encoder position of a one-channel board that leaves the second slot out.
 
-    from device; source: hubo-ach (only HuboCan insists on 8 bytes)
+    from device; dialects D08, D08X, D12; source: hubo-ach (only HuboCan insists on 8 bytes)
     """
     board: int
     """motor board"""
@@ -697,7 +1048,7 @@ class EncoderShort(Record, frozen=True):
 class Encoder3(Record, frozen=True):
     """Encoder positions of a three-channel board, a DRC-Hubo hand or the Hubo 2+ neck.
 
-    from device; source: X2 (8 bytes, 6 of them used); hubo-ach; HuboCan
+    from device; dialects D08, D08X, D12; source: X2 (8 bytes, 6 of them used); hubo-ach; HuboCan
     """
     board: int
     """motor board"""
@@ -853,7 +1204,7 @@ class ImuRequest(Record, frozen=True):
 class NullSensor(Record, frozen=True):
     """Take the present reading as zero; `tilt` is of D12, single axes are of D08.
 
-    to device; source: X1; acesHubo; hubo-ach; HuboCan; RoboWorld2018
+    to device; dialects D08, D08X, D12; source: X1; acesHubo; hubo-ach; HuboCan; RoboWorld2018
     """
     board: int
     what: Literal["force_torque", "mx", "my", "fz", "tilt"] | int

@@ -11,7 +11,7 @@ from construct import Array, Byte, GreedyRange, Int16sl, Int16ul, Int32sl, Struc
 
 from aces_bus.protocol import BitLayout, Capture, Quantity, Tuple, bits
 
-from .base import D08, Board, Milliseconds, Rest, channels, hubo
+from .base import BEFORE_D15, D08, Board, Milliseconds, Rest, channels, hubo
 from .commands import (
     GetBoardInfo,
     NameInfo,
@@ -34,6 +34,7 @@ Encoder = hubo.message(
     "Encoder",
     id=0x060 + Board,
     direction="from device",
+    dialect=BEFORE_D15,
     when=channels(1, 2),
     reply_to=(SendEncoder, SendEncoderD08),
     payload=Struct("position" / Array(2, _COUNTS32)),
@@ -45,6 +46,7 @@ EncoderShort = hubo.message(
     "EncoderShort",
     id=0x060 + Board,
     direction="from device",
+    dialect=BEFORE_D15,
     when=channels(1),
     length=range(4, 8),
     reply_to=(SendEncoder, SendEncoderD08),
@@ -57,6 +59,7 @@ Encoder3 = hubo.message(
     "Encoder3",
     id=0x060 + Board,
     direction="from device",
+    dialect=BEFORE_D15,
     when=channels(3, "hand"),
     length=range(6, 9),
     reply_to=(SendEncoder, SendEncoderD08),

@@ -12,6 +12,7 @@ frame does not say which it is of (dialect), how many channels its board has (`b
 from __future__ import annotations
 
 from . import commands as commands
+from . import d15 as d15
 from . import motion as motion
 from . import parameters as parameters
 from . import replies as replies

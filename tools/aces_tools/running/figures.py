@@ -44,7 +44,9 @@ class Component:
 
 @dataclass(frozen=True)
 class BusLine:
-    """A bus: its load (`is_most`: no more than that), words a second, unanswered requests, the longest latency in ns."""
+    """A bus: its load (`is_most`: no more than that), words a second, unanswered requests, ticks that were left out, the
+    longest latency in ns.
+    """
 
     name: str
     load: float | None
@@ -52,6 +54,7 @@ class BusLine:
     sent_hz: float
     received_hz: float
     missed: int
+    ticks_missed: int
     latency_ns: int
     state: str
 
@@ -222,6 +225,7 @@ class Watch:
             sent / passed,
             received / passed,
             counts.missed,
+            counts.ticks_missed,
             counts.latency_ns,
             f"silent: {', '.join(silent)}" if silent else "",
         )

@@ -36,7 +36,8 @@ BUSES: Sequence[Column] = (
     ("load", True, 1),
     ("sent/s", True, 3),
     ("received/s", True, 4),
-    ("missed", True, 2),
+    ("unanswered", True, 2),
+    ("ticks missed", True, 6),
     ("slowest ms", True, 5),
     ("", False, 0),
 )
@@ -114,6 +115,7 @@ def _buses(buses: Sequence[BusLine], width: int) -> list[Line]:
             f"{one.sent_hz:.0f}",
             f"{one.received_hz:.0f}",
             str(one.missed),
+            str(one.ticks_missed),
             _ms(one.latency_ns),
             one.state,
         ]

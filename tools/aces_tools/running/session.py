@@ -40,6 +40,8 @@ ENABLE_S, HOME_S = 30.0, 180.0
 SWITCH_S = 0.0005
 #: Events of one kind and source that are told.
 FEW = 3
+#: What python-can says where neither the call nor its own configuration names an interface.
+NO_INTERFACE = 'interface type "None"'
 #: Modes of controllers that have come to their end.
 ENDED = ("ended", "done", "failed")
 
@@ -130,6 +132,10 @@ class Session:
             except DeviceError as error:
                 say(str(error))
                 status = 1
+            except CallerError as error:
+                if NO_INTERFACE in str(error):  # python-can's own words
+                    raise CallerError(f"{error}; say which with -i, such as -i socketcan") from error
+                raise
             finally:
                 ended = runner.stop()
                 self._stop_showing(watch, ended)
@@ -268,6 +274,7 @@ class Session:
             "cycles": sum(task.ticks for task in tasks),
             "missed": sum(task.missed for task in tasks),
             "overruns": sum(task.overruns for task in tasks),
+            "bus_ticks_missed": sum(host.counts.ticks_missed for host in runner.rig.hosts.values()),
             "set_points": runner.set_points,
             "clipped": clips,
             "events": sum(n for kind, n in watch.counts.items() if kind not in USUAL),

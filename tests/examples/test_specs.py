@@ -1,0 +1,118 @@
+"""Specs written from the README and the tutorial alone: nmea0183.py and mip.py. Short, clean, and every law holds."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from aces_bus.protocol import Protocol, Record, as_dict
+from aces_bus.protocol.lint import check_protocol
+from aces_bus.testing.fuzz import Fuzzer
+from tests.tools.conftest import Aces
+from tests.tools.conftest import aces as aces
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples"
+SPECS = ["nmea0183.py", "mip.py"]
+GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
+#: A ping, its answer, and a packet of sensor data (mip_sdk's parser accepts them).
+PING, PONG = bytes.fromhex("75650102 0201 E0C6"), bytes.fromhex("75650104 04F10100 D56A")
+
+
+@cache
+def spec(name: str) -> Protocol:
+    protocol = runpy.run_path(str(FOLDER / name))[name.removesuffix(".py")]
+    assert isinstance(protocol, Protocol)
+    return protocol
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_a_newcomers_spec_is_short_and_clean(name: str) -> None:
+    """Under 100 lines; `aces spec check` has nothing against it, and its worked examples hold."""
+    assert len((FOLDER / name).read_text(encoding="utf-8").splitlines()) < 100
+    assert [one for one in check_protocol(spec(name)) if one.level != "note"] == []
+    examples = [len(message.examples) for message in spec(name).declared]
+    assert sum(examples) >= len(examples) - 1
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_all_laws_hold(name: str) -> None:
+    """Every message is reached, and no law fails."""
+    fuzzer = Fuzzer([spec(name)], seed=183)
+    assert fuzzer.run(10 * settings().max_examples) == []
+    assert fuzzer.coverage.never() == []
+
+
+def test_sentences_are_read() -> None:
+    """Degrees out of degrees and minutes, empty fields unknown, sentences of no known type lost with their reason."""
+    scanner = spec("nmea0183.py").scanner(everything=True)
+    fix, *lost = scanner.feed(b"x" + GGA + b"$GPXXX,1*5A\r\n$GPHDT,274.07,T*04\r\n")
+    assert isinstance(fix, Record)
+    values = as_dict(fix)
+    assert (values["latitude"], values["altitude"]) == (pytest.approx(48.1173), 545.4)
+    assert (values["quality"], values["satellites"], values["age"], values["more"]) == ("gps", 8, None, [])
+    assert {one.kind for one in lost} == {"unknown", "malformed", "skipped"}
+    assert scanner.counts.balance == 0
+
+
+def test_a_sentence_is_written() -> None:
+    """What a receiver sends can be sent: address, separators and check are derived."""
+    sent = spec("nmea0183.py").encode("HDT", talker="GP", heading=274.07, t="T", more=[])
+    assert sent == b"$GPHDT,274.07,T*03\r\n"
+
+
+def test_requests_and_answers_are_told_apart() -> None:
+    """A ping looks like an answer with an unknown field: the direction says which it is."""
+    mip = spec("mip.py")
+    assert [type(one).__name__ for one in mip.scanner(direction="both").feed(PING + PONG)] == [
+        "Ping",
+        "Answer",
+    ]
+    (answer,) = mip.scanner(direction="from device").feed(PONG)
+    assert as_dict(answer) == {
+        "set": "base",
+        "fields": [{"kind": "ack", "data": {"command": 1, "code": "ok"}}],
+    }
+
+
+def test_fields_of_unknown_kinds_are_kept() -> None:
+    """A kind that nobody knows stays bytes, and is sent again as it came."""
+    mip = spec("mip.py")
+    fields = [{"kind": "gyro", "data": [0.5, 0, -1]}, {"kind": 0x99, "data": b"\x01\x02"}]
+    packet = mip.encode("Sensors", fields=fields)
+    (record,) = mip.scanner(direction="from device").feed(packet)
+    assert as_dict(record) == {"fields": fields}
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_the_tools_take_them(name: str, tmp_path: Path, aces: Aces) -> None:
+    """Decoded, explained and exported from the file, as a user would."""
+    capture = tmp_path / "session.bin"
+    capture.write_bytes(GGA if name == "nmea0183.py" else PONG)
+    decoded = aces(
+        "decode", capture, "-p", FOLDER / name, "--direction", "from", "--format", "jsonl", "--strict"
+    )
+    assert decoded.status == 0, decoded.err
+    assert json.loads(decoded.out)["message"] in {"GGA", "Answer"}
+    explained = aces("spec", "explain", FOLDER / name, capture, "--direction", "from")
+    assert explained.status == 0
+    for form in ("markdown", "wireshark"):
+        assert aces("spec", "export", FOLDER / name, "--to", form).status == 0
+    assert aces("protocols", FOLDER / name).status == 0
+
+
+def test_a_text_is_explained_field_by_field(tmp_path: Path, aces: Aces) -> None:
+    """Between separators each byte has its field, and each field is read at the separator that ends it."""
+    capture = tmp_path / "session.bin"
+    capture.write_bytes(GGA)
+    lines = aces("spec", "explain", FOLDER / "nmea0183.py", capture).out.splitlines()
+    assert "  14  latitude, 8 words: 34 38 30 37 2E 30 33 38" in lines
+    assert "  22  2C  separator      latitude = 48.1173 °" in lines
+    assert "  61  2C  separator      age = None" in lines
+    assert any(line.endswith("check") for line in lines)
+    listed = aces("protocols", FOLDER / "nmea0183.py").out
+    assert "type='GGA'" in listed

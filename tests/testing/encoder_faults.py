@@ -1,0 +1,87 @@
+"""Faults of encoders: what goes out is not what construct would build.
+
+1. They are planted in the printed encoders alone; construct, which judges them, stays whole.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aces_bus.protocol.codegen import encoder, print_encode
+from tests.testing.faults import Fault, Patch
+from tests.testing.victims import a_bus, a_line, hubo
+
+
+def printed(patch: Patch, *changes: tuple[str, str]) -> None:
+    """Change the text of printed encoders."""
+    good = encoder.print_encoder
+
+    def bad(*args: Any) -> list[str]:
+        text = "\n".join(good(*args))
+        for old, new in changes:
+            text = text.replace(old, new)
+        return text.split("\n")
+
+    patch.setattr(encoder, "print_encoder", bad)
+
+
+def a_scale_is_ten_times_too_large(patch: Patch) -> None:
+    printed(patch, (" / 0.1", " / 1.0"), (" / 0.5", " / 5.0"))
+
+
+def what_is_scaled_is_cut_off(patch: Patch) -> None:
+    printed(patch, ("round(", "int("))
+
+
+def a_sign_is_lost(patch: Patch) -> None:
+    printed(patch, ('"<Bhb', '"<BHb'), ('"<h', '"<H'), ("round(", "abs(round("), (" / 0.1)", " / 0.1))"))
+
+
+def numbers_go_out_big_endian(patch: Patch) -> None:
+    printed(patch, ('Struct("<', 'Struct(">'))
+
+
+def a_constant_is_another(patch: Patch) -> None:
+    printed(patch, ("b'\\x07'", "b'\\x06'"), ("b'\\x01'", "b'\\x02'"))
+
+
+def a_name_is_another_number(patch: Patch) -> None:
+    printed(patch, ("'on': 1", "'on': 0"))
+
+
+def a_part_of_a_split_field_is_dropped(patch: Patch) -> None:
+    printed(patch, (" << 16", " << 24 & 0"))
+
+
+def a_range_is_not_looked_at(patch: Patch) -> None:
+    good = print_encode._Encoder._unscaled
+
+    def unscaled(self: Any, step: Any, text: str, scalar: Any) -> str:
+        from dataclasses import replace
+
+        return good(self, replace(step, bounds=None, raw_bounds=None), text, scalar)
+
+    patch.setattr(print_encode._Encoder, "_unscaled", unscaled)
+
+
+def a_field_that_is_none_is_ignored(patch: Patch) -> None:
+    printed(patch, ("if len(fields) != ", "if len(fields) < "))
+
+
+def a_captured_number_goes_elsewhere(patch: Patch) -> None:
+    printed(patch, ("0x10 + ", "0x11 + "))
+
+
+ENCODER_FAULTS = (
+    Fault(a_scale_is_ten_times_too_large, a_bus, (2,), 1),
+    Fault(a_scale_is_ten_times_too_large, a_line, (2,), 8),
+    Fault(what_is_scaled_is_cut_off, a_bus, (2,), 1),
+    Fault(a_sign_is_lost, a_bus, (2,), 1),
+    Fault(numbers_go_out_big_endian, a_bus, (2,), 1),
+    Fault(a_constant_is_another, a_bus, (2,), 1),
+    Fault(a_name_is_another_number, a_bus, (2,), 1),
+    Fault(a_part_of_a_split_field_is_dropped, a_bus, (2,), 1),
+    Fault(a_range_is_not_looked_at, hubo, (2,), 1),
+    Fault(a_field_that_is_none_is_ignored, a_bus, (2,), 1),
+    Fault(a_captured_number_goes_elsewhere, a_bus, (2,), 1),
+)

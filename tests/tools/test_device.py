@@ -1,0 +1,355 @@
+"""`aces device`: what it shows, reads, sets and does; what it refuses before a bus is opened; how it ends."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aces_tools import device_do
+from aces_tools.robot_arg import chosen_robot
+from aces_tools.sim_stand import Stand
+from tests.tools.conftest import Aces
+from tests.tools.live import interrupt
+
+ROBOT = """
+name = "leg"
+rate_hz = 100
+
+[buses]
+can = { link = "can", protocol = "hubo", dialect = "D12", bitrate = 1_000_000, channel = "leg0" }
+line = { link = "serial", protocol = "robotis", baud = 1_000_000 }
+
+[devices]
+JMC0 = { driver = "hubo_motor", bus = "can", credentials = { board = 0 }, channels = 2 }
+JMC1 = { driver = "hubo_motor", bus = "can", credentials = { board = 1 }, channels = 1 }
+JMC2 = { driver = "hubo_motor", bus = "can", credentials = { board = 2 }, channels = 1, active = false }
+S7 = { driver = "robotis_rx", bus = "line", credentials = { id = 7 }, model = "RX-28" }
+
+[joints]
+YAW = { device = "JMC0", channel = 0, gear = [10, 25], harmonic = 100, encoder = 4000, lower = -1.5, upper = 1.5, aliases = ["HY"] }
+ROLL = { device = "JMC0", channel = 1, gear = [10, 25], harmonic = 100, encoder = 4000, lower = -1.5, upper = 1.5 }
+KNEE = { device = "JMC1", channel = 0, gear = [10, 25], harmonic = 100, encoder = 4000 }
+TOE = { device = "S7", channel = 0, lower = -1.0, upper = 1.0 }
+"""
+
+
+@pytest.fixture
+def leg(tmp_path: Path) -> str:
+    """A robot's file: two motor boards on CAN, a servo on a serial line."""
+    path = tmp_path / "leg.toml"
+    path.write_text(ROBOT, encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture
+def virtual(aces: Aces, leg: str) -> Any:
+    """`aces device …` on this robot's twins."""
+    return lambda *arguments: aces("device", *arguments, "--robot", leg, "--virtual")
+
+
+# ---------------------------------------------------------------------- what there is
+
+
+def test_the_devices_of_a_robot(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a name the robot's devices are listed with their joints, the inactive marked; ACES_ROBOT names the robot."""
+    monkeypatch.setenv("ACES_ROBOT", leg)
+    shown = aces("device")
+    assert shown.status == 0
+    assert [line.split()[0] for line in shown.out.splitlines()] == ["JMC0", "JMC1", "JMC2", "S7"]
+    assert "YAW ROLL" in shown.out
+    assert "(inactive)" in shown.out.splitlines()[2]
+    rows = json.loads(aces("device", "--json").out)
+    assert rows[0]["joints"] == ["YAW", "ROLL"]
+    assert rows[3]["credentials"] == {"id": 7}
+
+
+def test_no_robot_is_said_with_those_that_ship(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a robot the call is wrong, and the message lists the robots."""
+    monkeypatch.delenv("ACES_ROBOT", raising=False)
+    said = aces("device", "YAW")
+    assert said.status == 2
+    assert "hubo2plus" in said.err
+    assert "ACES_ROBOT" in said.err
+
+
+def test_what_a_joint_has(aces: Aces, leg: str) -> None:
+    """A joint's name shows its signals with its board's own and the actions; other joints' signals are not there."""
+    shown = aces("device", "HY", "-r", leg)
+    assert shown.status == 0
+    assert "YAW.position" in shown.out
+    assert "-1.5…1.5" in shown.out
+    assert "ROLL" not in shown.out
+    assert "parameters*" in shown.out
+    whole = json.loads(aces("device", "JMC0", "-r", leg, "--json").out)
+    assert whole["signals"]["ROLL.position"] == {
+        "unit": "rad",
+        "read": True,
+        "set": True,
+        "lower": -1.5,
+        "upper": 1.5,
+        "doc": whole["signals"]["ROLL.position"]["doc"],
+    }
+    assert whole["actions"]["override_gains"]["arguments"]["first"] is True
+    assert whole["actions"]["parameters"]["asks"] is True
+    assert whole["actions"]["home"]["asks"] is False
+
+
+def test_a_narrow_terminal(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No line is wider than the terminal; in a pipe nothing is wrapped."""
+    whole = aces("device", "YAW", "-r", leg).out
+    monkeypatch.setattr("aces_tools.device_text.sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "60")
+    shown = aces("device", "YAW", "-r", leg).out
+    assert max(map(len, shown.splitlines())) <= 60
+    assert len(shown.splitlines()) > len(whole.splitlines())
+    assert shown.split() == whole.split()
+
+
+# ---------------------------------------------------------------------- get and watch
+
+
+def test_get(virtual: Any) -> None:
+    """`get` prints each value with its unit on stdout and nothing on stderr; names choose."""
+    got = virtual("YAW", "get")
+    assert got.status == 0
+    assert got.err == ""
+    assert "YAW.position" in got.out
+    assert " rad\n" in got.out
+    assert [line.split()[0] for line in virtual("YAW", "get", "position").out.splitlines()] == ["YAW.position"]
+    assert virtual("YAW.position", "get").out == virtual("JMC0", "get", "YAW.position").out
+
+
+def test_get_as_json(virtual: Any) -> None:
+    """As JSON each signal has value, unit and age."""
+    whole = json.loads(virtual("JMC0", "get", "position", "status", "--json").out)
+    assert set(whole) == {"YAW.position", "ROLL.position", "YAW.status", "ROLL.status"}
+    assert whole["YAW.position"] == {"value": 0.0, "unit": "rad", "age_s": whole["YAW.position"]["age_s"]}
+    assert 0 <= whole["YAW.position"]["age_s"] < 1
+    assert whole["YAW.status"]["value"] == []
+
+
+def test_watch_in_a_pipe(virtual: Any) -> None:
+    """`watch` prints a head and a line each time; as JSON an object a line."""
+    lines = virtual("YAW", "watch", "position", "velocity", "--for", "0.5s", "--every", "100ms").out.splitlines()
+    assert lines[0].split() == ["time", "YAW.position", "YAW.velocity"]
+    assert [line.split()[0] for line in lines[1:]] == ["0.100", "0.200", "0.300", "0.400", "0.500"]
+    objects = virtual("YAW", "watch", "position", "--for", "0.2s", "--json").objects
+    assert objects == [{"time": 0.1, "YAW.position": 0.0}, {"time": 0.2, "YAW.position": 0.0}]
+
+
+def test_watch_ends_with_ctrl_c(virtual: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends `watch` as if its time were up."""
+    shown: list[float] = []
+
+    def show(seconds: float, signals: Any) -> None:
+        shown.append(seconds)
+        if len(shown) == 3:
+            interrupt()
+
+    monkeypatch.setattr(device_do.Doing, "_print_line", staticmethod(show))
+    assert virtual("YAW", "watch", "position").status == 0
+    assert len(shown) == 3
+
+
+def test_watch_on_a_terminal(virtual: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal a table is kept up to date, with the last state left on it."""
+    monkeypatch.setattr("aces_tools.device_do.sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    shown = virtual("YAW", "watch", "--for", "0.1s", "--every", "0.05s")
+    assert shown.status == 0
+    assert "YAW.position" in shown.out
+    assert "none" in shown.out  # no error bits
+
+
+# ---------------------------------------------------------------------- set
+
+
+def test_set(virtual: Any) -> None:
+    """A set-point goes out enabled, and what it came to is shown; degrees are understood."""
+    made = virtual("KNEE", "set", "position=0.2", "--enable", "--for", "2s")
+    assert made.status == 0, made
+    assert made.out.startswith("KNEE.position: set to 0.2 rad, is 0.2")
+    made = virtual("KNEE", "set", "position=10deg", "--enable", "--for", "2s", "--json")
+    assert json.loads(made.out)["KNEE.position"] == pytest.approx(0.1745, abs=0.002)
+
+
+def test_a_set_point_beyond_its_limits_is_told(virtual: Any) -> None:
+    """It is limited, and stderr says to what."""
+    made = virtual("YAW", "set", "position=9", "--enable", "--for", "0.1s")
+    assert made.status == 0
+    assert any("limited: YAW.position: 9 is above 1.5 rad" in line for line in made.messages)
+
+
+def test_set_without_enabling(virtual: Any) -> None:
+    """A joint that is not enabled follows nothing: status 1, one line, and what to do."""
+    made = virtual("YAW", "set", "position=0.1", "--for", "0.2s")
+    assert made.status == 1
+    assert made.messages == ["YAW: not enabled, so it follows no set-points; add --enable"]
+
+
+# ---------------------------------------------------------------------- actions
+
+
+def test_an_action_with_progress_and_result(virtual: Any) -> None:
+    """An action's result is shown; as JSON it is an object."""
+    assert virtual("KNEE", "home").out == "KNEE home: KNEE\n"
+    found = virtual("JMC0", "parameters")
+    assert found.out.startswith("JMC0 parameters: done\n")
+    assert "    YAW\n" in found.out
+    whole = json.loads(virtual("JMC0", "parameters", "--json").out)
+    assert whole["action"] == "parameters"
+    assert whole["result"]["channels"]["YAW"]["kp"] == 200
+    assert json.loads(virtual("TOE", "read", "name=alarm_led", "--json").out)["result"] == ["overheating", "overload"]
+
+
+def test_an_action_that_is_interrupted(virtual: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends a job, stops what moves, and is status 1."""
+    stopped: list[bool] = []
+    stop, wait = device_do.Doing.stop, device_do.Doing.wait
+
+    def waits(doing: Any, until: Any, duration: int) -> bool:
+        if not doing.patience.is_over and doing.device.last_heard is not None:
+            interrupt()
+        return wait(doing, until, duration)
+
+    monkeypatch.setattr(device_do.Doing, "stop", lambda doing: (stopped.append(True), stop(doing))[1])
+    monkeypatch.setattr(device_do.Doing, "wait", waits)
+    made = virtual("KNEE", "home")
+    assert made.status == 1
+    assert made.messages == ["KNEE home: interrupted, and stopped"]
+    assert stopped == [True]
+
+
+def test_an_action_that_fails(virtual: Any) -> None:
+    """What a device refuses is status 1 and one line."""
+    made = virtual("TOE", "set_id", "number=300")
+    assert made.status in (1, 2)
+    assert len(made.messages) == 1
+
+
+# ---------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("YAWW", "get"), "did you mean 'YAW'"),
+        (("get", "YAW"), "aces device NAME get"),
+        (("JMC2", "get"), "JMC2 is listed as inactive"),
+        (("YAW", "get", "speed"), "no signal of YAW named 'speed'"),
+        (("YAW", "fly"), "no action of JMC0 (hubo_motor) named 'fly'"),
+        (("YAW", "set"), "set what?"),
+        (("YAW", "set", "position"), "write NAME=VALUE"),
+        (("YAW", "set", "position=far"), "'far' is no number of rad, or degrees: 30deg"),
+        (("YAW", "set", "position=nan"), "nan is no number of rad"),
+        (("YAW", "set", "position=1e999"), "inf is no number of rad"),
+        (("YAW", "set", "position=true"), "True is no number of rad"),
+        (("YAW", "set", "position=1", "position=2"), "position is given twice"),
+        (("YAW", "set", "current=1"), "YAW.current can only be read (to be set: YAW.position)"),
+        (("JMC0", "override_gains", "first=1"), "override_gains needs second=…"),
+        (("YAW", "set_gains", "kx=1"), "no argument of set_gains named 'kx'"),
+        (("YAW", "get", "--enable"), "--enable is for 'set'"),
+        (("YAW", "home", "--for", "3s"), "--for is for 'set' and 'watch'"),
+        (("YAW", "watch", "--every", "often"), "--every 'often' is not a duration"),
+        (("YAW", "get", "--bus", "can=can0"), "--virtual has no buses"),
+    ],
+)
+def test_a_wrong_call(virtual: Any, arguments: tuple[str, ...], said: str) -> None:
+    """A wrong call is status 2, one line that says what would be right, and nothing on stdout."""
+    made = virtual(*arguments)
+    assert made.status == 2
+    assert said in made.err
+    assert made.out == ""
+    assert len(made.err.splitlines()) == 1
+
+
+def test_nothing_is_changed_without_tx(aces: Aces, leg: str) -> None:
+    """On real buses whatever changes a device needs --tx, and says so before a bus is opened."""
+    for arguments in (("YAW", "home"), ("YAW", "set", "position=0")):
+        made = aces("device", *arguments, "-r", leg, "--bus", "can=unix:nobody")
+        assert made.status == 1
+        assert "nothing was sent; add --tx" in made.err
+
+
+def test_a_bus_that_cannot_be_opened(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It is named, with what to write; status 2."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("CAN_INTERFACE", raising=False)
+    assert "bus line: where is it? The robot's file does not say: --bus line=" in aces(
+        "device", "TOE", "get", "-r", leg
+    ).err
+    gone = aces("device", "TOE", "get", "-r", leg, "--bus", "line=/dev/ttyNobody")
+    assert gone.err == "aces: bus line (/dev/ttyNobody) cannot be opened: No such file or directory\n"
+    none = aces("device", "YAW", "get", "-r", leg, "-i", "aces")
+    assert none.status == 2
+    assert "bus can (unix:leg0) cannot be opened" in none.err
+    assert "aces sim ROBOT" in none.err
+    assert "no bus of leg named 'cam'; did you mean 'can'" in aces(
+        "device", "YAW", "get", "-r", leg, "--bus", "cam=can0"
+    ).err
+
+
+# ---------------------------------------------------------------------- on buses that others are on
+
+
+@pytest.fixture
+def stand(leg: str, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+    """The robot's twins on a served bus and a pseudo-terminal, with threads of their own."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+    robot = chosen_robot(leg)
+    with ExitStack() as stack:
+        yield Stand(robot, {name: {} for name in robot.buses}, 0, stack)
+
+
+def test_on_a_served_bus(aces: Aces, leg: str, stand: Stand) -> None:
+    """Through a real bus values are read, with another program on it, and without a word on stderr."""
+    others: list[int] = []
+    robot = chosen_robot(leg)
+
+    def another() -> None:
+        from argparse import Namespace
+
+        from aces_tools.robot_arg import opened
+
+        options = Namespace(bus=[], interface="aces", baud=None, virtual=False)
+        from aces_tools.device import alone
+
+        with opened(alone(robot, "JMC1"), options, rate_hz=100) as live:
+            heard = live.clock.wait(lambda: live.rig["KNEE.position"].instant is not None, 10_000_000_000)
+            others.append(heard)
+
+    thread = threading.Thread(target=another)
+    thread.start()
+    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+    thread.join(20)
+    assert others == [True]
+    assert (got.status, got.out) == (0, "YAW.position  0 rad\n")
+    assert got.err == ""
+    assert aces("device", "JMC0", "parameters", "-r", leg, "-i", "aces").status == 0  # only asks: no --tx
+
+
+def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: Stand) -> None:
+    """A servo answers through its line; asking needs no --tx."""
+    path = stand.reached["line"]["address"]
+    got = aces("device", "TOE", "ping", "-r", leg, "--bus", f"line={path}")
+    assert (got.status, got.out) == (0, "TOE ping: none\n"), got.err
+
+
+def test_a_device_that_is_not_there(aces: Aces, leg: str, stand: Stand) -> None:
+    """`get` says who does not answer and what to look at; `set` and actions do nothing; status 1."""
+    stand.simulation["JMC0"].fault("silent")
+    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+    assert (got.status, got.out) == (1, "YAW.position  unknown\n")
+    assert len(got.messages) == 1
+    assert got.messages[0].startswith("JMC0: silent:")
+    assert "is it powered, on bus can, and board 0x00? `aces scan`" in got.messages[0]
+    made = aces("device", "YAW", "set", "position=0", "--enable", "--tx", "-r", leg, "-i", "aces")
+    assert made.status == 1
+    assert len(made.messages) == 1
+    assert "does not answer: nothing was set" in made.messages[0]
