@@ -70,10 +70,8 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
         ended = run.run(pattern.duration_s + 10, until=lambda: player.mode == "ended")
     end = ", ".join(ended.tripped.values()) or "nothing went wrong"
     print(f"{player.mode} after {ended.seconds:.2f} s; {end}")
-    print(
-        "from the row before, at most (rad):",
-        ", ".join(f"{name} {error:.3f}" for name, error in worst.items()),
-    )
+    furthest = sorted(worst, key=worst.__getitem__, reverse=True)[:4]
+    print("furthest from the row before:", ", ".join(f"{name} {worst[name]:.3f} rad" for name in furthest))
     return worst
 
 

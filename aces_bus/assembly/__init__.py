@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from .buses import gate_of as gate_of
     from .buses import open_gates as open_gates
     from .buses import port_for as port_for
+    from .parts import Ended as Ended
     from .replay import Replay as Replay
-    from .runner import Ended as Ended
     from .runner import Runner as Runner
     from .states import States as States
     from .virtual import VirtualRobot as VirtualRobot
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .worlds import run_virtual as run_virtual
 
 _PLACES = {
-    "Ended": "runner",
+    "Ended": "parts",
     "Replay": "replay",
     "Runner": "runner",
     "States": "states",

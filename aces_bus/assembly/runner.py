@@ -17,8 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
 from ..controller.events import Listeners
@@ -27,6 +26,7 @@ from ..device import UNKNOWN, Device, DeviceEvent, Rig
 from ..device.ticket import together
 from ..errors import AcesError, CallerError, DeviceError, UnknownNameError
 from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from .parts import Ended, Recorder
 from .states import States
 
 T = TypeVar("T")
@@ -47,53 +47,6 @@ WATCH, LOOK = 20_000_000, 1_000_000
 OF_LOGS = ("log-failed", "log-dropped")
 #: What fails again and again is told this often (ns).
 TELL_EVERY = 1_000_000_000
-
-
-class Recorder(Protocol):
-    """What a runner asks of a logger."""
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        ...
-
-    @property
-    def rate_hz(self) -> float:
-        """How often it samples."""
-        ...
-
-    @property
-    def states(self) -> Sequence[str]:
-        """The names of the states that it records."""
-        ...
-
-    def bind(self, states: Mapping[str, Any]) -> None:
-        """Take them."""
-        ...
-
-    def start(self, now: int) -> None:
-        """Begin."""
-        ...
-
-    def step(self, now: int) -> None:
-        """Sample once; must not block."""
-        ...
-
-    def stop(self, now: int) -> None:
-        """End: all is on disk."""
-        ...
-
-
-@dataclass
-class Ended:
-    """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
-    end itself.
-    """
-
-    reason: str
-    tripped: dict[str, str]
-    seconds: float
-    failed: list[str] = field(default_factory=list[str])
 
 
 class Runner:

@@ -59,8 +59,9 @@ BUDGET = 0.9
 class HostCounts:
     """What went over a host's bus, in words; latencies in ns.
 
-    `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for another tick. `cycle_ns` is the longest time from a tick to the
-    last answer to what was asked in it, `latency_ns` that of a single request.
+    `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for
+    another tick. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it, `latency_ns` that of
+    a single request.
     """
 
     ticks: int = 0
@@ -624,7 +625,11 @@ class Host(Station[Device]):
             if isinstance(getattr(record, n, None), int)
         )
         self.strangers[f"{kind.__name__} {who}"] += 1
-        self.tell("stranger", "", f"{kind.__name__} of {who or 'somebody'}, which is not on this bus in the robot's file")
+        self.tell(
+            "stranger",
+            "",
+            f"{kind.__name__} of {who or 'somebody'}, which is not on this bus in the robot's file",
+        )
 
     def tell(self, kind: Kind, device: str, detail: str = "") -> None:
         """Tell what has happened; the same of one device at most once a second, all are counted."""

@@ -59,9 +59,9 @@ class Timer:
 
     __slots__ = ("action", "instant")
 
-    def __init__(self, instant: int, action: Callable[[], None]) -> None:
+    def __init__(self, instant: int, action: Callable[[], object]) -> None:
         self.instant = instant
-        self.action: Callable[[], None] | None = action
+        self.action: Callable[[], object] | None = action
 
     def cancel(self) -> None:
         """It will not happen; after it has, this does nothing."""
@@ -94,7 +94,7 @@ class VirtualClock:
         """This instant, in ns."""
         return self._now
 
-    def call_at(self, instant: int, action: Callable[[], None]) -> Timer:
+    def call_at(self, instant: int, action: Callable[[], object]) -> Timer:
         """Plan `action` for `instant` (ns); one that has passed happens at the next advance, at its present time."""
         if instant < self._now:
             instant = self._now
@@ -103,18 +103,18 @@ class VirtualClock:
         heapq.heappush(self._events, (instant, self._count, timer))
         return timer
 
-    def post(self, instant: int, action: Callable[[], None]) -> None:
+    def post(self, instant: int, action: Callable[[], object]) -> None:
         """Plan what nobody will take back: `call_at` without its `Timer`, which is what most events cost."""
         if instant < self._now:
             instant = self._now
         self._count += 1
         heapq.heappush(self._events, (instant, self._count, action))
 
-    def call_in(self, delay: int, action: Callable[[], None]) -> Timer:
+    def call_in(self, delay: int, action: Callable[[], object]) -> Timer:
         """Plan `action` for `delay` ns from now."""
         return self.call_at(self._now + delay, action)
 
-    def call_soon(self, action: Callable[[], None]) -> None:
+    def call_soon(self, action: Callable[[], object]) -> None:
         """Plan `action` for this very instant, behind what is planned for it already."""
         self.post(self._now, action)
 

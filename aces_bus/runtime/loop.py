@@ -26,19 +26,19 @@ T = TypeVar("T")
 class EventClock(Clock, Protocol):
     """A clock on which things can be planned: `VirtualClock` and `Loop`."""
 
-    def call_at(self, instant: int, action: Callable[[], None]) -> Timer:
+    def call_at(self, instant: int, action: Callable[[], object]) -> Timer:
         """Plan `action` for `instant` (ns)."""
         ...
 
-    def call_in(self, delay: int, action: Callable[[], None]) -> Timer:
+    def call_in(self, delay: int, action: Callable[[], object]) -> Timer:
         """Plan `action` for `delay` ns from now."""
         ...
 
-    def post(self, instant: int, action: Callable[[], None]) -> None:
+    def post(self, instant: int, action: Callable[[], object]) -> None:
         """Plan what nobody will take back."""
         ...
 
-    def call_soon(self, action: Callable[[], None]) -> None:
+    def call_soon(self, action: Callable[[], object]) -> None:
         """Do it next; the only method that other threads may call."""
         ...
 
@@ -74,21 +74,21 @@ class Loop(RealClock):
 
     # ------------------------------------------------------------------ planning
 
-    def call_at(self, instant: int, action: Callable[[], None]) -> Timer:
+    def call_at(self, instant: int, action: Callable[[], object]) -> Timer:
         """Plan `action` for `instant` (ns); one that has passed is done at once."""
         timer = Timer(instant, action)
         self._push(instant, timer)
         return timer
 
-    def call_in(self, delay: int, action: Callable[[], None]) -> Timer:
+    def call_in(self, delay: int, action: Callable[[], object]) -> Timer:
         """Plan `action` for `delay` ns from now."""
         return self.call_at(self.now() + delay, action)
 
-    def post(self, instant: int, action: Callable[[], None]) -> None:
+    def post(self, instant: int, action: Callable[[], object]) -> None:
         """Plan what nobody will take back."""
         self._push(instant, action)
 
-    def call_soon(self, action: Callable[[], None]) -> None:
+    def call_soon(self, action: Callable[[], object]) -> None:
         """Do it next, on the loop's thread."""
         self._push(0, action)
 

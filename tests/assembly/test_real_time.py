@@ -62,7 +62,7 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
     for name, host in run.rig.hosts.items():
         c = host.counts
         print(
-            f"\n{name}: {c.ticks} ticks, {c.ticks_missed} left out, {c.missed} requests unanswered in time, {c.latency_ns / 1e6:.1f} ms at most",
+            f"\n{name}: {c.ticks} ticks, {c.ticks_missed} left out, {c.missed} unanswered, {c.latency_ns / 1e6:.1f} ms",
             end="",
         )
     print(f"\n{task}\nCPU {cpu / wall:.0%} of one core; {ended}")

@@ -270,7 +270,10 @@ def test_users_code_is_never_on_a_receive_thread() -> None:
 
     robot = robot_of(ROBOT)
     options = {"interface": "aces", "channel": "test-threads", "bitrate": 500_000}
-    with Loop("twins") as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers) as twins:
+    with (
+        Loop("twins") as loop,
+        simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers) as twins,
+    ):
 
         def silence(now: int) -> None:
             if twins["A"].left > 0:  # type: ignore[attr-defined]
@@ -287,7 +290,9 @@ def test_every_deadline_is_a_step_or_missed() -> None:
     robot = robot_of(ROBOT)
     options = {"interface": "aces", "channel": "test-count", "bitrate": 500_000}
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
-        run = run_real(robot, [Drive(lambda now: threading.Event().wait(0.05))], buses={"line": options}, load=drivers)
+        run = run_real(
+            robot, [Drive(lambda now: threading.Event().wait(0.05))], buses={"line": options}, load=drivers
+        )
         ended = run.run(0.5)
     (task,) = run.tasks.tasks
     assert task.missed > 5

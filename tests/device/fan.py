@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import tau
-from typing import Any
+from typing import Any, ClassVar
 
 from construct import Byte, Int8sl, Int16ul, Struct, this
 
@@ -28,8 +29,8 @@ RPM = tau / 60
 class Fan(Device):
     """Two fans on one board: one set-point frame, one request."""
 
-    protocol: Any = fan
-    polls = (Poll("Ask", reply="State"),)
+    protocol: ClassVar[str | Protocol] = fan
+    polls: Sequence[Poll] = (Poll("Ask", reply="State"),)
     streams = ("Set",)
     provides = (
         signal("left", unit="rad/s", of="State.left", set="Set.left", scale=RPM, lower=0, upper=300),
@@ -48,7 +49,7 @@ class Fan(Device):
 class FanTwin(Twin):
     """A fan that has its speed at once."""
 
-    protocol: Any = fan
+    protocol: ClassVar[str | Protocol] = fan
 
     def setup(self) -> None:
         self.left = self.right = 0

@@ -39,7 +39,10 @@ def test_two_claims_on_a_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
         return points
 
     monkeypatch.setattr(registry, "entry_points", entry_points)
-    points[:] = [EntryPoint("fan", "one:driver", registry.GROUP), EntryPoint("fan", "two:driver", registry.GROUP)]
+    points[:] = [
+        EntryPoint("fan", "one:driver", registry.GROUP),
+        EntryPoint("fan", "two:driver", registry.GROUP),
+    ]
     with pytest.raises(SpecError, match="one:driver and two:driver"):
         list_drivers()
     points[:] = [EntryPoint("fan", "math:pi", registry.GROUP)]
@@ -52,7 +55,7 @@ def test_two_claims_on_a_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_driver_is_whole(name: str) -> None:
-    """Each has a doc, a source, a README with its sources beside it, an installed protocol, and an example without errors."""
+    """Each has a doc, a source, a README beside it, an installed protocol, and an example without errors."""
     driver: Driver = load_driver(name)
     assert driver.doc
     assert driver.source

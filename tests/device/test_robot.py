@@ -172,8 +172,8 @@ def test_any_text_and_number_is_printed_and_read(doc: str, lower: float, offset:
         ),
         (
             '"D12"',
-            '"D13"',
-            "r.toml:5: buses.upper.dialect: no dialect of hubo named 'D13'; did you mean 'D12'?",
+            '"D112"',
+            "r.toml:5: buses.upper.dialect: no dialect of hubo named 'D112'; did you mean 'D12'?",
         ),
         ("bitrate = 1_000_000", "baud = 9600", "r.toml:5: buses.upper.baud: belongs to link = 'serial'"),
         (

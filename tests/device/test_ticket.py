@@ -91,6 +91,6 @@ def test_waiting_too_long_says_for_what() -> None:
         return 1
 
     job = Job(clock, "slow", slow)
-    with pytest.raises(DeviceError, match="slow.*not over after 1 s"):
+    with pytest.raises(DeviceError, match=r"slow.*not over after 1 s"):
         job.wait(1)
     assert job.wait(20) == 1

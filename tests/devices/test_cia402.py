@@ -182,9 +182,11 @@ def test_velocity_and_torque_modes_take_their_own_set_points() -> None:
 
 
 def test_a_mode_that_the_drive_does_not_have_is_told() -> None:
-    """Interpolated position is not among the twin's modes: after a second the driver says so."""
-    with _running() as robot, pytest.raises(DeviceError, match="does not go into mode interpolated_position"):
-        robot.devices["D"].set_mode("interpolated_position").wait(5)
+    """Without cyclic torque among the drive's modes: after a second the driver says so."""
+    with _running() as robot:
+        robot.twins["D"].axes[0].objects[0x6502] = 0x3
+        with pytest.raises(DeviceError, match="does not go into mode cyclic_torque"):
+            robot.devices["D"].set_mode("cyclic_torque").wait(5)
 
 
 def test_objects_that_no_pdo_has_go_over_sdo() -> None:

@@ -56,7 +56,7 @@ class Bench:
     def __init__(self, robot: VirtualRobot) -> None:
         self.robot = robot
         (wire,) = robot.wires.values()
-        self.recorder = Recorder(wire)  # type: ignore[arg-type]
+        self.recorder = Recorder(wire)
 
     @property
     def device(self) -> HuboMotor:
@@ -111,7 +111,7 @@ def same(value: Any, wanted: Any) -> bool:
     if isinstance(wanted, dict):
         return all(same(getattr(value, name), part) for name, part in wanted.items())
     if isinstance(wanted, list) and isinstance(value, int):
-        return set(value) == set(wanted)  # type: ignore[call-overload]
+        return bool(set(value) == set(wanted))  # type: ignore[call-overload]
     if isinstance(wanted, (list, tuple)):
         return len(value) == len(wanted) and all(same(a, b) for a, b in zip(value, wanted, strict=True))
     if isinstance(wanted, float):
@@ -335,7 +335,7 @@ def hubo2() -> Robot:
 def test_hubo_2_is_introduced_as_it_was() -> None:
     """Enabling the Hubo 2 sends each board the NameInfo frame that acesHubo sent the robot, and its gains."""
     with VirtualRobot(hubo2(), load=lambda _: driver) as robot:
-        recorders = [Recorder(wire) for wire in robot.wires.values()]  # type: ignore[arg-type]
+        recorders = [Recorder(wire) for wire in robot.wires.values()]
         robot.advance(0.9)
         robot.rig.each("enable").wait()
         told = {
@@ -355,7 +355,7 @@ def test_hubo_2_is_introduced_as_it_was() -> None:
 def test_home_searches_of_hubo_2_are_what_the_robot_was_sent() -> None:
     """Offsets go out high byte first, RWY's with its high bits cut off, as acesHubo sent them (facts, section 5.3)."""
     with VirtualRobot(hubo2(), load=lambda _: driver) as robot:
-        recorders = [Recorder(wire) for wire in robot.wires.values()]  # type: ignore[arg-type]
+        recorders = [Recorder(wire) for wire in robot.wires.values()]
         jobs = [robot.rig.device(joint).home(joint) for joint in ("RHY", "REB", "RWY")]  # type: ignore[attr-defined]
         for job in jobs:
             job.wait(60)

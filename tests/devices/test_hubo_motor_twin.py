@@ -152,7 +152,7 @@ def test_the_bits_are_all_there_are() -> None:
     scanner = make_scanner([variant], direction="from device", everything=True)
     scanner.sent(variant.encoder.word(variant["SendStatus"], {"board": 0}))
     (record,) = scanner.feed((Frame(0x150, b"\xff" * 8),))
-    motor: Any = record.motor[0]  # type: ignore[union-attr]
+    motor: Any = record.motor[0]
     assert {bit for bit, _ in BITS} == {*motor.drive, *motor.errors}
 
 

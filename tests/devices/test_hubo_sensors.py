@@ -79,7 +79,7 @@ def old() -> Iterator[VirtualRobot]:
 
 
 def listen(robot: VirtualRobot) -> dict[str, Recorder]:
-    return {name: Recorder(wire) for name, wire in robot.wires.items()}  # type: ignore[arg-type]
+    return {name: Recorder(wire) for name, wire in robot.wires.items()}
 
 
 def frames(recorder: Recorder) -> list[str]:

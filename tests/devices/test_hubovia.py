@@ -159,5 +159,5 @@ def test_the_shipped_robot() -> None:
             assert joint.motor == (sheet.joint(name).motor or 0) + (0 if wrist else 10)
             robot[f"{name}.position"].set(0.5)
         robot.advance(1)
-        for name, joint in robot.simulation.world.joints.items():
-            assert joint.position(robot.clock.now()) == pytest.approx(0.5, abs=1e-4), name
+        for name, model in robot.simulation.world.joints.items():
+            assert model.position(robot.clock.now()) == pytest.approx(0.5, abs=1e-4), name

@@ -126,7 +126,7 @@ def test_the_joint_of_the_example() -> None:
     with VirtualRobot(robot, load={"robotis_rx": driver}.__getitem__) as virtual:
         virtual.advance(0.1)
         heard = bytearray()
-        virtual.wires["line"].attach("ear", lambda data, now: heard.extend(data))  # type: ignore[union-attr, arg-type]
+        virtual.wires["line"].attach("ear", lambda data, now: heard.extend(data))
         virtual["RSR.position"].set(0.5)
         virtual.advance(0.01)
         assert bytes(heard[:-1]).hex(" ") == "ff ff fe 07 83 1e 02 47 9b 01"

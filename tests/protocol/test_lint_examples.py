@@ -9,7 +9,20 @@ import pytest
 from construct import Array, Byte, Int16sb, Int16sl, Int16ul, Struct, this
 
 from aces_bus.errors import SpecError
-from aces_bus.protocol import Capture, Enumeration, Flags, Protocol, Quantity, Sum, as_dict, make_scanner
+from aces_bus.protocol import (
+    AsciiInteger,
+    AsciiNumber,
+    Capture,
+    Delimited,
+    Enumeration,
+    Flags,
+    Protocol,
+    Quantity,
+    Sum,
+    Xor,
+    as_dict,
+    make_scanner,
+)
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.examples import agree, failure, frame_of
 from aces_bus.protocol.spec.examples import Example, parse_word
@@ -180,3 +193,33 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
     made = variant.encoder.encode(message.name, **given)
     same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data
     return same and all(agree(values[field], wanted) for field, wanted in example.fields.items())
+
+
+# ---------------------------------------------------------------------- characters
+
+
+def sentence(line: bytes, **fields: Any) -> Protocol:
+    """A protocol of sentences, with an example that is written as characters."""
+    p = Protocol("probe", link="serial")
+    framing = p.framing(sync=b"$", end=b"\n", check=Xor(text="*{:02X}"), max_size=40)
+    payload = Delimited(",", "level" / AsciiNumber(digits=2, unit="m"), "count" / AsciiInteger())
+    framing("Level", payload=payload, examples=[(line, fields)])
+    return p
+
+
+def test_an_example_of_characters() -> None:
+    """Bytes stand for themselves; a number may have more or fewer decimals than we would write, if it reads the same."""
+    for line in (b"$1.50,7*01\n", b"$1.5,7*31\n"):
+        assert not [one for one in check_protocol(sentence(line, level=1.5, count=7)) if one.level == "error"]
+    assert "level is read as 1.5, and should be 2.5" in said(sentence(b"$1.5,7*31\n", level=2.5))
+    with pytest.raises(SpecError, match=r"is not hexadecimal bytes .*; characters are written b'…'"):
+        sentence("$1.5,7*31\n")  # type: ignore[arg-type]
+    with pytest.raises(SpecError, match="is not a frame"):
+        Protocol("probe", link="can").message("A", id=1, examples=[(b"001#", {})])
+
+
+def test_a_wrong_check_says_which_it_would_be() -> None:
+    """Sentences are shown as characters, and both checks are told: was it the example or the spec?"""
+    found = said(sentence(b"$1.5,7*30\n"))
+    assert "example b'$1.5,7*30\\n'" in found
+    assert "checksum 2A 33 30; by the spec it is 2A 33 31" in found

@@ -10,9 +10,12 @@ from construct import (
     ExprAdapter,
     GreedyBytes,
     GreedyRange,
+    IfThenElse,
     Int16ul,
     Int32ul,
     LazyBound,
+    Padded,
+    Prefixed,
     PrefixedArray,
     StopIf,
     Struct,
@@ -343,3 +346,40 @@ def test_a_layouts_only_field_keeps_its_byte_order(size: int, *, signed: bool) -
     assert made.decode([Frame(1, data)])["Full"]["a"].values.tolist() == [wanted]
     assert bytes(made.encode("Full", a=wanted).data) == data
     assert made["Full"].payload.parse(data).a == wanted
+
+
+def test_a_switch_over_names_works_in_raw_mode() -> None:
+    """A case under a name was not found by its number, which is what raw mode has: the laws compared two readings."""
+    kind = Enumeration(Byte, short=1, long=2)
+    made = Protocol("chosen", link="can")
+    for number, keys in ((1, ("short", "long")), (2, (1, 2))):
+        cases = Switch(this.kind, {keys[0]: Byte, keys[1]: Int16ul}, default=GreedyBytes)
+        made.message(f"M{number}", id=number, payload=Struct("kind" / kind, "data" / cases))
+        image = can_image(number, b"\x02\x34\x12")
+        assert made[f"M{number}"].struct.parse(image).data == 0x1234
+        assert made[f"M{number}"].struct.parse(image, raw=True).data == 0x1234
+        (record,) = made.scanner().feed([Frame(number, b"\x02\x34\x12")])
+        assert (record.kind, record.data) == ("long", 0x1234)
+        assert bytes(made.encode(f"M{number}", kind="long", data=0x1234).data) == b"\x02\x34\x12"
+
+
+def test_what_a_prefixed_does_not_use_up_is_not_lost() -> None:
+    """Bytes behind the content were dropped without a word: what was read could not be built again."""
+    made = Protocol("prefixed", link="can")
+    made.message("Text", id=1, payload=Struct("pair" / Prefixed(Byte, Struct("a" / Byte, "b" / Byte))))
+    scanner = made.scanner(everything=True)
+    whole, longer = scanner.feed([Frame(1, b"\x02\x05\x06"), Frame(1, b"\x03\x05\x06\x07")])
+    assert as_dict(whole) == {"pair": {"a": 5, "b": 6}}
+    assert isinstance(longer, Unknown)
+
+
+def test_what_loses_bytes_is_found_inside_choices() -> None:
+    """Padding in a branch, a case or a prefixed part was not seen."""
+    hidden: Construct = Padded(2, Byte)
+    for field in (
+        Prefixed(Byte, Struct("x" / hidden)),
+        Switch(this.kind, {1: Struct("x" / hidden)}),
+        IfThenElse(this.kind == 1, Byte, Struct("x" / hidden)),
+    ):
+        with pytest.raises(SpecError, match="Padded would skip or repeat bytes"):
+            Protocol("hidden", link="can").message("M", id=1, payload=Struct("kind" / Byte, "field" / field))

@@ -111,25 +111,30 @@ def test_what_the_library_sends_is_understood() -> None:
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     sent: list[Frame] = []
 
-    class Network(library.Network):  # type: ignore[misc]
-        def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-            sent.append(Frame(can_id, bytes(data)))
+    def send(can_id: int, data: Any, remote: bool = False) -> None:
+        sent.append(Frame(can_id, bytes(data)))
 
-    network = Network()
+    network: Any = library.Network()
+    network.send_message = send
     node = library.RemoteNode(5, library.ObjectDictionary())
     network.add_node(node)
     node.sdo.RESPONSE_TIMEOUT = 0.001
     node.nmt.state = "OPERATIONAL"
     network.sync.transmit(3)
     network.time.transmit(86_400 * 366 * 30.0)
-    library.emcy.EmcyProducer(0x85).network = network
+    producer: Any = library.emcy.EmcyProducer(0x85)
+    producer.network = network
+    producer.send(0x8130, 0x11)
+    assert _read("085#30 81 11 00 00 00 00 00")[0].code == "heartbeat_lost"
+    assert sent.pop().data.hex() == "3081110000000000"
     with pytest.raises(library.SdoCommunicationError):
         node.sdo.upload(0x6041, 0)
     with pytest.raises(library.SdoCommunicationError):
         node.sdo.download(0x1008, 0, b"abcdef")
     found = canopen.scanner(everything=True).feed(sent)
     names = [type(one).__name__ for one in found]
-    assert names == ["Nmt", "SyncCounter", "Time", "SdoUpload", "SdoAbort", "SdoDownloadStart", "SdoAbort"]
+    assert names[:6] == ["Nmt", "SyncCounter", "Time", "SdoUpload", "SdoAbort", "SdoDownloadStart"]
+    assert "Unknown" not in names
     assert isinstance(found[3], SdoUpload)
     assert found[4].code == "timeout"
     assert found[5].size == 6

@@ -37,7 +37,7 @@ def test_other_threads_hand_over_with_call_soon() -> None:
     told: list[BaseException] = []
     with Loop(failed=told.append) as loop:
         names: list[str] = []
-        loop.call_soon(lambda: 1 / 0)  # type: ignore[arg-type, return-value]
+        loop.call_soon(lambda: 1 / 0)
         loop.call_soon(lambda: names.append(threading.current_thread().name))
         assert loop.wait(lambda: bool(names), 5_000_000_000)
     assert names == ["aces loop"]

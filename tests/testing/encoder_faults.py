@@ -1,15 +1,15 @@
 """Faults of encoders: what goes out is not what construct would build.
 
-1. They are planted in the printed encoders alone; construct, which judges them, stays whole.
+1. They are planted in encoders alone; construct, which judges them, stays whole.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from aces_bus.protocol.codegen import encoder, print_encode
+from aces_bus.protocol.codegen import encoder
 from tests.testing.faults import Fault, Patch
-from tests.testing.victims import a_bus, a_line, hubo
+from tests.testing.victims import a_bus, a_line
 
 
 def printed(patch: Patch, *changes: tuple[str, str]) -> None:
@@ -50,18 +50,20 @@ def a_name_is_another_number(patch: Patch) -> None:
 
 
 def a_part_of_a_split_field_is_dropped(patch: Patch) -> None:
-    printed(patch, (" << 16", " << 24 & 0"))
+    printed(patch, (" << 4", " << 4 & 0"))
+
+
+def a_multiplexed_field_is_dropped(patch: Patch) -> None:
+    good = encoder.Encoder.image
+
+    def image(self: encoder.Encoder, message: Any, fields: dict[str, Any], **more: Any) -> bytes:
+        return good(self, message, {**fields, "two": 0} if fields.get("two") else fields, **more)
+
+    patch.setattr(encoder.Encoder, "image", image)
 
 
 def a_range_is_not_looked_at(patch: Patch) -> None:
-    good = print_encode._Encoder._unscaled
-
-    def unscaled(self: Any, step: Any, text: str, scalar: Any) -> str:
-        from dataclasses import replace
-
-        return good(self, replace(step, bounds=None, raw_bounds=None), text, scalar)
-
-    patch.setattr(print_encode._Encoder, "_unscaled", unscaled)
+    printed(patch, ("if not -300 <= ", "if not -3000 <= "), (" <= 300:", " <= 3000:"))
 
 
 def a_field_that_is_none_is_ignored(patch: Patch) -> None:
@@ -69,7 +71,7 @@ def a_field_that_is_none_is_ignored(patch: Patch) -> None:
 
 
 def a_captured_number_goes_elsewhere(patch: Patch) -> None:
-    printed(patch, ("0x10 + ", "0x11 + "))
+    printed(patch, ("0x40 + ", "0x41 + "))
 
 
 ENCODER_FAULTS = (
@@ -81,7 +83,8 @@ ENCODER_FAULTS = (
     Fault(a_constant_is_another, a_bus, (2,), 1),
     Fault(a_name_is_another_number, a_bus, (2,), 1),
     Fault(a_part_of_a_split_field_is_dropped, a_bus, (2,), 1),
-    Fault(a_range_is_not_looked_at, hubo, (2,), 1),
+    Fault(a_multiplexed_field_is_dropped, a_bus, (2,), 1),
+    Fault(a_range_is_not_looked_at, a_bus, (2,), 1),
     Fault(a_field_that_is_none_is_ignored, a_bus, (2,), 1),
     Fault(a_captured_number_goes_elsewhere, a_bus, (2,), 1),
 )

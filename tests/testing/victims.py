@@ -45,7 +45,7 @@ def shipped(name: str) -> Callable[[], Protocol]:
     return make
 
 
-robotis, minihubo_adc, pololu_qik, hubo = map(shipped, ("robotis", "minihubo_adc", "pololu_qik", "hubo"))
+robotis, minihubo_adc, hubo = map(shipped, ("robotis", "minihubo_adc", "hubo"))
 
 
 def a_bus() -> Protocol:
@@ -55,7 +55,7 @@ def a_bus() -> Protocol:
     made.message(
         "Halves",
         id=0x10 + node,
-        payload=BitLayout(3, "angle" / Split((16, 4), (0, 8), signed=True), "mode" / bits(4, at=8)),
+        payload=BitLayout(2, "angle" / Split((8, 4), (0, 8), signed=True), "mode" / bits(4, at=12)),
     )
     made.message(
         "Checked",
@@ -69,7 +69,7 @@ def a_bus() -> Protocol:
         id=0x50 + node,
         payload=Struct(
             Const(b"\x07"),
-            "volts" / Quantity(Int16sl, unit="V", scale=0.1),
+            "volts" / Quantity(Int16sl, unit="V", scale=0.1, range=(-300, 300)),
             "state" / Enumeration(Byte, off=0, on=1),
         ),
     )

@@ -196,8 +196,8 @@ class Doing:
         if self.arguments.enable and "enable" not in device.actions:
             raise CallerError(f"{device.name} is not enabled or disabled; leave --enable away")
         if not self._is_there():
-            say(f"{device.name} does not answer: nothing was set; {self.told.look_at(device.name)}")
-            self.told.tell(without=("silent",))
+            self.told.tell(last=True)
+            say(f"{device.name} does not answer: nothing was set")
             return 1
         self.told.holding.add("not sent")
         targets = _targets(device, self.part, values)  # again: now it is known what kind of value each has

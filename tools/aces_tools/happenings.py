@@ -71,7 +71,7 @@ class Happenings:
                 del self._silent[name]
                 self._said_silent.add(name)
                 if "silent" not in without:
-                    say(f"{name}: silent: {event.detail}; {self.look_at(name)}")
+                    say(f"{name}: silent: {event.detail}; {self._look_at(name)}")
         if last:
             self._tell_late()
 
@@ -105,7 +105,7 @@ class Happenings:
         numbers = set(detail.partition(" of ")[2].partition(", which")[0].split(", "))
         return any(numbers <= other for other in self._others)
 
-    def look_at(self, name: str) -> str:
+    def _look_at(self, name: str) -> str:
         """What to look at when a device does not answer."""
         config = self.robot.devices.get(name)
         if config is None:

@@ -25,8 +25,9 @@ class Stand:
     """A robot's twins on their buses, open. What is to be closed is put on `stack`. Raises `CallerError`."""
 
     def __init__(self, robot: Robot, options: dict[str, dict[str, Any]], seed: int, stack: ExitStack) -> None:
-        from aces_bus.assembly import open_gates
+        from aces_bus.assembly import gate_of, port_for
         from aces_bus.device import simulate
+        from aces_bus.device.rig import spoken_on
         from aces_bus.runtime import Loop
 
         self.robot = robot
@@ -43,13 +44,16 @@ class Stand:
             if links[name] == "datagram":
                 self._bind(name, options[name])
         check_channels(robot, {n: {"channel": "ours"} if n in lines else o for n, o in options.items()})
-        gates = open_gates(robot, self.loop, {n: o for n, o in options.items() if n not in lines})
-        ports = {name: lines.get(name) or gates[name] for name in used}
+        ports = dict(lines)
+        for name, protocol in spoken_on(robot).items():
+            if name not in lines:
+                bus = robot.buses[name]
+                ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
         self.simulation: Simulation = simulate(robot, ports, seed=seed)
         stack.callback(self.simulation.close)
         for name, twins in self.simulation.buses.items():
             channel = options[name].get("channel") or robot.buses[name].channel
-            open_host(name, twins, channel or "a pseudo-terminal")
+            open_host(name, twins, self.reached[name]["address"] if name in self.reached else channel)
             if name not in self.reached:
                 self.reached[name] = {"kind": links[name], "address": str(channel), **options[name]}
 
@@ -162,7 +166,7 @@ class Stand:
     @property
     def device_options(self) -> str:
         """What `aces device`, `scan -r` and `run` take to reach all buses."""
-        said = [f"--bus {name}={way['address']}" for name, way in self.reached.items()]
+        said = [f"--bus {name}={self.reached[name]['address']}" for name in self.simulation.buses]
         interface = next((way["interface"] for way in self.reached.values() if way.get("interface")), None)
         if interface not in (None, "aces"):
             said.append(f"-i {interface}")

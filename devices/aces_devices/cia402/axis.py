@@ -185,8 +185,7 @@ class Axis:
         """Targets that move nothing: where it is, and no speed, no torque."""
         for index in (0x60FF, 0x6042, 0x6071):
             self.outputs[index] = 0
-        for index in (0x607A, 0x60C1):
-            self.outputs[index] = self.position_raw or 0
+        self.outputs[0x607A] = self.position_raw or 0
         self._is_fresh = False
 
     def _set_position(self, value: Any) -> None:

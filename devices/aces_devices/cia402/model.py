@@ -37,7 +37,7 @@ FOLLOWING, OVER_VOLTAGE, HOT, NO_HOME = 0x8611, 0x3210, 0x4210, 0xFF01
 REGISTERS = {FOLLOWING: 0x21, OVER_VOLTAGE: 0x05, HOT: 0x09, NO_HOME: 0x81}
 #: A homing search that has found nothing for so long fails (ms).
 SEARCH = 10_000
-POSITION_MODES = ("profile_position", "homing", "interpolated_position", "cyclic_position")
+POSITION_MODES = ("profile_position", "homing", "cyclic_position")
 SPEED_MODES = ("velocity", "profile_velocity", "cyclic_velocity")
 TORQUE_MODES = ("profile_torque", "cyclic_torque")
 
@@ -142,11 +142,7 @@ class AxisModel:
                 self._bits = 0
                 self._hold()
         name = MODE_NAMES.get(self.mode)
-        if name in ("cyclic_position", "interpolated_position") and index in (
-            0x607A,
-            0x60C1 << 8 | 1,
-            0x60C1,
-        ):
+        if name == "cyclic_position" and index == 0x607A:
             self._aim(float(value))
         elif name in SPEED_MODES and index == (0x6042 if name == "velocity" else 0x60FF):
             scale = 1.0 if name == "velocity" else self.units.per_rad / self.units.per_speed
@@ -350,7 +346,7 @@ class AxisModel:
             return
         elif name in SPEED_MODES:
             self._ramp(0.0 if self.word & HALT else self.goal, float(self.objects.get(0x6083, 1 << 31)))
-        elif name in ("cyclic_position", "interpolated_position"):
+        elif name == "cyclic_position":
             reach = self.objects.get(0x607F, 1 << 31) * STEP
             moved = min(max(self.goal - self.demand, -reach), reach)
             self.demand += moved

@@ -63,7 +63,6 @@ TARGETS: Final[dict[str, tuple[str, int]]] = {
     "velocity": ("velocity", 0x6042),
     "profile_velocity": ("velocity", 0x60FF),
     "profile_torque": ("torque", 0x6071),
-    "interpolated_position": ("position", 0x60C1),
     "cyclic_position": ("position", 0x607A),
     "cyclic_velocity": ("velocity", 0x60FF),
     "cyclic_torque": ("torque", 0x6071),
