@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import tau
 from typing import Any, ClassVar
 
@@ -37,7 +37,7 @@ class Fan(Device):
         signal("right", unit="rad/s", of="State.right", set="Set.right", scale=RPM, lower=0, upper=300),
         signal("temperature", unit="K", of="State.temperature", offset=273.15),
     )
-    actions = {"off": "stop both"}
+    actions: ClassVar[Mapping[str, str]] = {"off": "stop both"}
 
     def off(self) -> Ticket:
         self.drop("Set")

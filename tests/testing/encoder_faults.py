@@ -50,7 +50,7 @@ def a_name_is_another_number(patch: Patch) -> None:
 
 
 def a_part_of_a_split_field_is_dropped(patch: Patch) -> None:
-    printed(patch, (" << 4", " << 4 & 0"))
+    printed(patch, (" >> 4 & 0xff", " >> 4 & 0x7f"))
 
 
 def a_multiplexed_field_is_dropped(patch: Patch) -> None:

@@ -81,6 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     path = knee_bends()
     player = Player("knee bends", path, rate_hz=RATE)
     tape = Tape([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
+    say(
+        f"{robot.name} bends its knees for {path.duration_s:.0f} s, simulated with all of its boards and buses …"
+    )
     run = run_virtual(robot, [player], rate_hz=RATE, seed=arguments.seed, loggers=[tape])
     with run:
         run.do("enable")
