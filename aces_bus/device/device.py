@@ -20,6 +20,7 @@ and overrides `setup`, `heard`, `check` or adds methods where that is not enough
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -147,11 +148,16 @@ class Device:
         self._given: dict[str, dict[str, Any]] = {}
         self._paths: dict[str, dict[str, None]] = {}
         self._slots: dict[str, list[tuple[str, str, int | None]]] = {}
+        #: Signals that nobody has said a stale age of, and the messages that tell them.
+        self._usual_age: list[tuple[Signal, AbstractSet[str]]] = []
+        #: Set-points that are read too: the signal, and its conversion.
+        self._stand_ins: dict[tuple[str, str], tuple[Signal, Callable[[Any], Any]]] = {}
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
         for spec in self.provides:
             self._declare(spec)
         self.setup()
+        self._age_by_polls()
 
     # ------------------------------------------------------------------ for drivers to override
 
@@ -162,8 +168,11 @@ class Device:
         """A record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
-        """What stands in for a set-point that nobody has given yet; None: wait for it."""
-        return None
+        """What stands in for a set-point that nobody has given yet: what was read of it. None: wait for it."""
+        found = self._stand_ins.get((message, path))
+        if found is None or found[0].value is UNKNOWN:
+            return None
+        return found[1](found[0].value)
 
     def start(self) -> Any:
         """What to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""
@@ -227,8 +236,7 @@ class Device:
         if whole in self.signals:
             raise CallerError(f"{self.name}: there is a signal {whole} already")
         if set is not None:
-            message, _, path = set.partition(".")
-            self.variant[message]  # raises for a message that does not exist
+            message, path = self._field(set)
             self._paths.setdefault(message, {})[path] = None
 
             def give(value: Any, message: str = message, path: str = path) -> None:
@@ -256,12 +264,33 @@ class Device:
         )
         if of:
             self.readable.add(whole)
-        for one in (of,) if isinstance(of, str) else of or ():
-            message, _, path = one.partition(".")
-            self.variant[message]
+            if set is not None:
+                self._stand_ins[message, path] = made, from_si
+        sources = (of,) if isinstance(of, str) else of or ()
+        if stale_s is None:
+            self._usual_age.append((made, {one.partition(".")[0] for one in sources}))
+        for one in sources:
+            message, path = self._field(one)
             self._updates.setdefault(message, []).append((_reader(path, to_si), made))
         self.signals[whole] = made
         return made
+
+    def _field(self, path: str) -> tuple[str, str]:
+        """`Message.field.1` as message and path; raises `UnknownNameError` for what there is not."""
+        message, _, rest = path.partition(".")
+        fields = self.variant[message].fields
+        name = rest.partition(".")[0]
+        if name not in fields:
+            raise UnknownNameError(f"field of {self.variant.name}'s {message}", name, fields)
+        return message, rest
+
+    def _age_by_polls(self) -> None:
+        """What nobody has said an age for is stale after five polls."""
+        tick = 1 / self.host.rate_hz if self.host.rate_hz else 0.0
+        for made, messages in self._usual_age:
+            periods = [p.every_s or tick for p in self.polls if not messages.isdisjoint(p.replies)]
+            if periods:
+                made.stale_after_ns = round(max(self.stale_s, 5 * min(periods)) * 1e9)
 
     def __getitem__(self, name: str) -> Signal:
         """The signal of this name, with or without its owner where that is clear; raises `UnknownNameError`."""

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import AcesError, CallerError, NoReplyError
+from ..errors import AcesError, CallerError, FieldError, NoReplyError, UnknownNameError
 from ..protocol import Unknown as UnknownWord
 from ..protocol import Variant
 from ..runtime import Timer
@@ -176,7 +176,20 @@ class Host(Station[Device]):
         ):
             self._half = True  # answers that only their request tells whose they are: one asks at a time
         for poll in member.polls:
-            word = self.word(member, poll.message, poll.fields)
+            for name in poll.replies:
+                if name not in member.variant.protocol.messages:
+                    raise UnknownNameError(
+                        f"message of {member.variant.name}, awaited by {member.name},",
+                        name,
+                        member.variant.protocol.messages,
+                    )
+            try:
+                word = self.word(member, poll.message, poll.fields)
+            except FieldError as error:
+                raise CallerError(
+                    f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
+                    f" {self._who(member) or 'none'}"
+                ) from error
             turn = _Turn(member, poll, word, 2 * self.port.wire_ns(word))
             if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self.turns) % 1))

@@ -40,6 +40,10 @@ class Driver:
     virtual: bool = True
     settings: Mapping[str, str] | None = None
 
+    def __post_init__(self) -> None:
+        if not hasattr(self.device, "protocol"):
+            raise SpecError(f"driver {self.name!r}: {self.device.__name__} does not say what it speaks: protocol = …")
+
     @property
     def protocol(self) -> str:
         """The name of the protocol that its devices speak."""

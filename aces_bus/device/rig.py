@@ -221,7 +221,14 @@ def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
             f"robot {robot.name}: {config.name} speaks {name}, its driver {driver.name} speaks {driver.protocol}"
         )
     own = driver.device.protocol
-    return load_protocol(own) if isinstance(own, str) else own
+    protocol = load_protocol(own) if isinstance(own, str) else own
+    bus = robot.buses[config.bus]
+    if protocol.link != bus.link:
+        raise CallerError(
+            f"robot {robot.name}: {config.name} speaks {protocol.name}, which is for link {protocol.link}; its bus"
+            f" {bus.name} has link {bus.link}"
+        )
+    return protocol
 
 
 def variants_of(robot: Robot, bus: str) -> list[Variant]:

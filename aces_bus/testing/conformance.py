@@ -33,7 +33,7 @@ from ..device import (
     simulate,
 )
 from ..device.ticket import Awaited
-from ..errors import AcesError, DeviceError, SpecError
+from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
 from ..hardware.faults import NO_FAULTS, Faults
 from ..hardware.serial_wire import Noise
 from ..hardware.wire import Recorder, Wire
@@ -142,7 +142,11 @@ def check_heard(stand: Stand) -> None:
             for one in device.signals.values():
                 if one.name not in device.readable or stand.is_excused("heard", one.name):
                     continue
-                assert one.value is not UNKNOWN, f"{one.name} is {one.last!r}, {one.age_ns} ns old"
+                assert one.instant is not None, f"{one.name} was never heard: does an answer to a poll have it?"
+                assert one.value is not UNKNOWN, (
+                    f"{one.name} is {one.last!r} and stale: {(one.age_ns or 0) / 1e9:.3f} s old, fresh for"
+                    f" {(one.stale_after_ns or 0) / 1e9:g} s; poll it more often, or say stale_s="
+                )
                 if isinstance(one.value, float):
                     assert math.isfinite(one.value), one
         kinds = {event.kind for event in robot.events.last}
@@ -192,6 +196,9 @@ def _goal(one: Signal) -> tuple[Any, Any]:
         return value, not value
     if value is not UNKNOWN and not _is_number(value):
         return value, value
+    if isinstance(value, int):  # a register may have whole numbers only
+        steps = (1, -1) if one.upper is None or value + 1 <= one.upper else (-1,)
+        return value, next((value + n for n in steps if one.lower is None or value + n >= one.lower), value)
     start = float(value) if value is not UNKNOWN else 0.0
     return start, _near(one, start)
 
@@ -494,7 +501,10 @@ def run_check(
     def loading(wanted: str) -> Driver:
         if wanted == found.name:
             return found
-        return (load or load_driver)(wanted)
+        try:
+            return (load or load_driver)(wanted)
+        except UnknownNameError as error:
+            raise UnknownNameError("driver", wanted, [found.name, *error.known]) from None
 
     for example in (found.example, *examples):
         try:

@@ -207,6 +207,19 @@ def test_set_points_of_a_disabled_axis_are_dropped() -> None:
         assert robot["J.position"].value == 0
 
 
+def test_a_drive_that_is_enabled_already_stays_so() -> None:
+    """A second program's set-point, given before the drive was heard, moves it; its first controlword is 000F."""
+    with _running() as robot:
+        robot.rig.close()
+        second = connect(robot.robot, robot.ports("second"), rate_hz=100, load=_load)
+        with second:
+            recorder = Recorder(robot.wires["drives"])
+            second["J.position"].set(0.3)
+            robot.advance(2)
+            assert _frames(recorder, 0x205)[0].startswith("3F 00")
+            assert second["J.position"].value == pytest.approx(0.3, abs=1e-3)
+
+
 def test_quick_stop_stops_a_movement() -> None:
     """Stopping ramps down within what 6085 allows, and the drive is not enabled any more."""
     with _running() as robot:

@@ -1,12 +1,13 @@
-"""A robot moves, without one: Hubo 2+ bends its knees in virtual time, and what came of it is drawn.
+"""A robot moves, without one: Hubo 2+ bends its knees in virtual time, drawn.
 
   aces demo                             draws here, and into aces-demo.png
   aces demo -o knees.svg                the picture elsewhere; .svg, .pdf
 
-A trajectory is played on six joints of the legs at 200 Hz. Set-points go down through
-guard, devices, protocol and two simulated CAN buses of 1 Mbit/s to the simulated
-boards and motors; encoders come back the same way. Drawn is the right knee: what was
-asked for, what it did (the paper's figure 6), and the difference.
+A trajectory is played on six joints of the legs at 200 Hz. Set-points go down
+through guard, devices, protocol and two simulated CAN buses of 1 Mbit/s to the
+simulated boards and motors; encoders come back the same way. Drawn is the
+right knee: what was asked for, what it did (the paper's figure 6), and the
+difference.
 """
 
 from __future__ import annotations

@@ -1,20 +1,22 @@
-"""Run controllers on a robot: on its buses, in virtual time with its twins, or on a recording.
+"""Run controllers on a robot: on its buses, in virtual time, or on a recording.
 
-  aces run hubo2plus wave.py --virtual              no robot at hand: twins, virtual time
+  aces run hubo2plus wave.py --virtual          no robot at hand: its twins
   aces run hubo2plus walk_100hz.txt --virtual --log walk.csv
-  aces run hubo2plus walk.py -i socketcan           on its buses: looks, sends no set-points
-  aces run hubo2plus walk.py -i socketcan --tx      and now it moves
-  aces run hubo2plus walk.py --replay walk.blf      what it would have done
-  aces run hubo2plus walk.py:knee balance.py --for 10s --log a.mcap:L*,LFFT.fz
+  aces run hubo2plus walk.py -i socketcan       looks, and sends no set-points
+  aces run hubo2plus walk.py -i socketcan --tx  and now it moves
+  aces run hubo2plus walk.py --replay walk.blf  what it would have done
+  aces run hubo2plus walk.py:knee hold.py --for 10s --log a.mcap:L*,LFFT.fz
 
-A CONTROLLER is a Python file, of which every controller is run (FILE.py:NAME takes one,
-or calls a function that makes it), or a file of set-points: a trajectory or a walking
-pattern, which is played from where the joints are. A Python file is a program: it runs
-with your rights, so run none that you would not run yourself.
+A CONTROLLER is a Python file, of which every controller is run (FILE.py:NAME
+takes one, or calls a function that makes it), or a file of set-points: a
+trajectory or a walking pattern, which is played from where the joints are. A
+Python file is a program: it runs with your rights, so run none that you would
+not run yourself.
 
-It ends when all that has an end has been played, when its time is up, or with Ctrl-C;
-whatever ends it, motion is stopped, buses and logs are closed, in this order. A second
-Ctrl-C waits for nothing more, but motion is told to stop all the same.
+It ends when all that has an end has been played, when its time is up, or with
+Ctrl-C; whatever ends it, motion is stopped, buses and logs are closed, in this
+order. A second Ctrl-C waits for nothing more, but motion is told to stop all
+the same.
 """
 
 from __future__ import annotations
@@ -29,9 +31,9 @@ from .live import parse_duration
 from .robot_arg import VARIABLE, add_robot_arguments, chosen_robot
 
 EPILOG = """\
-exit status: 0; 1 when a controller was stopped, a device was not heard or the end
-was not clean; 2 a wrong call, or a bus that cannot be opened; 130 when interrupted
-before it ran, or twice
+exit status: 0; 1 when a controller was stopped, a device was not heard or the
+end was not clean; 2 a wrong call, or a bus that cannot be opened; 130 when
+interrupted before it ran, or twice
 """
 
 

@@ -1,6 +1,6 @@
 """One axis of a drive: its objects as signals in SI, its set-points as objects, its place in the state machine.
 
-1. Values cross into counts here and nowhere else.
+1. Values cross into counts here and in `units`, nowhere else.
 2. Only what the present mode takes can be set; a set-point for an axis that is not enabled is dropped, and told.
 3. A set-point of profile position is one handshake: target, bit 4 up, taken, bit 4 down. A newer one waits for that.
 
@@ -17,6 +17,7 @@ from aces_bus.errors import CallerError
 
 from .states import (
     AT_ONCE,
+    ENABLE,
     LIMITED,
     MODE_NAMES,
     MODES,
@@ -69,6 +70,8 @@ class Axis:
         self.heard = 0
         self._is_fresh = False
         self._raised_at = 0
+        #: A set-point that came before the drive was heard.
+        self._early: int | None = None
         self._declare("N·m" if self.units.is_rated else "")
 
     # ------------------------------------------------------------------ signals
@@ -155,6 +158,9 @@ class Axis:
             signals["mode"].update(MODE_NAMES.get(value, str(value)), instant)
         elif index == STATUSWORD:
             self._status(value, instant)
+        if self._early is not None and self.statusword is not None and self.mode_shown is not None:
+            early, self._early = self._early, None
+            self._give(early)
 
     def _status(self, word: int, instant: int) -> None:
         signals = self.signals
@@ -178,6 +184,7 @@ class Axis:
         self.state = "unknown"
         self.outputs = {CONTROLWORD: 0, MODE: 0}
         self._is_fresh = False
+        self._early = None
 
     # ------------------------------------------------------------------ down
 
@@ -198,6 +205,13 @@ class Axis:
         self._give(round(float(value) * self.units.per_torque))
 
     def _give(self, raw: int) -> None:
+        if self.statusword is None or self.mode_shown is None:
+            self._early = raw  # nothing is known of the drive yet
+            return
+        if self.state == "operation enabled" and not self.outputs[CONTROLWORD]:
+            # Enabled before we came: what we send must not disable it.
+            self.hold()
+            self.outputs[CONTROLWORD], self.outputs[MODE] = ENABLE, self.mode_shown
         if self.state != "operation enabled" or self.mode_shown != MODES[self.wanted]:
             self.device.tell_event(
                 "not sent", f"{self.joint.name} is {self._why()}: the set-point is dropped"

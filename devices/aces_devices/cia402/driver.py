@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Job, Poll, Signal, Steps
 from aces_bus.device.ticket import Awaited
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
 
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, Axis
 from .dictionary import dictionary_of
@@ -106,6 +106,8 @@ class Cia402(ObjectAccess):
         self.is_set_up = False
         self.last_beat: int | None = None
         self._tried_at = self.clock.now()
+        #: How many boot-up messages were heard.
+        self.boots = 0
         self._set_up: Job | None = None
         self._waiting: list[tuple[Callable[[], bool], Awaited, Any]] = []
         self._by_sdo: dict[int, int] = {}
@@ -156,7 +158,15 @@ class Cia402(ObjectAccess):
         self._quiet(True)
 
         def steps(job: Job) -> Steps:
-            yield from set_up(self, job)
+            while True:
+                boots = self.boots
+                try:
+                    yield from set_up(self, job)
+                except AcesError:
+                    if self.boots == boots:
+                        raise
+                if self.boots == boots:
+                    return
 
         made = self.job("set up", steps)
         self._set_up, self._tried_at = made, self.clock.now()
@@ -226,13 +236,12 @@ class Cia402(ObjectAccess):
         if self.error.instant is not None:
             self.error.update(self.error.last, instant)
         if state == "boot_up":
+            self.boots += 1
             was_set_up, self.is_set_up = self.is_set_up, False
-            going, self._set_up = self._set_up, None
-            if going is not None:
-                going.cancel()
+            self._quiet(True)
             if was_set_up:
                 self.rebooted("sent its boot-up message")
-            self.set_up()
+            self.set_up()  # one that is under way begins anew by itself
         elif state != "operational" and self.is_set_up:
             self._quiet(True)
         elif state == "operational" and self.is_set_up:

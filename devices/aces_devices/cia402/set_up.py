@@ -37,6 +37,7 @@ SIZES = {
 
 def set_up(device: Cia402, job: Job) -> Steps:
     """The steps, up to an operational node."""
+    boots = device.boots
     job.text = "identity"
     data: bytes = yield device.sdo.upload(0x1000)
     profile = int.from_bytes(data[:2], "little")
@@ -68,6 +69,8 @@ def set_up(device: Cia402, job: Job) -> Steps:
     yield from _last_error(device)
     job.progress, job.text = 0.9, "start"
     yield device.tell("Nmt", command="start")
+    if device.boots != boots:
+        return
     device.begin()
     heard = [axis.heard for axis in device.axes]
     yield device.until(
