@@ -184,16 +184,16 @@ class JumpingClock(VirtualClock):
     def now(self) -> int:
         return self._now + self.ahead
 
-    def call_at(self, instant: int, action: Callable[[], None]) -> Any:
+    def call_at(self, instant: int, action: Callable[[], object]) -> Any:
         return super().call_at(instant - self.ahead, action)
 
-    def call_in(self, delay: int, action: Callable[[], None]) -> Any:
+    def call_in(self, delay: int, action: Callable[[], object]) -> Any:
         return super().call_at(self._now + delay, action)
 
-    def call_soon(self, action: Callable[[], None]) -> None:
+    def call_soon(self, action: Callable[[], object]) -> None:
         super().post(self._now, action)
 
-    def post(self, instant: int, action: Callable[[], None]) -> None:
+    def post(self, instant: int, action: Callable[[], object]) -> None:
         super().post(instant - self.ahead, action)
 
     def advance_to(self, instant: int) -> None:
