@@ -153,7 +153,7 @@ def test_a_page_is_what_happens(
                     typed += 1
             elif found := _FILE.match(block.text):
                 with Path(found[1]).open("a" if found[2] else "w", encoding="utf-8") as file:
-                    file.write("\n" + block.text[found.end() :] if found[2] else block.text[found.end() :])
+                    file.write(f"\n{block.text}" if found[2] else block.text)
             else:
                 assert block.kind == "python", f"{where}: a block of {block.kind}"
                 sys.path.insert(0, os.getcwd())

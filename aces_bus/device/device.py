@@ -150,8 +150,6 @@ class Device:
         self._slots: dict[str, list[tuple[str, str, int | None]]] = {}
         #: Signals that nobody has said a stale age of, and the messages that tell them.
         self._usual_age: list[tuple[Signal, AbstractSet[str]]] = []
-        #: Set-points that are read too: the signal, and its conversion.
-        self._stand_ins: dict[tuple[str, str], tuple[Signal, Callable[[Any], Any]]] = {}
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
         for spec in self.provides:
@@ -168,11 +166,8 @@ class Device:
         """A record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
-        """What stands in for a set-point that nobody has given yet: what was read of it. None: wait for it."""
-        found = self._stand_ins.get((message, path))
-        if found is None or found[0].value is UNKNOWN:
-            return None
-        return found[1](found[0].value)
+        """What stands in for a set-point that nobody has given yet; None: wait for it."""
+        return None
 
     def start(self) -> Any:
         """What to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""
@@ -264,8 +259,6 @@ class Device:
         )
         if of:
             self.readable.add(whole)
-            if set is not None:
-                self._stand_ins[message, path] = made, from_si
         sources = (of,) if isinstance(of, str) else of or ()
         if stale_s is None:
             self._usual_age.append((made, {one.partition(".")[0] for one in sources}))
@@ -394,6 +387,15 @@ class Device:
                 items.append(None)
             items[index] = value
         return self.completed(message, fields)
+
+    def waited_for(self) -> list[str]:
+        """The set-points ("Set.right") that nobody has given, and without which others that were given do not go out."""
+        return [
+            f"{message}.{path}"
+            for message, given in self._given.items()
+            for path in self._paths.get(message, ())
+            if given.get(path) is None and self.default_of(message, path) is None
+        ]
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
         """What else a message of set-points needs: constant fields, the slot of a channel that is not there."""

@@ -189,8 +189,9 @@ def _of_call(node: ast.Call, tree: ast.Module) -> Iterator[Change]:
                 yield "opcode off by one", _more(number)
     if "check" in words and isinstance(words["check"].value, ast.Call):
         check = words["check"].value
-        over = ast.parse("slice(3, -1)", mode="eval").body
-        yield "check range", lambda: check.keywords.append(ast.keyword("over", over))
+        over = ast.parse("slice(3, None)", mode="eval").body
+        rest = [keyword for keyword in check.keywords if keyword.arg != "over"]
+        yield "check range", lambda: setattr(check, "keywords", [*rest, ast.keyword("over", over)])
     for word in ("scale", "offset"):
         if word in words and (number := _last_number(words[word].value)) is not None:
             yield "scale", _set(number, (_number(number) or 1) * 10)

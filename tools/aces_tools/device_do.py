@@ -237,7 +237,11 @@ class Doing:
             say(f"{', '.join(sorted(idle))}: not enabled, so it follows no set-points; add --enable")
             return 1
         is_deaf = bool(device.polls) and device.is_silent
-        # What it has not taken was told when it happened.
+        missing = self.live.clock.call(device.waited_for)
+        if missing:
+            say(f"{device.name}: was not sent; its word needs {', '.join(missing)} too: set both at once")
+            return 1
+        # What it has not taken is told at the end.
         return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
 
     def stop(self) -> None:

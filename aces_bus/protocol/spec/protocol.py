@@ -33,7 +33,7 @@ Configuration = Mapping[str, Mapping[int, Any]]
 
 
 class Protocol:
-    """A protocol's declaration; see the tutorial in the README.
+    """A protocol's declaration; see docs/tutorial.md, and docs/reference/templates.md for all keywords.
 
     `dialects` maps names to what they are; `dialect` is the default one. `configurations` maps a name to its tables, each
     from a captured number to an entry (`{"hubo2": {"channels": {0x00: 2, …}}}`); `configuration` is the default one.

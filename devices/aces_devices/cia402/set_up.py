@@ -68,9 +68,9 @@ def set_up(device: Cia402, job: Job) -> Steps:
                 yield device.sdo.download(index + axis.offset, 0, raw)
     yield from _last_error(device)
     job.progress, job.text = 0.9, "start"
-    yield device.tell("Nmt", command="start")
     if device.boots != boots:
         return
+    yield device.tell("Nmt", command="start")
     device.begin()
     heard = [axis.heard for axis in device.axes]
     yield device.until(
