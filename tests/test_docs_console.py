@@ -15,7 +15,7 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import NamedTuple
@@ -91,7 +91,7 @@ class Terminal:
             if not any("aces_bus" in point.value for point in entry_points(group="pytest11")):
                 command += ["-p", "aces_bus.testing.plugin"]
             # In the short profile some of the laws and checks of drivers.
-            few = ["-k", "round_trip or chunking or heard or silent", "--aces-examples", "2"]
+            few = ["-k", "sheets or round_trip or chunking or heard", "--aces-examples", "2"]
             command += [] if settings().max_examples > 100 else few
         path = os.pathsep.join(one for one in sys.path if one)
         done = subprocess.run(
@@ -116,7 +116,7 @@ def _substitute(option: str, rule: str, name: str) -> str:
 
 
 @contextlib.contextmanager
-def imports_of_its_own() -> Iterator[None]:
+def imports_of_its_own() -> Generator[None]:
     """Modules that are imported in here are forgotten afterwards."""
     known, path = set(sys.modules), list(sys.path)
     try:

@@ -231,7 +231,10 @@ class Device:
         if whole in self.signals:
             raise CallerError(f"{self.name}: there is a signal {whole} already")
         if set is not None:
-            message, path = self._field(set)
+            message, path = set.partition(".")[0], set.partition(".")[2]
+            self.variant[message]  # raises for a message that does not exist
+            if message not in self.rules and not self._overrides_completed:
+                self._field(set)  # else what a path means is the driver's affair
             self._paths.setdefault(message, {})[path] = None
 
             def give(value: Any, message: str = message, path: str = path) -> None:
@@ -267,6 +270,10 @@ class Device:
             self._updates.setdefault(message, []).append((_reader(path, to_si), made))
         self.signals[whole] = made
         return made
+
+    @property
+    def _overrides_completed(self) -> bool:
+        return type(self).completed is not Device.completed
 
     def _field(self, path: str) -> tuple[str, str]:
         """`Message.field.1` as message and path; raises `UnknownNameError` for what there is not."""

@@ -65,7 +65,13 @@ def list_drivers() -> dict[str, EntryPoint]:
 
 
 def load_driver(name: str) -> Driver:
-    """The installed driver `name`; raises `UnknownNameError` with the names that exist."""
+    """The installed driver `name`; raises `UnknownNameError` with the names that exist.
+
+    What was loaded once is kept: looking through all that is installed takes milliseconds.
+    """
+    kept = _loaded.get(name)
+    if kept is not None:
+        return kept
     known = list_drivers()
     if name not in known:
         raise UnknownNameError("driver", name, known)
@@ -77,4 +83,8 @@ def load_driver(name: str) -> Driver:
         raise SpecError(f"{known[name].value} is not a Driver but {type(driver).__name__}")
     if driver.name != name:
         raise SpecError(f"{known[name].value} calls itself {driver.name!r} and is registered as {name!r}")
+    _loaded[name] = driver
     return driver
+
+
+_loaded: dict[str, Driver] = {}

@@ -246,13 +246,16 @@ def variants_of(robot: Robot, bus: str) -> list[Variant]:
 def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str, list[Variant]]:
     """The protocols of each bus that has active devices, with the robot's own tables."""
     found: dict[str, dict[str, Variant]] = {}
+    made: dict[tuple[str, str | None], Variant] = {}
     for config, protocol in _spoken(robot, load):
         if config.bus not in ports:
             raise CallerError(
                 f"robot {robot.name}: no port for bus {config.bus} (there are: {', '.join(ports) or 'none'})"
             )
-        name, dialect = robot.protocol_of(config)
-        variant = protocol.variant(dialect, robot.tables(protocol) or None)
+        name, dialect = spoken = robot.protocol_of(config)
+        if spoken not in made:
+            made[spoken] = protocol.variant(dialect, robot.tables(protocol) or None)
+        variant = made[spoken]
         other = found.setdefault(config.bus, {}).setdefault(name, variant)
         if other is not variant:
             raise CallerError(

@@ -305,10 +305,11 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     def entries(self, protocol: Protocol) -> Iterator[tuple[DeviceConfig, str, int, int | str]]:
         """Device, table, number and entry of all that the devices say in a protocol's configuration tables."""
+        tables = tables_of(protocol)
         for device in self.devices.values():
             if self.protocol_of(device)[0] != protocol.name:
                 continue
-            for table, credential in tables_of(protocol):
+            for table, credential in tables:
                 number = device.credentials.get(credential)
                 kind = device.kind.get(table) if isinstance(device.kind, dict) else device.kind
                 entry = device.channels if kind is None else kind

@@ -17,7 +17,7 @@ from typing import Protocol as Interface
 
 import msgspec
 
-from ..errors import AcesError
+from ..errors import AcesError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
 from .robot import DeviceConfig, Joint, Robot
 
@@ -73,16 +73,25 @@ def _check_reference(
 
 def _check_installed(
     path: tuple[str, ...], what: str, name: str, known: Collection[str], complain: Complain
-) -> bool:
-    """Whether what an entry names is installed; else it complains."""
+) -> None:
+    """Complain when what an entry names is not installed."""
     if name in known:
-        return True
+        return
     slip = near(name, known, SLIP)
     if slip:
         complain(path, f"no {what} named {name!r}{slip} (installed: {_listed(known)})")
     else:
         complain(path, f"{what} {name!r} is not installed (installed: {_listed(known)})", True)
-    return False
+
+
+def _check_driver(path: tuple[str, ...], name: str, complain: Complain) -> None:
+    """Complain when a driver is not installed. One that was found once is not looked for again: that takes milliseconds."""
+    if name not in _drivers:
+        _drivers.update(point.name for point in entry_points(group=DRIVERS))
+        _check_installed(path, "driver", name, _drivers, complain)
+
+
+_drivers: set[str] = set()
 
 
 # ---------------------------------------------------------------------- buses
@@ -93,7 +102,6 @@ class _Spoken:
 
     def __init__(self, complain: Complain) -> None:
         self._complain = complain
-        self._installed = list_protocols()
         self._loaded: dict[str, Protocol | None] = {}
         #: Of each protocol, the fields that identify a device.
         self.addresses: dict[str, dict[str, Address]] = {}
@@ -102,14 +110,15 @@ class _Spoken:
         """The protocol, or None; what is wrong with it is said at the first place that names it."""
         if name not in self._loaded:
             self._loaded[name] = None
-            if _check_installed(path, "protocol", name, self._installed, self._complain):
-                try:
-                    self._loaded[name] = protocol = load_protocol(name)
-                    self.addresses[name] = addresses(protocol)
-                except AcesError as error:
-                    self._complain(path, f"protocol {name!r} cannot be used: {error}", True)
-                except Exception as error:  # whatever another package's import may raise
-                    self._complain(path, f"protocol {name!r} cannot be imported: {error}", True)
+            try:
+                self._loaded[name] = protocol = load_protocol(name)
+                self.addresses[name] = addresses(protocol)
+            except UnknownNameError:
+                _check_installed(path, "protocol", name, list_protocols(), self._complain)
+            except AcesError as error:
+                self._complain(path, f"protocol {name!r} cannot be used: {error}", True)
+            except Exception as error:  # whatever another package's import may raise
+                self._complain(path, f"protocol {name!r} cannot be imported: {error}", True)
         return self._loaded[name]
 
 
@@ -152,7 +161,6 @@ def _check_dialect(
 def _check_devices(
     robot: Robot, written: Mapping[str, set[str]], protocols: _Spoken, complain: Complain
 ) -> None:
-    drivers = {point.name for point in entry_points(group=DRIVERS)}
     warned: set[str] = set()
     claimed: dict[tuple[str, str, str, int], DeviceConfig] = {}
     alone: dict[tuple[str, str], DeviceConfig] = {}
@@ -160,7 +168,7 @@ def _check_devices(
         path = ("devices", name)
         if device.driver not in warned:
             warned.add(device.driver)
-            _check_installed((*path, "driver"), "driver", device.driver, drivers, complain)
+            _check_driver((*path, "driver"), device.driver, complain)
         _check_reference((*path, "bus"), "bus", device.bus, written["buses"], complain)
         if device.bus not in robot.buses:
             continue

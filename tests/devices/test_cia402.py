@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
@@ -97,7 +98,7 @@ def test_setting_up_is_what_the_facts_have() -> None:
         sent = _frames(recorder, 0x605)
         assert sent[0] == "40 00 10 00 00 00 00 00"
         assert "2B 17 10 00 E8 03 00 00" in sent
-        assert _frames(recorder, 0x000) == ["01 05"]
+        assert _frames(recorder, 0x000) == ["01 05"]  # once, also with the boot-up message between
         assert _frames(recorder, 0x705)[0] == "00"
         assert "05" in _frames(recorder, 0x705)
 
@@ -436,6 +437,58 @@ def test_statuswords_and_codes() -> None:
     assert state_of(0x0637) == "operation enabled"
     assert text_of(0x2310) == "0x2310, current, output side"
     assert object_of(dictionary_of(None, 5), "6099:2")[:2] == (0x6099, 2)
+
+
+def _two_axes() -> str:
+    """Our drive's file with a second axis: its objects 0x800 higher, and PDOs 3 and 4 each way."""
+    from importlib.resources import files
+
+    text = (files("aces_devices.cia402") / "drive.eds").read_text("utf-8")
+    more: list[str] = []
+    for part in re.split(r"(?m)^(?=\[)", text):
+        head = re.match(r"\[([0-9A-F]{4})(sub[0-9A-F]+)?\]", part)
+        if head is None:
+            continue
+        index = int(head[1], 16)
+        step = 0x800 if index >= 0x6000 else 2 if 0x1400 <= index < 0x1B00 else 0
+        if step:
+            moved = f"[{index + step:04X}{head[2] or ''}]" + part[part.index("]") + 1 :]
+            for base in (0x180, 0x280, 0x200, 0x300):
+                moved = moved.replace(f"$NODEID+0x{base:X}\n", f"$NODEID+0X{base + 0x200:X}\n")
+            more.append(moved.replace("0X", "0x"))
+    return text + "".join(more)
+
+
+def test_a_drive_of_two_axes(tmp_path: Any) -> None:
+    """Each joint has its own objects, state and PDOs; one is enabled and moved without the other."""
+    path = tmp_path / "two.eds"
+    path.write_text(_two_axes())
+    text = ONE.replace("SETTINGS", f'counts_per_turn = 100_000, eds = "{path}", pdo = "write"')
+    text = (
+        text.replace("MORE", 'command = "position"')
+        + 'K = { device = "D", channel = 1, command = "speed" }\n'
+    )
+    robot, problems = parse_robot(text, "two.toml")
+    assert robot is not None, problems
+    with VirtualRobot(robot, rate_hz=100, load=_load) as running:
+        running.advance(0.5)
+        device = running.devices["D"]
+        device.enable("K").wait(5)
+        assert (running["J.state"].value, running["K.state"].value) == (
+            "switch on disabled",
+            "operation enabled",
+        )
+        running["K.velocity"].set(0.5)
+        running.advance(1)
+        assert running["K.velocity"].value == pytest.approx(0.5, rel=0.01)
+        assert running["J.position"].value == 0
+        device.enable("J").wait(5)
+        running["J.position"].set(0.2)
+        running.advance(1)
+        assert running["J.position"].value == pytest.approx(0.2, abs=1e-3)
+        running.twins["D"].axes[0x800].fail(0x8611)
+        running.advance(0.1)
+        assert (running["J.state"].value, running["K.state"].value) == ("operation enabled", "fault")
 
 
 # ---------------------------------------------------------------------- canopen's own classes, in real time

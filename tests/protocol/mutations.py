@@ -24,7 +24,8 @@ PROSE = ("doc", "source", "examples", "dialects", "bitrate", "baud", "unit", "ga
 #: Constructs that read as many bytes in another order, or with another sign.
 ORDERS = {f"Int{n}{s}{a}": f"Int{n}{s}{b}" for n in (16, 24, 32) for s in "us" for a, b in ("lb", "bl")}
 SIGNS = {f"Int{n}{a}{o}": f"Int{n}{b}{o}" for n in (8, 16, 24, 32) for a, b in ("us", "su") for o in "lb"}
-SIGNS |= {"Byte": "Int8sb"}
+#: Words of context: without one, a spec may be a sound spec of a more talkative protocol.
+CONTEXT = ("dialect", "reply_to", "when", "not_next")
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,14 @@ def mutations(protocol: str) -> list[Mutation]:
     return found
 
 
-def drawn(protocols: list[str], count: int, seed: int) -> list[Mutation]:
-    """`count` different mutations: every kind in turn, of any protocol."""
+def drawn(protocols: list[str], count: int, seed: int, *, context: bool = False) -> list[Mutation]:
+    """`count` different mutations: every kind in turn, of any protocol; with `context`, words of context left out."""
     dice = random.Random(seed)
     kinds: dict[str, list[Mutation]] = {}
     for protocol in protocols:
         for mutation in mutations(protocol):
-            kinds.setdefault(mutation.kind, []).append(mutation)
+            if context == (mutation.kind.removeprefix("missing ") in CONTEXT):
+                kinds.setdefault(mutation.kind, []).append(mutation)
     for several in kinds.values():
         dice.shuffle(several)
     found: list[Mutation] = []
@@ -199,7 +201,7 @@ def _of_call(node: ast.Call, tree: ast.Module) -> Iterator[Change]:
         for keyword in node.keywords:
             if _number(keyword.value) is not None:
                 yield "enumeration value", _more(keyword.value)
-    for word in ("direction", "dialect", "reply_to", "when", "not_next"):
+    for word in ("direction", *CONTEXT):
         if word in words:
             yield f"missing {word}", _without(node, words[word])
     if "sync" in words and isinstance(words["sync"].value, ast.Constant):

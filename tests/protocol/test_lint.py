@@ -116,6 +116,8 @@ def test_names_that_cannot_occur_and_names_with_holes() -> None:
             "code" / Enumeration(bits(8), a=1, b=50, c=200),
         ),
     )
+    # Billions apart: what lies between is not walked.
+    p.message("Object", id=6, payload=BitLayout(8, "mark" / Enumeration(bits(64), a=0, b=1, c=2**64 - 1)))
     error, hole = sorted(found(p, "enumeration"), key=lambda one: LEVELS.index(one.level))
     assert (error.level, "c=5 cannot occur: raw numbers are 0…3" in error.text) == ("error", True)
     assert (hole.level, "names 0…3, but not 2" in hole.text) == ("note", True)

@@ -248,3 +248,32 @@ def test_a_scanner_knows_what_was_declared_before_it() -> None:
     assert [type(r).__name__ for r in early.feed(frames)] == ["First"]
     assert early.counts.unknown == 1
     assert [type(r).__name__ for r in protocol.scanner().feed(frames)] == ["First", "Second"]
+
+
+@pytest.mark.parametrize(
+    ("framing", "message", "wanted"),
+    [
+        (
+            "",
+            "kind=2",
+            r"a message has no keyword 'kind' \(M\); for the field of the header: match=\{'kind': 2\}",
+        ),
+        ("", "exmaples=[]", r"no keyword 'exmaples' \(M\); near: examples"),
+        ("", 'payload="x" / Byte', r"one field goes into a Struct, too"),
+        ("check=Sum", "", r"are made by calling: Sum\(\)"),
+        ("size=this.lenght + 4", "", r"not of 'lenght' \(there are: kind, length\)"),
+    ],
+)
+def test_a_newcomers_slips_are_told_from_bugs(
+    framing: str, message: str, wanted: str, tmp_path: Path
+) -> None:
+    """What somebody writes who has read one page: the error says what to write instead."""
+    size = "" if "size" in framing else "size=this.length + 4, "
+    head = f'header=Struct("kind" / Byte, "length" / Byte), {size}max_size=64'
+    for declare in ("packet", 'packet.family(Struct("opcode" / Byte))'):
+        path = tmp_path / "slip.py"
+        path.write_text(
+            f'{HEAD}packet = wire.framing(sync=b"!", {head}, {framing})\n{declare}("M", {message})\n'
+        )
+        with pytest.raises(SpecError, match=rf"slip\.py:\d+: .*{wanted}"):
+            imported(path)

@@ -11,10 +11,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from construct import ConstructError
+from construct import Construct, ConstructError, Default, Renamed
+from construct import Struct as Payload
 
 from ...errors import AcesError, FieldError, UnknownNameError
 from ...frame import Frame
+from ..spec.bits import BitLayout
 from ..spec.message import Message
 from ..spec.packet import EXTENDED, FD_FLAG, REMOTE
 from ..spec.protocol import Variant
@@ -34,6 +36,8 @@ class Encoder:
         self.variant = variant
         self._counters: dict[tuple[Any, ...], int] = {}
         self._quick, self.source, self.through_construct = quick_encoders(variant)
+        #: By message, what its fields are when they are not given: what construct would take, too.
+        self._unsaid = {name: found for name in self._quick if (found := unsaid(variant[name].payload))}
 
     def encode(self, message: str, /, **fields: Any) -> Any:
         """A python-can message (CAN) or the packet's bytes, from values in the sheet's units.
@@ -58,8 +62,9 @@ class Encoder:
         """The frame or packet of `message`."""
         quick = self._quick.get(message.name) if not raw else None
         if quick is not None:
+            more = self._unsaid.get(message.name)
             try:
-                identifier, head, body = quick(fields)
+                identifier, head, body = quick(fields if more is None else {**more, **fields})
                 if message.framing is not None:
                     return message.struct.framed(message.framing, head, body)
                 return new_can(identifier, head + body, message)
@@ -72,8 +77,9 @@ class Encoder:
         """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`."""
         quick = self._quick.get(message.name)
         if quick is not None:
+            more = self._unsaid.get(message.name)
             try:
-                identifier, head, body = quick(fields)
+                identifier, head, body = quick(fields if more is None else {**more, **fields})
                 if message.framing is not None:
                     return bytes(message.struct.framed(message.framing, head, body))
                 return Frame(
@@ -124,6 +130,27 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
         return f"no value given for {', '.join(missing)}"
     text = _short(str(error)).replace("Error in path ", "").strip()
     return " ".join(text.split()) or type(error).__name__
+
+
+def unsaid(payload: Construct) -> dict[str, Any]:
+    """What the fields of a payload are when nobody gives them: constants of `Default`, no reserved bits, nothing behind."""
+    found: dict[str, Any] = {}
+    if isinstance(payload, BitLayout):
+        fields = [(slot.name, slot.field) for slot in payload.slots]
+        if payload.has_reserved:
+            found["reserved"] = 0
+        if payload.trailing:
+            found[payload.trailing] = b""
+    elif isinstance(payload, Payload):
+        fields = [(item.name, item.subcon if isinstance(item, Renamed) else item) for item in payload.subcons]
+    else:
+        return {}
+    for name, field in fields:
+        while isinstance(field, Renamed):
+            field = field.subcon
+        if name and isinstance(field, Default) and not callable(field.value):
+            found[name] = field.value
+    return found
 
 
 #: What printed encoders raise for a value that they leave to construct.

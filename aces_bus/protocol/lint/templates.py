@@ -30,6 +30,7 @@ def check_templates(protocol: Protocol) -> Iterator[Finding]:
         yield from _requests(message, hanging)
     yield from _shadows(hanging)
     yield from _directions(variants)
+    yield from _without_direction(protocol)
     used = {name for message in protocol.declared for name in message.dialects or ()}
     for name in protocol.dialects:
         if name not in used and len(protocol.dialects) > 1 and used:
@@ -311,6 +312,17 @@ def _directions(variants: list[Variant]) -> Iterator[Finding]:
                 other,
             )
             return
+
+
+#: Where so many messages say which way they go, one that does not was forgotten.
+MANY = 8
+
+
+def _without_direction(protocol: Protocol) -> Iterator[Finding]:
+    without = [message for message in protocol.declared if message.direction is None]
+    others = len(protocol.declared) - len(without)
+    if len(without) == 1 and others >= MANY:
+        yield _finding("warning", "direction", without[0], f"no direction=, which all {others} others have")
 
 
 __all__ = ["check_templates"]

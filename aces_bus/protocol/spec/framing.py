@@ -95,6 +95,8 @@ class Framing:
         self.name = name or protocol.name
         self.sync = sync
         self.not_next = frozenset(not_next)
+        if isinstance(check, type) or isinstance(stuffing, type):
+            raise SpecError(f"{self.place}: check and stuffing are made by calling: Sum(), Crc('…'), Slip()")
         self.check = check
         self.stuffing = stuffing
         self.gap = gap
@@ -131,7 +133,10 @@ class Framing:
             base = ask(zeros)
             used = [h for h in self.heads if h.name and ask({**zeros, h.name: 1}) != base]
         except Exception as error:
-            raise SpecError(f"{self.place}: size must be an expression of header fields ({error})") from None
+            raise SpecError(
+                f"{self.place}: size must be an expression of header fields, not of {error}"
+                f" (there are: {', '.join(zeros) or 'none'})"
+            ) from None
         if len(used) != 1:
             raise SpecError(
                 f"{self.place}: size must depend on one header field, not on {[h.name for h in used]}"
@@ -150,6 +155,7 @@ class Framing:
 
     def __call__(self, name: str, **declared: Any) -> Message:
         """Declare a message in this framing; the keywords are those of `Protocol.message`."""
+        self.protocol.check_keywords(name, declared, {head.name for head in self.heads})
         return self.protocol.message(name, framing=self, **declared)
 
     def family(self, prefix: Struct, **shared: Any) -> Any:

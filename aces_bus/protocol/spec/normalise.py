@@ -45,7 +45,9 @@ def normalised(payload: c.Construct | None, place: Place) -> c.Construct:
     if isinstance(payload, c.Renamed):
         payload = payload.subcon
     if not isinstance(payload, (c.Struct, BitLayout, Delimited)):
-        raise SpecError(f"{place}: a payload is a Struct, a BitLayout or a Delimited, not {payload!r}")
+        raise SpecError(
+            f"{place}: a payload is a Struct, a BitLayout or a Delimited, not {payload!r}; one field goes into a Struct, too"
+        )
     return _walk(payload, place, "payload")
 
 

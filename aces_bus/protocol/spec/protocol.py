@@ -194,6 +194,20 @@ class Protocol:
         self._variants.clear()
         return made
 
+    def check_keywords(self, name: str, declared: Mapping[str, Any], heads: Collection[str | None]) -> None:
+        """Raise `SpecError` for keywords that `message` has not; `heads` are fields that `match` could name."""
+        known = self.message.__kwdefaults__ or {}
+        for keyword, value in declared.items():
+            if keyword in known:
+                continue
+            import difflib
+
+            near = difflib.get_close_matches(keyword, known, n=1)
+            hint = f"; near: {near[0]}" if near else ""
+            if keyword in heads:
+                hint = f"; for the field of the header: match={{{keyword!r}: {value!r}}}"
+            raise SpecError(f"{caller()}: a message has no keyword {keyword!r} ({name}){hint}")
+
     def family(self, prefix: c.Struct, **shared: Any) -> Any:
         """Messages with the same first fields: `Command("Stop", opcode=0x0F, payload=…)`.
 
@@ -206,6 +220,8 @@ class Protocol:
                 **declared.pop("match", {}),
                 **{k: declared.pop(k) for k in list(declared) if k in names},
             }
+            framing = shared.get("framing")
+            self.check_keywords(name, declared, {head.name for head in framing.heads} if framing else set())
             return self.message(name, prefix=prefix, match=match, **{**shared, **declared})
 
         return declare

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 EXAMPLE = """
 name = "cia402"
-rate_hz = 25
+rate_hz = 20
 
 [buses]
 drives = { link = "can", protocol = "canopen", bitrate = 1_000_000 }
@@ -25,24 +25,17 @@ settings = { pdo = "write", mode = "cyclic_position" }
 driver = "cia402"
 bus = "drives"
 credentials = { node = 3 }
-settings = { counts_per_turn = 100_000, pdo = "file" }
+settings = { counts_per_turn = 100_000, pdo = "file", rated_torque = 2.5 }
 
 [devices.D4]
 driver = "cia402"
 bus = "drives"
 credentials = { node = 4 }
-settings = { counts_per_turn = 100_000, rated_torque = 2.5 }
-
-[devices.D5]
-driver = "cia402"
-bus = "drives"
-credentials = { node = 5 }
 settings = { counts_per_turn = 100_000, pdo = "write", sync = false }
 
 [joints]
 SHOULDER = { device = "D1", channel = 0, lower = -1.5, upper = 1.5 }
 ELBOW = { device = "D2", channel = 0, gear = [1, 1], harmonic = 100, encoder = 1000, direction = -1, lower = -2, upper = 2 }
 WHEEL = { device = "D3", channel = 0, type = "continuous", command = "speed", max_speed = 3.0 }
-GRIP = { device = "D4", channel = 0, command = "current" }
-WRIST = { device = "D5", channel = 0, direction = -1, zero = 0.1, lower = -1, upper = 1 }
+WRIST = { device = "D4", channel = 0, direction = -1, zero = 0.1, lower = -1, upper = 1 }
 """

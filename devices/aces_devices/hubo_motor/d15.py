@@ -10,9 +10,10 @@ then control (hubo-ach).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
-from aces_bus.device import UNKNOWN, Device, Driver, Host, Job, Joint, Poll, Steps
+from aces_bus.device import UNKNOWN, Device, Driver, Host, Job, Joint, Poll, Steps, together
 from aces_bus.device.robot import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_protocols.hubo.d15 import NUMBERS, POWER
@@ -72,6 +73,8 @@ class HuboMotorD15(Device):
         if any(axis.channel > 1 for axis in self.axes):
             raise CallerError(f"{self.name}: a board of D15 has channels 0 and 1")
         self.is_enabled = False
+        #: Jobs that lead joints somewhere: stopping and disabling end them.
+        self._led: list[Job] = []
         for axis in self.axes:
             joint = axis.joint
             self.add_signal(
@@ -189,6 +192,11 @@ class HuboMotorD15(Device):
             )
         return found
 
+    def _leading(self, name: str, steps: Callable[[Job], Steps]) -> Job:
+        made = self.job(name, steps)
+        self._led = [job for job in self._led if not job.is_over] + [made]
+        return made
+
     def _status(self) -> Any:
         return self.ask("SendStatusD15", reply=REPLIES)
 
@@ -213,7 +221,7 @@ class HuboMotorD15(Device):
                 here = self.default_of("ReferenceD15", f"position.{axis.channel}")
                 self.want("ReferenceD15", f"position.{axis.channel}", here)
 
-        return self.job("enable", steps)
+        return self._leading("enable", steps)
 
     def disable(self) -> Job:
         """Control off, drivers off."""
@@ -224,18 +232,18 @@ class HuboMotorD15(Device):
         return self._off("stop", is_driver_too=False)
 
     def _off(self, name: str, *, is_driver_too: bool) -> Job:
+        for job in self._led:
+            job.cancel()
         self._end()
-        told = [self.tell("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes]
+        told: list[Any] = [
+            self.tell("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes
+        ]
         if is_driver_too:
             told += [
                 self.tell("DriverSwitchD15", channel=axis.channel + 1, state="off") for axis in self.axes
             ]
 
-        def steps(job: Job) -> Steps:
-            for ticket in told:
-                yield ticket
-
-        return self.job(name, steps)
+        return together(self.clock, f"{self.name} {name}", told)
 
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
         """Search home. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
@@ -258,7 +266,7 @@ class HuboMotorD15(Device):
                 self.want("ReferenceD15", f"position.{axis.channel}", here)
             self.hold("ReferenceD15", 0)
 
-        return self.job("home", steps)
+        return self._leading("home", steps)
 
     def _searched(self, axis: Axis, timeout_s: float) -> Steps:
         end = self.clock.now() + round(timeout_s * 1e9)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from aces_bus.device import Twin, on
+from aces_bus.device import Joint, Twin, on
 
 from ..joint_model import Motor, MotorJoint
 
@@ -22,7 +22,7 @@ VERSION = 20150601
 class _Motor:
     """One channel."""
 
-    def __init__(self, joint: Any, now: int, position: float) -> None:
+    def __init__(self, joint: Joint, now: int, position: float) -> None:
         self.joint = joint
         self.counts = joint.counts_per_unit or 1.0
         lower = -1e9 if joint.lower is None else joint.lower - 0.2

@@ -1,0 +1,207 @@
+"""What a malicious or broken sender can do to a scanner: cost time in proportion to what it sends, and nothing else.
+
+Work is counted, not timed: calls that Python makes, and bytes that checks read. Twice the words may cost twice the work.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from aces_bus.frame import Frame
+from aces_bus.protocol import CanScanner, StreamScanner, Variant, make_scanner
+from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.spec.framing import Framing
+from aces_bus.testing import laws
+from aces_bus.testing.laws import Way
+from tests.laws.wires import CORNERS, PROTOCOLS, REGISTERED
+
+#: Bytes of a stream, and frames of a bus, that are sent once and twice.
+BYTES, FRAMES = 2400, 1200
+#: Twice the words may cost so much more than twice the work: the ends of a stream are not its middle.
+MARGIN = 1.15
+#: Bytes a chunk.
+CHUNK = 61
+
+
+def wires(link: str) -> list[tuple[Variant, Way]]:
+    """Every registered protocol in every dialect and direction; of the others one."""
+    found: list[tuple[Variant, Way]] = []
+    for name, protocol in PROTOCOLS.items():
+        if protocol.link == "can" and link == "can":
+            found += laws.wires(protocol)[: 2 if name in REGISTERED or name in CORNERS else 1]
+        elif protocol.link != "can" and link != "can":
+            found += laws.wires(protocol)[: None if name in REGISTERED else 1]
+    return found
+
+
+def labelled(value: object) -> str:
+    return value.label if isinstance(value, Variant) else str(value or "any").replace(" ", "_")
+
+
+# ---------------------------------------------------------------------- what is sent
+
+
+def _header(framing: Framing, length: int | None) -> bytes:
+    """The first bytes of a packet, with the length that is promised."""
+    head = bytearray(framing.sync)
+    for part in framing.heads:
+        head += bytes(part.size)
+    if framing.affine is not None and length is not None:
+        field = framing.affine.length
+        most = min(
+            (1 << 8 * field.size) - 1, (framing.max_size - framing.affine.constant) // framing.affine.factor
+        )
+        head[field.offset : field.offset + field.size] = field.bytes(max(0, min(length, most)))
+    return bytes(head) or b"\0"
+
+
+def streams(framing: Framing, size: int) -> Iterator[tuple[str, bytes]]:
+    """Streams that are dear to read."""
+
+    def filled(unit: bytes) -> bytes:
+        return (unit * (size // len(unit) + 1))[:size]
+
+    mark = framing.sync or framing.end or b"\0"
+    yield "headers alone", filled(_header(framing, 1))
+    yield "longest lengths", filled(_header(framing, 1 << 30))
+    yield "nested headers", filled(b"".join(_header(framing, n) for n in (40, 30, 20, 10, 5, 0)))
+    yield "sync bytes", filled(mark)
+    yield "halves of a sync", filled(mark[:1] + b"\x01")
+    yield "end marks", filled((framing.end or b"\n") + mark)
+    yield "escapes", filled(b"\xdb\xdd\x7d\x5d\x00\xfd")
+
+
+# ---------------------------------------------------------------------- how much it costs
+
+
+def calls_of(work: Callable[[], Any]) -> int:
+    """How many calls of Python functions `work` makes."""
+    count = 0
+
+    def counted(frame: Any, event: str, argument: Any) -> None:
+        nonlocal count
+        if event == "call":
+            count += 1
+
+    before = sys.getprofile()
+    sys.setprofile(counted)
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+def fed(scanner: StreamScanner, data: bytes) -> None:
+    """All of a stream in chunks; what is held stays bounded, and every byte has its bin."""
+    for at in range(0, len(data), CHUNK):
+        scanner.feed(data[at : at + CHUNK])
+        assert scanner.buffered <= scanner.max_size
+    scanner.close()
+    assert scanner.counts.balance == 0
+    assert scanner.counts.total == len(data)
+
+
+@pytest.mark.parametrize(("variant", "direction"), wires("serial"), ids=labelled)
+def test_a_hostile_stream_costs_in_proportion(variant: Variant, direction: Way) -> None:
+    """Headers without an end, promises of length, sync bytes in a row: calls and check work double with the bytes."""
+    scanner = make_scanner([variant], direction=direction)
+    assert isinstance(scanner, StreamScanner)
+    for framing in scanner.framings:
+        for name, data in streams(framing, 2 * BYTES):
+            work: list[tuple[int, int]] = []
+            for part in (data[:BYTES], data):
+                scanner.reset()
+                calls = calls_of(lambda part=part: fed(scanner, part))  # type: ignore[misc]
+                work.append((calls, scanner.check_work))
+            (calls, read), (calls_of_two, read_of_two) = work
+            assert calls_of_two <= 2 * MARGIN * calls + 400, (name, framing, work)
+            # What is held may be read once more when the stream ends.
+            assert read_of_two <= 2 * MARGIN * read + framing.max_size * 40, (name, framing, work)
+
+
+@pytest.mark.parametrize(("variant", "direction"), wires("serial"), ids=labelled)
+def test_a_hostile_stream_reads_the_same_as_columns(variant: Variant, direction: Way) -> None:
+    """A column scanner takes the same streams, in one piece, and counts them as the live one does."""
+    live = make_scanner([variant], direction=direction)
+    assert isinstance(live, StreamScanner)
+    for framing in live.framings:
+        for name, data in streams(framing, BYTES):
+            live.reset()
+            live.feed(data)
+            live.close()
+            columnar: Any = make_column_scanner([variant], direction=direction)
+            columnar.feed(data)
+            columnar.close()
+            assert (columnar.counts.total, columnar.counts.reasons) == (len(data), live.counts.reasons), name
+
+
+# ---------------------------------------------------------------------- frames
+
+
+def floods(variant: Variant, count: int) -> Iterator[tuple[str, list[Frame]]]:
+    """Frames that are dear to read."""
+    asked = [m for m in variant.messages.values() if m.identifier.captures or m.identifier.constant]
+    known = [m.identifier.constant for m in asked] or [1]
+    extended = [m.extended for m in asked] or [False]
+    yield "every identifier", [Frame(n * 7 & 0x7FF, bytes(8), timestamp=0.0) for n in range(count)]
+    yield (
+        "extended ones",
+        [Frame(n * 7919 & 0x1FFFFFFF, bytes(8), is_extended_id=True, timestamp=0.0) for n in range(count)],
+    )
+    yield (
+        "remote requests",
+        [
+            Frame(
+                known[n % len(known)],
+                b"",
+                is_remote_frame=True,
+                is_extended_id=extended[n % len(known)],
+                dlc=n % 9,
+            )
+            for n in range(count)
+        ],
+    )
+    yield (
+        "requests that nobody answers",
+        [
+            Frame(
+                known[n % len(known)],
+                bytes([n & 0xFF, n >> 8 & 0xFF] * 4),
+                is_extended_id=extended[n % len(known)],
+            )
+            for n in range(count)
+        ],
+    )
+    yield (
+        "channels without end",
+        [
+            Frame(
+                known[n % len(known)],
+                bytes([n & 0xFF] * 8),
+                channel=f"can{n}",
+                is_extended_id=extended[n % len(known)],
+            )
+            for n in range(count)
+        ],
+    )
+
+
+@pytest.mark.parametrize(("variant", "direction"), wires("can"), ids=labelled)
+def test_a_flood_of_frames_costs_in_proportion(variant: Variant, direction: Way) -> None:
+    """Identifiers, remote frames, requests and channels without end: twice the frames, twice the calls."""
+    scanner = make_scanner([variant], direction=direction)
+    assert isinstance(scanner, CanScanner)
+    for name, frames in floods(variant, 2 * FRAMES):
+        work: list[int] = []
+        scanner.feed(frames)  # tables of what was met are made once
+        for part in (frames[:FRAMES], frames):
+            scanner.reset()
+            work.append(calls_of(lambda part=part: scanner.feed(part)))  # type: ignore[misc]
+            assert scanner.counts.balance == 0
+            assert scanner.counts.total == len(part)
+        assert work[1] <= 2 * MARGIN * work[0] + 400, (name, work)
