@@ -11,12 +11,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 #: Pages whose Python needs the files that they write before: `test_docs_console.py` runs them from the first line.
 AS_TYPED = {"docs/tutorial.md"}
+DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
 #: All others, wherever they are: a new page is tested as soon as it is there.
-PAGES = ["README.md", "CONTRIBUTING.md"] + sorted(
-    page
-    for page in (path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
-    if page not in AS_TYPED
-)
+PAGES = ["README.md", "CONTRIBUTING.md", *(page for page in DOCS if page not in AS_TYPED)]
 
 
 @pytest.mark.parametrize("page", PAGES)

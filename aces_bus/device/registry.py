@@ -42,7 +42,9 @@ class Driver:
 
     def __post_init__(self) -> None:
         if not hasattr(self.device, "protocol"):
-            raise SpecError(f"driver {self.name!r}: {self.device.__name__} does not say what it speaks: protocol = …")
+            raise SpecError(
+                f"driver {self.name!r}: {self.device.__name__} does not say what it speaks: protocol = …"
+            )
 
     @property
     def protocol(self) -> str:

@@ -92,7 +92,9 @@ def _difference(
     change: Change | None,
 ) -> str:
     try:
-        made = encoder.encode(message.name, **fields) if way == "encode" else encoder.word(message, fields)
+        made: Any = (
+            encoder.encode(message.name, **fields) if way == "encode" else encoder.word(message, fields)
+        )
     except (FieldError, UnknownNameError) as error:
         if image is not None:
             return f"refused with {str(error)!r}, where construct builds {image.hex()}"

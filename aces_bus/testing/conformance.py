@@ -142,7 +142,9 @@ def check_heard(stand: Stand) -> None:
             for one in device.signals.values():
                 if one.name not in device.readable or stand.is_excused("heard", one.name):
                     continue
-                assert one.instant is not None, f"{one.name} was never heard: does an answer to a poll have it?"
+                assert one.instant is not None, (
+                    f"{one.name} was never heard: does an answer to a poll have it?"
+                )
                 assert one.value is not UNKNOWN, (
                     f"{one.name} is {one.last!r} and stale: {(one.age_ns or 0) / 1e9:.3f} s old, fresh for"
                     f" {(one.stale_after_ns or 0) / 1e9:g} s; poll it more often, or say stale_s="

@@ -425,6 +425,9 @@ def test_files_that_are_none_are_refused(tmp_path: Any) -> None:
     )
     with pytest.raises(CallerError, match="no statusword"):
         dictionary_of(str(other), 5)
+    other.write_text("[1000]\nCompactSubObj=1\n[1000Name]\nNrOfEntries=999999999\n")
+    with pytest.raises(CallerError, match="NrOfEntries = 999999999 is more than a drive has"):
+        dictionary_of(str(other), 6)
     text = ONE.replace("SETTINGS", "sync = true").replace("MORE", 'command = "position"')
     robot, _ = parse_robot(text, "one.toml")
     assert robot is not None

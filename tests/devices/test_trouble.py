@@ -110,7 +110,7 @@ def test_a_wrong_number(robot: VirtualRobot) -> None:
 
 
 def test_the_number_of_another_board(robot: VirtualRobot) -> None:
-    """A board that answers with its neighbour's number makes two answers of one; the neighbour's requests are not mixed up."""
+    """A board that answers with its neighbour's number makes two answers of one; both are told."""
     robot.twins["JMC4"].fault("wrong_number", robot.twins["JMC5"].credentials["board"])
     robot.advance(0.5)
     assert "silent" in kinds(robot, "JMC4")
@@ -121,7 +121,7 @@ def test_the_number_of_another_board(robot: VirtualRobot) -> None:
 
 
 def test_a_rebooted_board(robot: VirtualRobot) -> None:
-    """A board that was off for a moment has forgotten its enabling: that is told, set-points end, nothing moves by itself."""
+    """A board that was off for a moment has forgotten its enabling: that is told, set-points end, nothing moves."""
     robot.devices[BOARD].enable().wait(10)
     robot.advance(1)
     signal = robot[f"{JOINT}.position"]
@@ -166,7 +166,7 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Any) -> None:
 
 
 def test_a_three_channel_frame_of_a_two_channel_board(robot: VirtualRobot) -> None:
-    """Positions of three motors, from a board that has two, are malformed: told with the bytes; none is taken for an angle."""
+    """Positions of three motors, from a board that has two, are malformed: told with the bytes, none is an angle."""
     from aces_bus.frame import Frame
 
     device, twin = robot.devices[BOARD], robot.twins[BOARD]

@@ -13,7 +13,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 
 import aces_protocols
@@ -21,6 +21,7 @@ from aces_bus.protocol import Protocol
 
 #: Keywords whose values are no part of what a spec says about bytes.
 PROSE = ("doc", "source", "examples", "dialects", "bitrate", "baud", "unit", "gap", "within")
+_COUNT = count()
 #: Constructs that read as many bytes in another order, or with another sign.
 ORDERS = {f"Int{n}{s}{a}": f"Int{n}{s}{b}" for n in (16, 24, 32) for s in "us" for a, b in ("lb", "bl")}
 SIGNS = {f"Int{n}{a}{o}": f"Int{n}{b}{o}" for n in (8, 16, 24, 32) for a, b in ("us", "su") for o in "lb"}
@@ -68,8 +69,10 @@ def mutations(protocol: str) -> list[Mutation]:
     return found
 
 
-def drawn(protocols: list[str], count: int, seed: int, *, context: bool = False) -> list[Mutation]:
-    """`count` different mutations: every kind in turn, of any protocol; with `context`, words of context left out."""
+def drawn(
+    protocols: list[str], wanted: int, seed: int, *, in_turn: bool = False, context: bool = False
+) -> list[Mutation]:
+    """`wanted` mutations, of all places alike, or every kind in turn; with `context`, of words of context alone."""
     dice = random.Random(seed)
     kinds: dict[str, list[Mutation]] = {}
     for protocol in protocols:
@@ -78,19 +81,21 @@ def drawn(protocols: list[str], count: int, seed: int, *, context: bool = False)
                 kinds.setdefault(mutation.kind, []).append(mutation)
     for several in kinds.values():
         dice.shuffle(several)
+    if not in_turn:
+        return dice.sample([mutation for several in kinds.values() for mutation in several], wanted)
     found: list[Mutation] = []
-    while len(found) < count and kinds:
+    while len(found) < wanted and kinds:
         for kind in sorted(kinds):
             found.append(kinds[kind].pop())
             if not kinds[kind]:
                 del kinds[kind]
-    return found[:count]
+    return found[:wanted]
 
 
 def declared(mutation: Mutation | str, folder: Path) -> Protocol:
     """The protocol of a mutant (or a shipped one, by its name), declared anew; raises what its import raises."""
     name = mutation if isinstance(mutation, str) else mutation.protocol
-    package = f"mutant_{abs(hash((str(mutation), str(folder)))):x}"
+    package = f"mutant_{next(_COUNT)}_of_{name}"
     home = folder / package
     shutil.copytree(folder_of(name), home, ignore=shutil.ignore_patterns("__pycache__"))
     if isinstance(mutation, Mutation):

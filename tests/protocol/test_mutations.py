@@ -6,6 +6,7 @@ profile, all hundred of all protocols in the long one.
 
 from __future__ import annotations
 
+import ast
 from collections import Counter
 from functools import lru_cache
 from pathlib import Path
@@ -16,13 +17,16 @@ from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.testing.fuzz import Fuzzer
-from tests.protocol.mutations import Mutation, declared, drawn, mutations
+from tests.protocol.mutations import Mutation, declared, drawn, folder_of
 
 SMALL = ["minihubo_adc", "pololu_qik", "robotis"]
 ALL = [*SMALL, "hubo", "hubovia"]
 SEED = 2026
 #: Scenes before the laws, for what the check lets pass.
-EXAMPLES = 256
+EXAMPLES = 64
+#: Why something slips through.
+REGISTERS = "registers have no worked examples"
+UNSEEN = "its worked examples read the same"
 
 
 def remarks(protocol: Protocol) -> Counter[tuple[str, str]]:
@@ -51,8 +55,15 @@ def caught(mutation: Mutation, folder: Path) -> str:
 
 def reason(mutation: Mutation, folder: Path) -> str:
     """Why a mutation can slip through."""
-    message = declared(mutation, folder)._messages_by_name().get(mutation.owner)
-    return "" if message is None else str(len(message.examples))
+    protocol = declared(mutation, folder)
+    message = next((m for m in protocol.declared if m.name == mutation.owner), None)
+    if mutation.module == "control_table.py":
+        return REGISTERS
+    if message is None:
+        return "a part that several messages share: where the examples look, it reads the same"
+    if not message.examples:
+        return "the message has no worked example"
+    return UNSEEN
 
 
 def judged(chosen: list[Mutation], folder: Path) -> list[Mutation]:
@@ -62,8 +73,34 @@ def judged(chosen: list[Mutation], folder: Path) -> list[Mutation]:
     for mutation in chosen:
         found = caught(mutation, folder)
         by[found or "missed"] += 1
-        print(f"{found or 'MISSED':22} {mutation}")
-        if not found:
+        if found:
+            print(f"{found:24} {mutation}")
+        else:
             missed.append(mutation)
+            print(f"{'MISSED':24} {mutation}: {reason(mutation, folder)}")
     print(", ".join(f"{what}: {count}" for what, count in by.most_common()))
     return missed
+
+
+def test_slips_in_small_specs_are_caught(tmp_path: Path) -> None:
+    """Of every kind of slip one, in the specs of the serial protocols: what slips through is known."""
+    missed = judged(drawn(SMALL, 12, SEED, in_turn=True), tmp_path)
+    assert {reason(mutation, tmp_path) for mutation in missed} <= {REGISTERS, UNSEEN}
+    assert len(missed) <= 3, "\n".join(map(str, missed))
+
+
+@pytest.mark.long
+def test_a_hundred_slips_are_caught(tmp_path: Path) -> None:
+    """At least 95 of a hundred, of all places alike, in all shipped specs."""
+    missed = judged(drawn(ALL, 100, SEED), tmp_path)
+    assert len(missed) <= 5, "\n".join(map(str, missed))
+
+
+def test_a_mutation_changes_one_place() -> None:
+    """A mutant is the shipped source but for a line or two, and the same seed draws the same ones."""
+    assert drawn(SMALL, 12, 1) == drawn(SMALL, 12, 1)
+    for mutation in drawn(SMALL, 12, 1):
+        path = folder_of(mutation.protocol) / mutation.module
+        shipped = ast.unparse(ast.parse(path.read_text(encoding="utf-8"))).splitlines()
+        differing = set(mutation.text.splitlines()) ^ set(shipped)
+        assert 1 <= len(differing) <= 6, mutation

@@ -17,6 +17,7 @@ from aces_tools.sim_stand import Stand
 from tests.tools.conftest import Aces
 from tests.tools.live import interrupt
 
+#: Two motor boards on CAN and one that is inactive, a servo on a serial line.
 ROBOT = """
 name = "leg"
 rate_hz = 100
@@ -31,8 +32,17 @@ JMC1 = { driver = "hubo_motor", bus = "can", credentials = { board = 1 }, channe
 JMC2 = { driver = "hubo_motor", bus = "can", credentials = { board = 2 }, channels = 1, active = false }
 S7 = { driver = "robotis_rx", bus = "line", credentials = { id = 7 }, model = "RX-28" }
 
+[joints.YAW]
+device = "JMC0"
+channel = 0
+gear = [10, 25]
+harmonic = 100
+encoder = 4000
+lower = -1.5
+upper = 1.5
+aliases = ["Y"]
+
 [joints]
-YAW = { device = "JMC0", channel = 0, gear = [10, 25], harmonic = 100, encoder = 4000, lower = -1.5, upper = 1.5, aliases = ["HY"] }
 ROLL = { device = "JMC0", channel = 1, gear = [10, 25], harmonic = 100, encoder = 4000, lower = -1.5, upper = 1.5 }
 KNEE = { device = "JMC1", channel = 0, gear = [10, 25], harmonic = 100, encoder = 4000 }
 TOE = { device = "S7", channel = 0, lower = -1.0, upper = 1.0 }
@@ -80,7 +90,7 @@ def test_no_robot_is_said_with_those_that_ship(aces: Aces, monkeypatch: pytest.M
 
 def test_what_a_joint_has(aces: Aces, leg: str) -> None:
     """A joint's name shows its signals with its board's own and the actions; other joints' signals are not there."""
-    shown = aces("device", "HY", "-r", leg)
+    shown = aces("device", "Y", "-r", leg)
     assert shown.status == 0
     assert "YAW.position" in shown.out
     assert "-1.5…1.5" in shown.out
@@ -225,7 +235,11 @@ def test_an_action_that_is_interrupted(virtual: Any, monkeypatch: pytest.MonkeyP
             interrupt()
         return wait(doing, until, duration)
 
-    monkeypatch.setattr(device_do.Doing, "stop", lambda doing: (stopped.append(True), stop(doing))[1])
+    def stops(doing: Any) -> None:
+        stopped.append(True)
+        stop(doing)
+
+    monkeypatch.setattr(device_do.Doing, "stop", stops)
     monkeypatch.setattr(device_do.Doing, "wait", waits)
     made = virtual("KNEE", "home")
     assert made.status == 1

@@ -26,7 +26,15 @@ def test_one_driver(aces: Aces) -> None:
     """A driver shows signals, actions, settings and the faults of its twin."""
     shown = aces("devices", "pololu_qik")
     assert shown.status == 0
-    for part in ("signals", "duty", "actions", "firmware*", "settings in a robot's file", "timeout_s", "silent"):
+    for part in (
+        "signals",
+        "duty",
+        "actions",
+        "firmware*",
+        "settings in a robot's file",
+        "timeout_s",
+        "silent",
+    ):
         assert part in shown.out
     whole = json.loads(aces("devices", "hubo_motor", "--json").out)
     assert whole["signals"]["position"]["unit"] == "rad"

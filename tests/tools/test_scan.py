@@ -24,7 +24,7 @@ def lone(tmp_path: Path) -> str:
     path.write_text(
         'name = "lone"\n[buses]\nline = { link = "serial", protocol = "pololu_qik", baud = 38_400 }\n[devices]\n'
         + "\n".join(
-            f'Q{n} = {{ driver = "pololu_qik", bus = "line", credentials = {{ id = {n} }}, settings = {{ answers = true }} }}'
+            f'Q{n} = {{ driver = "pololu_qik", bus = "line", credentials = {{ id = {n} }}, settings.answers = true }}'
             for n in (1, 9)
         )
         + "\n",
@@ -43,7 +43,11 @@ def test_everything_is_there(aces: Aces, leg: str) -> None:
 
 def test_something_is_missing(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that does not answer is said, as is one that the file has not; status 1."""
-    text = Path(leg).read_text(encoding="utf-8").replace("credentials = { board = 1 }", "credentials = { board = 5 }")
+    text = (
+        Path(leg)
+        .read_text(encoding="utf-8")
+        .replace("credentials = { board = 1 }", "credentials = { board = 5 }")
+    )
     other = load_other(Path(leg), text)
     from aces_tools import scan
 

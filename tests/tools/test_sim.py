@@ -68,7 +68,7 @@ def test_a_program_of_its_own(leg: str) -> None:
             heard = _position(leg)
             assert heard == 0.0
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=WAIT_S)
+        _, err = process.communicate(timeout=WAIT_S)
     finally:
         process.kill()
     assert process.returncode == 0, err

@@ -34,7 +34,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "device": ("device", "read, set, watch, enable and home the devices of a robot; motion only with --tx"),
     "scan": ("scan", "find what answers on a bus, and write a robot's file of it"),
     "sim": ("sim", "put a robot's simulated devices on a bus"),
-    "run": ("run", "run controllers on a robot: virtual, on its buses (motion only with --tx), on a recording"),
+    "run": (
+        "run",
+        "run controllers on a robot: virtual, on its buses (motion only with --tx), on a recording",
+    ),
     "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
     "spec": ("spec", "for the authors of protocols: new, check, show, explain, export, import, stubs"),
     "fuzz": ("fuzz", "look for a stream that breaks a protocol: nine laws, shrunk failures, coverage"),

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
@@ -15,8 +16,10 @@ from typing import Any
 
 from aces_bus.errors import CallerError
 
-#: The largest file that is read.
-LARGEST = 8 << 20
+#: The largest file that is read, and the largest numbers in it that canopen counts up to.
+LARGEST = 4 << 20
+COUNTS = {"nrofentries": 254, "compactsubobj": 254, "lines": 10_000}
+_COUNT = re.compile(r"(?im)^[ \t]*(NrOfEntries|CompactSubObj|Lines)[ \t]*=[ \t]*(\w{1,40})")
 
 
 @cache
@@ -42,6 +45,9 @@ def dictionary_of(path: str | None, node: int) -> Any:
             f"{path}: {error.strerror or error}; a robot's file names it from where the program was started,"
             " or with its whole path"
         ) from error
+    for name, value in _COUNT.findall(text):
+        if (value.isdecimal() and int(value) > COUNTS[name.lower()]) or len(value) > 10:
+            raise CallerError(f"{path}: {name} = {value} is more than a drive has")
     source = io.StringIO(text)
     source.name = path or "drive.eds"
     try:

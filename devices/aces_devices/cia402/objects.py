@@ -51,9 +51,10 @@ class ObjectAccess(Device):
             if known is None:
                 return data.hex(" ")
             try:
-                return known.decode_raw(data)
+                value = known.decode_raw(data)
             except Exception:  # another length than the file says
                 return data.hex(" ")
+            return _printable(data) if isinstance(value, str) else value
 
         return self.job(f"read {index:04X}:{subindex}", steps)
 
@@ -85,10 +86,13 @@ class ObjectAccess(Device):
                     if index == 0x1000:
                         raise
                     continue  # optional
-                found[name] = (
-                    data.decode("ascii", "replace") if name == "name" else int.from_bytes(data, "little")
-                )
+                found[name] = _printable(data) if name == "name" else int.from_bytes(data, "little")
                 job.progress = (number + 1) / 6
             return found
 
         return self.job("identity", steps)
+
+
+def _printable(data: bytes) -> str:
+    """Text of a device, without what a terminal would take for a command."""
+    return "".join(one if one.isprintable() else "?" for one in data.decode("ascii", "replace").rstrip("\0"))

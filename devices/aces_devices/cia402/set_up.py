@@ -131,7 +131,7 @@ def _read(device: Cia402, side: tuple[int, int, int]) -> Steps:
             continue
         raw: dict[int, int] = {}
         for subindex in (1, 2, 5):
-            if subindex == 5 and (side is RECEIVED or raw[2] <= 240):
+            if subindex == 5 and (side is RECEIVED or raw.get(2, 255) <= 240):
                 continue
             try:
                 raw[subindex] = yield from _number(device, index, subindex)

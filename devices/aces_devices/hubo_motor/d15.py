@@ -246,12 +246,12 @@ class HuboMotorD15(Device):
         return together(self.clock, f"{self.name} {name}", told)
 
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
-        """Search home. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
+        """Enable the board if need be, and search home. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
         axes = self._axes(joint)
 
         def steps(job: Job) -> Steps:
             if not self.is_enabled:
-                raise DeviceError(f"{self.name} is not enabled: enable it, then home")
+                yield self.enable()
             for number, axis in enumerate(axes):
                 job.text = axis.joint.name
                 self.hold("ReferenceD15", timeout_s)

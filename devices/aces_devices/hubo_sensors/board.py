@@ -225,6 +225,8 @@ def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout
     """
     variant = host.variants["hubo"]
     old = variant.dialect != "D12"
+    if old and "DaOffsetQuery" not in variant.messages:
+        return []  # D15: how its sensors are asked for by number is not known
     table = variant.protocol.configurations[variant.protocol.configuration or ""]["channels"]
     boards = [board for board, kind in table.items() if kind in kinds]
     found: list[DeviceConfig] = []

@@ -217,29 +217,46 @@ def _steps(direction: int) -> Any:
     return lambda duty: direction * duty
 
 
+#: How long a number is asked, and how long when somebody has answered (s); a late answer has come after so long (ns).
+LOOK_S, SURE_S, LATE_NS = 0.02, 0.15, 100_000_000
+
+
 def _scan(host: Host, job: Job) -> Steps:
-    """Ask every number for the firmware's version. Devices without a transmit line are not found."""
-    found: list[DeviceConfig] = []
+    """Ask every number for the firmware's version. Devices without a transmit line are not found.
+
+    An answer does not say whose it is: when somebody has answered, this number is asked again, and so are the two before it,
+    whose late answer it may have been.
+    """
+    found: dict[int, DeviceConfig] = {}
     for number in range(128):
-        probe = host.probe("pololu_qik", id=number)
-        try:
-            yield probe.ask("GetFirmware", reply="Firmware", timeout_s=0.02, retries=0)
-        except NoReplyError:
+        is_answered = yield from _answers(host, number, LOOK_S)
+        job.progress = (number + 1) / 128
+        if not is_answered:
             continue
-        finally:
-            host.remove(probe.name)
-            job.progress = (number + 1) / 128
-        found.append(
-            DeviceConfig(
-                name=f"QIK{number}",
-                driver="pololu_qik",
-                bus=host.name,
-                credentials={"id": number},
-                channels=2,
-                settings={"answers": True},
-            )
-        )
-    return found
+        yield LATE_NS
+        for one in range(max(0, number - 2), number + 1):
+            if one not in found and (yield from _answers(host, one, SURE_S)):
+                found[one] = DeviceConfig(
+                    name=f"QIK{one}",
+                    driver="pololu_qik",
+                    bus=host.name,
+                    credentials={"id": one},
+                    channels=2,
+                    settings={"answers": True},
+                )
+    return list(found.values())
+
+
+def _answers(host: Host, number: int, timeout_s: float) -> Steps:
+    """Whether anybody answers to this number."""
+    probe = host.probe("pololu_qik", id=number)
+    try:
+        yield probe.ask("GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0)
+    except NoReplyError:
+        return False
+    finally:
+        host.remove(probe.name)
+    return True
 
 
 EXAMPLE = """

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shlex
 import signal
@@ -87,6 +88,13 @@ def ignore_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def rare_collections() -> None:
+    """Specs, plans and scanners stay: looking through them again and again for garbage costs a tenth of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 100)
+
+
 def places(text: str) -> list[tuple[Variant, Way]]:
     """The wires of a protocol as the command line names it: all of a name alone, else those of dialect or configuration."""
     what = named(text)
@@ -112,6 +120,7 @@ class Worker:
             [place for text in job.names for place in places(text)], seed=job.seed, laws=chosen
         )
         self.fuzzer.keeps = job.corpus is not None
+        rare_collections()
         self._done = Done()
         self._failures = self._kept = self._turn = 0
         self.todo = corpus_files(job.corpus) if job.corpus is not None else ()
