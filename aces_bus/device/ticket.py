@@ -142,6 +142,9 @@ class Job(Awaited):
             except AcesError as failed:
                 self.fail(failed)
                 return
+            except Exception as wrong:  # the driver's own fault: it is over, and told where it happened
+                self.fail(DeviceError(f"{self.name}: {type(wrong).__name__}: {wrong}"))
+                raise
             if isinstance(step, Awaited):
                 if not step.is_over:
                     step.then(self._continued)

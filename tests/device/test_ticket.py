@@ -94,3 +94,19 @@ def test_waiting_too_long_says_for_what() -> None:
     with pytest.raises(DeviceError, match=r"slow.*not over after 1 s"):
         job.wait(1)
     assert job.wait(20) == 1
+
+
+def test_a_step_that_raises_anything_ends_its_job() -> None:
+    """A driver's own fault ends its job with its text, and is raised where the clock runs."""
+    clock = VirtualClock()
+
+    def faulty(job: Job) -> Steps:
+        yield 1
+        raise ZeroDivisionError("oops")
+
+    job = Job(clock, "faulty", faulty)
+    with pytest.raises(ZeroDivisionError):
+        clock.advance(10)
+    assert job.state == "failed"
+    with pytest.raises(DeviceError, match="faulty: ZeroDivisionError: oops"):
+        job.wait()

@@ -219,8 +219,9 @@ def _of_call(node: ast.Call, tree: ast.Module) -> Iterator[Change]:
             yield "constant", _set(node.args[0], bytes([value[0] ^ 1]) + value[1:])
     if name in ("Struct", "BitLayout"):
         fields = [n for n, item in enumerate(node.args) if isinstance(item, ast.BinOp)]
-        for one, other in pairwise(fields):
-            yield "fields swapped", _swapped(node, one, other)
+        if name == "Struct":  # a layout's fields say themselves where they are
+            for one, other in pairwise(fields):
+                yield "fields swapped", _swapped(node, one, other)
         if len(fields) > 1:
             yield "field left out", _dropped(node, fields[-1])
 

@@ -4,16 +4,17 @@
   aces device RHY                       what one has: signals, actions
   aces device RHY get                   all it knows, once
   aces device RHY get position velocity
-  aces device RHY watch position        kept up to date; a line each time in a pipe
+  aces device RHY watch position        kept up to date; in a pipe a line each
   aces device RHY home --tx             an action, with its progress
   aces device RHY set position=0.2 --enable --for 3s --tx
   aces device RHY set position=30deg --enable --tx
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
 
-The robot is that of --robot or of the variable ACES_ROBOT. With --virtual nothing
-else is needed: its twins answer, in virtual time. On real buses, whatever changes
-a device needs --tx. Values are SI. A joint's name is enough: the device that has
-it is found. Other devices of the robot are neither asked nor told anything.
+The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
+nothing else is needed: its twins answer, in virtual time. On real buses,
+whatever changes a device needs --tx. Values are SI. A joint's name is enough:
+the device that has it is found. Other devices of the robot are neither asked
+nor told anything.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ VERBS = ("get", "watch", "set")
 
 EPILOG = """\
 exit status: 0; 1 when a value stayed unknown, what was set cannot have been
-followed, an action failed or was interrupted, or --tx is missing; 2 a wrong call,
-or a bus that cannot be opened
+followed, an action failed or was interrupted, or --tx is missing; 2 a wrong
+call, or a bus that cannot be opened
 """
 
 

@@ -71,7 +71,8 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
         table.append((one.name, one.unit or "–", ", ".join(ways) + limits, one.doc))
     print("\n".join(rows_of(table)) if table else "  no signals")
     if device.actions:
-        print("actions (those with * only ask, and need no --tx)")
+        is_marked = any(name in device.asking for name in device.actions)
+        print("actions" + (" (those with * only ask, and need no --tx)" if is_marked else ""))
         rows = [
             (name + "*" * (name in device.asking), _with_arguments(doc, arguments_of(device, name)))
             for name, doc in device.actions.items()

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 LONGEST_S = 600
 
 EPILOG = """\
-exit status: 0; 1 when something is missing, nothing was found, or a bus could not
-be looked through; 2 a wrong call, or a bus that cannot be opened
+exit status: 0; 1 when something is missing, nothing was found, or a bus could
+not be looked through; 2 a wrong call, or a bus that cannot be opened
 """
 
 

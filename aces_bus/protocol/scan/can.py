@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from itertools import repeat
 from typing import Any, Literal
 
@@ -56,7 +57,39 @@ class _Index:
             if message.identifier.match(identifier) is not None
             and key_of(identifier, extended=message.extended, remote=message.remote, fd=message.fd) == key
         ]
-        return [message for _, message in sorted(found, key=lambda one: one[0])]
+        if len(found) > 1:
+            found.sort(key=lambda one: one[0])
+        return [message for _, message in found]
+
+
+class _Keys:
+    """What the keys of CAN frames may be, by the messages alone: the same for every scanner of a variant and direction."""
+
+    def __init__(self, messages: Sequence[Message]) -> None:
+        patterns: list[Message] = []
+        by_key: dict[int, list[Message]] = {}
+        total = sum(len(m.identifier) for m in messages if len(m.identifier) <= SPELT_OUT)
+        most = SPELT_OUT if total <= REMEMBERED else SPELT_OUT_OF_MANY
+        for message in messages:
+            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
+            if len(message.identifier) <= most:
+                for identifier in message.identifier:
+                    by_key.setdefault(identifier | flags, []).append(message)
+            else:
+                patterns.append(message)
+        self.has_patterns = bool(patterns)
+        self.patterns, self.all = _Index(patterns), _Index(messages)
+        same: dict[tuple[Message, ...], tuple[Message, ...]] = {}
+        #: The candidates of each key that is spelt out.
+        self.spelt_out: dict[int, tuple[Message, ...]] = {}
+        for key, known in by_key.items():
+            found = (*known, *self.patterns.of(key)) if patterns else tuple(known)
+            self.spelt_out[key] = same.setdefault(found, found)
+
+
+@lru_cache(maxsize=32)
+def _keys(messages: tuple[Message, ...]) -> _Keys:
+    return _Keys(messages)
 
 
 class _Wire(Decider):
@@ -65,23 +98,12 @@ class _Wire(Decider):
     def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
         super().__init__(variant, direction, raw=raw)
         self.table: dict[int, Decode] = {}
-        patterns: list[Message] = []
-        by_key: dict[int, list[Message]] = {}
-        total = sum(len(m.identifier) for m in self.messages if len(m.identifier) <= SPELT_OUT)
-        most = SPELT_OUT if total <= REMEMBERED else SPELT_OUT_OF_MANY
-        for message in self.messages:
-            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
-            if len(message.identifier) <= most:
-                for identifier in message.identifier:
-                    by_key.setdefault(identifier | flags, []).append(message)
-            else:
-                patterns.append(message)
-        self._has_patterns = bool(patterns)
-        self._patterns, self._all = _Index(patterns), _Index(self.messages)
+        keys = _keys(tuple(self.messages))
+        self._has_patterns = keys.has_patterns
+        self._patterns, self._all = keys.patterns, keys.all
         # Many keys have the same candidates: these are decided about once.
         decided: dict[tuple[Message, ...], Decode] = {}
-        for key, messages in by_key.items():
-            found = (*messages, *self._patterns.of(key)) if patterns else tuple(messages)
+        for key, found in keys.spelt_out.items():
             if found not in decided:
                 decided[found] = self.decide(found, alone=True)
             self.table[key] = decided[found]

@@ -228,13 +228,15 @@ def bounds(values: Collection[int]) -> tuple[int, int]:
 
 
 def describe_values(values: Collection[int]) -> str:
-    """`0…47` or `1, 2, 5`."""
-    listed = sorted(values)
-    if len(listed) > 2 and listed[-1] - listed[0] == len(listed) - 1:
-        return f"{listed[0]}…{listed[-1]}"
-    if len(listed) > 12:
-        return f"{len(listed)} values in {listed[0]}…{listed[-1]}"
-    return ", ".join(map(str, listed))
+    """`0…47` or `1, 2, 5`; only a few values are ever sorted."""
+    count = len(values)
+    if count > 2:
+        low, high = bounds(values)
+        if high - low == count - 1:
+            return f"{low}…{high}"
+        if count > 12:
+            return f"{count} values in {low}…{high}"
+    return ", ".join(map(str, sorted(values)))
 
 
 def meet(one: Pattern, other: Pattern, width: int) -> int | None:

@@ -246,7 +246,7 @@ class HuboMotorD15(Device):
         return together(self.clock, f"{self.name} {name}", told)
 
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
-        """Enable the board if need be, and search home. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
+        """Search home; enables before. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
         axes = self._axes(joint)
 
         def steps(job: Job) -> Steps:
