@@ -14,7 +14,6 @@ import construct as c
 
 from ..errors import FieldError
 from ..frame import Frame
-from ..protocol.scan.context import _outer
 from ..protocol.spec.head import Head
 from ..protocol.spec.message import Message, Request
 from ..protocol.spec.protocol import Variant
@@ -108,7 +107,7 @@ def _occasions(message: Message, variant: Variant) -> tuple[Occasion, ...]:
         if asked is None:
             continue
         shared: dict[str, Collection[int] | None] = {}
-        for name in sorted(_outer(message) & _outer(asked)):
+        for name in sorted(message.outer_names & asked.outer_names):
             limits = [_allowed(message, name), _allowed(asked, name), dict(link.values).get(name)]
             sets = [frozenset(limit) for limit in limits if limit is not None]
             shared[name] = tuple(sorted(frozenset.intersection(*sets))) if sets else None

@@ -294,10 +294,21 @@ def check_misbehaviour(stand: Stand) -> None:
                         f"{device.name} is {fault}, and that is told as {told or 'nothing'}"
                     )
                 twin.fault(fault, on=False)
-                robot.advance(SETTLE)
+                _recover(robot, device)
                 assert not device.is_silent, f"{device.name} is silent after having been {fault}"
                 assert any(one.value is not UNKNOWN for one in heard(device)), f"{device.name} after {fault}"
         _no_bug(robot)
+
+
+def _recover(robot: VirtualRobot, device: Device) -> None:
+    """Wait until a device is heard again, at most `SETTLE`; what was under way has a second to end in any case."""
+    since = robot.clock.now()
+    robot.advance(1.0)
+    while robot.clock.now() - since < SETTLE * 1e9:
+        instants = [one.instant for one in heard(device) if one.instant is not None]
+        if not device.is_silent and max(instants, default=0) > since:
+            return
+        robot.advance(0.5)
 
 
 def check_two_of_one(stand: Stand) -> None:

@@ -66,7 +66,9 @@ def mutations(protocol: str) -> list[Mutation]:
             tree = ast.parse(path.read_text(encoding="utf-8"))
             for number, (kind, owner, node, _) in enumerate(_sites(tree)):
                 found.append(Mutation(protocol, path.name, getattr(node, "lineno", 0), kind, owner, number))
-    return found
+    ways = [mutation for mutation in found if mutation.kind == "missing direction"]
+    # The direction of a protocol's only message tells it from nothing.
+    return found if len(ways) > 1 else [mutation for mutation in found if mutation not in ways]
 
 
 def drawn(

@@ -190,8 +190,8 @@ def columns_scale_in_single_precision(patch: Patch) -> None:
 class Answered(Context):
     """Requests are never used up."""
 
-    def of(self, *args: Any) -> Any:
-        found = super().of(*args)
+    def of(self, candidates: Any, channel: Any, time: float | None) -> Any:
+        found = super().of(candidates, channel, time)
         for entries in self._seen.values():
             for entry in entries:
                 entry.consumed = False
@@ -201,9 +201,9 @@ class Answered(Context):
 class Forgetful(Context):
     """Only the last request is remembered, whoever it was to."""
 
-    def note(self, *args: Any) -> None:
+    def note(self, name: str, channel: Any, time: float | None, values: Any) -> None:
         self._seen.clear()
-        super().note(*args)
+        super().note(name, channel, time, values)
 
 
 def a_request_is_answered_twice(patch: Patch) -> None:

@@ -161,17 +161,6 @@ def is_magnitude(node: p.Scalar) -> bool:
     return any(isinstance(step, p.Magnitude) for step in node.steps)
 
 
-def outer_names(message: Message) -> frozenset[str]:
-    """The fields of a message outside its payload: what a reply and its request may share."""
-    names = {capture.name for capture in message.identifier.captures}
-    for head in message.heads:
-        if head.name is not None and head.is_own:
-            names.add(head.name)
-        elif head.pattern is not None:
-            names |= {capture.name for capture in head.pattern.captures}
-    return frozenset(names)
-
-
 def one_line(text: str) -> str:
     """A text of somebody's as part of a comment: printable, without line ends."""
     return " ".join(clean(text).split())
@@ -194,7 +183,6 @@ __all__ = [
     "names_of",
     "number_bits",
     "one_line",
-    "outer_names",
     "runs",
     "scale_of",
     "snake",

@@ -36,7 +36,6 @@ from .leaves import (
     leaves_of,
     names_of,
     one_line,
-    outer_names,
     runs,
     scale_of,
     snake,
@@ -168,7 +167,7 @@ class _Printer:
             table["links"] = [
                 {
                     "request": request.message.name,
-                    "shared": sorted(outer_names(message) & outer_names(request.message)),
+                    "shared": sorted(message.outer_names & request.message.outer_names),
                     "sticky": is_sticky,
                     "values": {name: _values(sorted(values)) for name, values in request.values},
                 }
@@ -177,7 +176,7 @@ class _Printer:
             table["within"] = message.within
         if any(message.name in context.requests for _, _, context in self.modes.values()):
             kinds = {
-                tuple(sorted(outer_names(other) & outer_names(request.message)))
+                tuple(sorted(other.outer_names & request.message.outer_names))
                 for other in self.modes["both"][0]
                 for request in (*other.reply_to, *other.after)
                 if request.message.name == message.name
@@ -266,7 +265,7 @@ class _Printer:
         if plan.opaque:
             reason = f"told by its head and constants alone, not all of it taken apart: {plan.opaque}"
             self._lose(message.name, "", reason)
-        outer = outer_names(message)
+        outer = message.outer_names
         listed, rest = leaves_of(message)
         for leaf in listed:
             if isinstance(leaf.node, p.Opaque):

@@ -67,7 +67,7 @@ class Context:
                 self._answers |= {message.name}
 
     def _link(self, message: Message, links: list[Link], request: Request, is_sticky: bool) -> None:
-        shared = tuple(sorted(_outer(message) & _outer(request.message)))
+        shared = tuple(sorted(message.outer_names & request.message.outer_names))
         links.append(Link(request, shared, is_sticky))
         self._kinds.setdefault(request.message.name, set()).add(shared)
 
@@ -177,17 +177,6 @@ class Context:
 def _who(link: Link, values: Mapping[str, Any]) -> tuple[Any, ...]:
     """The device that `values` are of."""
     return tuple(values.get(name) for name in link.shared)
-
-
-def _outer(message: Message) -> set[str]:
-    """The fields of a message outside its payload: captures and head fields."""
-    names = {capture.name for capture in message.identifier.captures}
-    for head in message.heads:
-        if head.name is not None and head.is_own:
-            names.add(head.name)
-        elif head.pattern is not None:
-            names |= {capture.name for capture in head.pattern.captures}
-    return names
 
 
 __all__ = ["Context"]

@@ -458,6 +458,17 @@ class Message:
             return ""
         return f"{describe_values(self.lengths)} bytes"
 
+    @property
+    def outer_names(self) -> frozenset[str]:
+        """The fields outside the payload, captures and head fields: what a reply and its request may share."""
+        names = {capture.name for capture in self.identifier.captures}
+        for head in self.heads:
+            if head.name is not None and head.is_own:
+                names.add(head.name)
+            elif head.pattern is not None:
+                names |= {capture.name for capture in head.pattern.captures}
+        return frozenset(names)
+
     def __repr__(self) -> str:
         return f"<message {self.protocol.name}.{self.name}>"
 
