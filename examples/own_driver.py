@@ -9,7 +9,7 @@ Source: odriverobotics/ODrive docs/can-protocol.rst, firmware 0.5.x.
 from __future__ import annotations
 
 from math import tau
-from typing import Any
+from typing import Any, ClassVar
 
 from construct import Float32l, Int32ul, Struct
 
@@ -58,7 +58,7 @@ class ODrive(Device):
             upper=20,
         ),
     )
-    actions = {"enable": "closed loop: follow set-points", "disable": "let go of the motor"}
+    actions: ClassVar = {"enable": "closed loop: follow set-points", "disable": "let go of the motor"}
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
         return {**fields, "torque_feed_forward": 0.0}

@@ -41,7 +41,15 @@ FLOORS: dict[str, set[str]] = {
     "kinematics": set(),  # bodies as chains; numbers only
     "controller": {"runtime", "device", "state", "capture", "kinematics"},  # touches no frame and no byte
     "access": {"runtime", "device", "state"},  # states for other programs
-    "assembly": {"runtime", "protocol", "hardware", "device", "state", "controller", "capture"},  # floors put together
+    "assembly": {
+        "runtime",
+        "protocol",
+        "hardware",
+        "device",
+        "state",
+        "controller",
+        "capture",
+    },  # floors put together
     "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
 }
 EVERYONE = {"errors", "frame", "frame_table"}

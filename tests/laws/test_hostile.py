@@ -17,7 +17,8 @@ from aces_bus.protocol.scan.columns import make_column_scanner
 from aces_bus.protocol.spec.framing import Framing
 from aces_bus.testing import laws
 from aces_bus.testing.laws import Way
-from tests.laws.wires import CORNERS, PROTOCOLS, REGISTERED
+from tests.laws.corners import CORNERS
+from tests.laws.wires import PROTOCOLS, REGISTERED
 
 #: Bytes of a stream, and frames of a bus, that are sent once and twice.
 LEAST_BYTES, MOST_BYTES, FRAMES = 300, 800, 200

@@ -216,9 +216,9 @@ def _of_call(node: ast.Call, tree: ast.Module) -> Iterator[Change]:
         assert isinstance(sync.value, bytes)
         yield "sync byte", _set(sync, sync.value[:-1] + bytes([sync.value[-1] ^ 1]))
     if name == "Const" and node.args and isinstance(node.args[0], ast.Constant):
-        value = node.args[0].value
-        if isinstance(value, bytes):
-            yield "constant", _set(node.args[0], bytes([value[0] ^ 1]) + value[1:])
+        said = node.args[0].value
+        if isinstance(said, bytes):
+            yield "constant", _set(node.args[0], bytes([said[0] ^ 1]) + said[1:])
     if name in ("Struct", "BitLayout"):
         fields = [n for n, item in enumerate(node.args) if isinstance(item, ast.BinOp)]
         if name == "Struct":  # a layout's fields say themselves where they are

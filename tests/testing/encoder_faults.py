@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from aces_bus.protocol.codegen import encoder
+from aces_bus.protocol.codegen import encoder, print_encode
 from tests.testing.faults import Fault, Patch
 from tests.testing.victims import a_bus, a_line
 
 
 def printed(patch: Patch, *changes: tuple[str, str]) -> None:
     """Change the text of printed encoders."""
-    good = encoder.print_encoder
+    good = print_encode.print_encoder
 
     def bad(*args: Any) -> list[str]:
         text = "\n".join(good(*args))

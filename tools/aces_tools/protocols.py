@@ -170,20 +170,8 @@ def _defaulted(names: Iterable[str], default: str | None) -> str:
 
 
 def _framing(framing: Framing) -> str:
-    parts = [f"begin with {framing.sync.hex(' ').upper()}"] if framing.sync else []
-    if framing.fixed_size is not None:
-        parts.append(f"{framing.fixed_size} bytes")
-    elif framing.affine is not None:
-        parts.append(f"size by {framing.affine.length.name}, at most {framing.max_size} bytes")
-    elif framing.end:
-        parts.append(f"end with {framing.end.hex(' ').upper()}, at most {framing.max_size} bytes")
-    else:
-        parts.append(f"end by silence, at most {framing.max_size} bytes")
-    if framing.stuffing is not None:
-        parts.append(f"stuffed ({type(framing.stuffing).__name__})")
-    if framing.gap:
-        parts.append(f"at most {framing.gap:g} s between bytes")
-    return ", ".join(parts)
+    gap = [f"at most {framing.gap:g} s between bytes"] if framing.gap else []
+    return ", ".join([*framing.describe, *gap])
 
 
 def _check(protocol: Protocol) -> str:

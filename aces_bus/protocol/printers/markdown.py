@@ -229,19 +229,8 @@ def _lengths(message: Message) -> str:
 
 
 def _framing(framing: Framing) -> str:
-    parts = [f"begin with {framing.sync.hex(' ').upper()}"] if framing.sync else []
-    if framing.fixed_size is not None:
-        parts.append(f"{framing.fixed_size} bytes")
-    elif framing.affine is not None:
-        parts.append(f"size by {framing.affine.length.name}, at most {framing.max_size} bytes")
-    elif framing.end:
-        parts.append(f"end with {framing.end.hex(' ').upper()}, at most {framing.max_size} bytes")
-    else:
-        parts.append(f"end by silence, at most {framing.max_size} bytes")
-    if framing.stuffing is not None:
-        parts.append(f"stuffed ({type(framing.stuffing).__name__})")
-    parts.append(f"check: {framing.check.describe}" if framing.check is not None else "no check")
-    return ", ".join(parts)
+    check = f"check: {framing.check.describe}" if framing.check is not None else "no check"
+    return ", ".join([*framing.describe, check])
 
 
 def _sources(message: Message) -> dict[str, str]:

@@ -261,5 +261,21 @@ class Framing:
         head = self.extra_head
         return head.number(packet) if head is not None else 0
 
+    @property
+    def describe(self) -> list[str]:
+        """Where its packets begin and end, in words for people."""
+        parts = [f"begin with {self.sync.hex(' ').upper()}"] if self.sync else []
+        if self.fixed_size is not None:
+            parts.append(f"{self.fixed_size} bytes")
+        elif self.affine is not None:
+            parts.append(f"size by {self.affine.length.name}, at most {self.max_size} bytes")
+        elif self.end:
+            parts.append(f"end with {self.end.hex(' ').upper()}, at most {self.max_size} bytes")
+        else:
+            parts.append(f"end by silence, at most {self.max_size} bytes")
+        if self.stuffing is not None:
+            parts.append(f"stuffed ({type(self.stuffing).__name__})")
+        return parts
+
     def __repr__(self) -> str:
         return f"<framing {self.name} of {self.protocol.name}>"
