@@ -117,12 +117,12 @@ class Context:
                     if latest is None or entry.number > latest.number:
                         latest = entry
         for entry, link, to_all, message, values in found:
-            if entry is latest and link.request.accepts(latest.values):
+            if entry is latest and link.request.accepts(entry.values):
                 if to_all and not link.is_sticky:
-                    latest.answered.add(_who(link, values))
+                    entry.answered.add(_who(link, values))
                 else:
-                    latest.consumed = not link.is_sticky
-                return message, latest.values
+                    entry.consumed = not link.is_sticky
+                return message, entry.values
         return None
 
     def pending(

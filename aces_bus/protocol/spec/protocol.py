@@ -196,7 +196,7 @@ class Protocol:
 
     def check_keywords(self, name: str, declared: Mapping[str, Any], heads: Collection[str | None]) -> None:
         """Raise `SpecError` for keywords that `message` has not; `heads` are fields that `match` could name."""
-        known = self.message.__kwdefaults__ or {}
+        known = Protocol.message.__kwdefaults__ or {}
         for keyword, value in declared.items():
             if keyword in known:
                 continue
