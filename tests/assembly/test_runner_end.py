@@ -296,4 +296,5 @@ def test_every_deadline_is_a_step_or_missed() -> None:
         ended = run.run(0.5)
     (task,) = run.tasks.tasks
     assert task.missed > 5
-    assert abs(task.ticks + task.missed - 1 - 50 * ended.seconds) <= 1
+    # On a busy machine some time passes between the last tick and the end.
+    assert abs(task.ticks + task.missed - 1 - 50 * ended.seconds) <= 5

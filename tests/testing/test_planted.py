@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -49,7 +50,16 @@ def hunted(fault: Fault) -> Failure:
     pytest.fail(f"no law of {fault.laws} failed in {EXAMPLES} examples")
 
 
-@pytest.mark.parametrize("fault", [*FAULTS, *ENCODER_FAULTS], ids=str)
+def _chosen() -> list[Any]:
+    """All in the long profile; every third in the short one, which is run many times a day."""
+    planted = [*FAULTS, *ENCODER_FAULTS]
+    return [
+        pytest.param(fault, id=str(fault), marks=[] if number % 3 == 0 else [pytest.mark.long])
+        for number, fault in enumerate(planted)
+    ]
+
+
+@pytest.mark.parametrize("fault", _chosen())
 def test_a_planted_fault_is_found_and_small(fault: Fault, monkeypatch: Patch) -> None:
     """A law that is meant fails, on a handful of words that still break it when they are played again."""
     fault.plant(monkeypatch)

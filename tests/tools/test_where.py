@@ -47,8 +47,12 @@ PAGE_0, PAGE_1 = one(0x14, b"\x00\x05"), one(0x14, b"\x01\x05")
 NOT_KNOWN = one(0x10, bytes.fromhex("0500 FF7F 0000C07F"))  # 5, {}, not known, NaN
 
 
+#: Of the very types that these records have.
+PLANS = plans_of([spec.variant()])
+
+
 def holds(record: Any, *conditions: str) -> bool:
-    return Where(conditions, plans_of([spec.variant()])).holds(record)
+    return Where(conditions, PLANS).holds(record)
 
 
 @pytest.mark.parametrize(
