@@ -19,7 +19,7 @@ GOLDEN = ROOT / "tests" / "golden"
 
 # No deadline and no health check of speed: both fail on a busy machine, not on a fault.
 settings.register_profile(
-    "short", max_examples=15, deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
+    "short", max_examples=12, deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.register_profile(
     "long", parent=settings.get_profile("short"), max_examples=int(os.environ.get("ACES_EXAMPLES", "2000"))

@@ -21,7 +21,7 @@ from aces_bus.testing.laws import LAWS, Law
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 
 #: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
-EXAMPLES = 12
+EXAMPLES = 10
 #: All but the explanation, which runs a failing scene a hundred times more.
 PHASES = (Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink)
 

@@ -287,7 +287,10 @@ BoardInfoD15 = hubo.message(
     payload=Struct("period" / Milliseconds, "unknown" / Bytes(2), "version" / Int32ul, "rest" / Rest),
     doc="A board's period and the version of its firmware.",
     source=ROBOWORLD,
-    examples=[("193#05 00 00 4E 61 BC 00", {"board": 3, "period": 5, "version": 12_345_678})],
+    examples=[
+        ("193#05 00 00 4E 61 BC 00", {"board": 3, "period": 5, "version": 12_345_678}),
+        ("193#05 00 00 4E 61 BC 00 01", {"board": 3, "period": 5, "version": 12_345_678, "rest": b"\x01"}),
+    ],
 )
 _CELSIUS = Quantity(Int16ul, scale=0.1, unit="°C")
 TemperatureD15 = hubo.message(
@@ -379,7 +382,13 @@ ForceTorqueD15 = hubo.message(
     payload=Struct("lead" / Reserved(1), "mx" / _MOMENT, "my" / _MOMENT, "fz" / _FORCE, "rest" / Rest),
     doc="Force and torque: D12's fields a byte later and negated.",
     source=ROBOWORLD,
-    examples=[("041#00 7B 00 38 FE 37 F6", {"sensor": 1, "mx": -1.23, "my": 4.56, "fz": 250.5})],
+    examples=[
+        ("041#00 7B 00 38 FE 37 F6", {"sensor": 1, "mx": -1.23, "my": 4.56, "fz": 250.5}),
+        (
+            "041#00 7B 00 38 FE 37 F6 5A",
+            {"sensor": 1, "mx": -1.23, "my": 4.56, "fz": 250.5, "rest": b"\x5a"},
+        ),
+    ],
 )
 ForceTorqueLateralD15 = hubo.message(
     "ForceTorqueLateralD15",

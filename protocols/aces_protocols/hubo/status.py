@@ -190,7 +190,20 @@ StatusD08 = hubo.message(
                     {"origin": "fail", "limit_switch": "fail", "encoder": "none", "reserved": 0},
                 ],
             },
-        )
+        ),
+        (
+            "150#01 02 03 04 05 05 0A",
+            {
+                "board": 0,
+                "board_state": 1,
+                "motor_state": [2, 3],
+                "motor_control": [4, 5],
+                "motor": [
+                    {"origin": "ok", "limit_switch": "ok", "encoder": "none", "reserved": 0},
+                    {"origin": "fail", "limit_switch": "fail", "encoder": "none", "reserved": 0},
+                ],
+            },
+        ),
     ],
 )
 StatusD08X = hubo.message(

@@ -150,5 +150,9 @@ ConfigurationSet = reply(
     payload=Struct("result" / Enumeration(Byte, ok=0, bad_parameter=1, bad_value=2)),
     doc="Whether a parameter was set.",
     source="Pololu 0J25 5.c",
-    examples=[("00", {"id": 1, "result": "ok"}, "AA 01 04 00 05 55 2A")],
+    examples=[
+        ("00", {"id": 1, "result": "ok"}, "AA 01 04 00 05 55 2A"),
+        ("01", {"id": 1, "result": "bad_parameter"}, "AA 01 04 00 05 55 2A"),
+        ("02", {"id": 1, "result": "bad_value"}, "AA 01 04 00 05 55 2A"),
+    ],
 )
