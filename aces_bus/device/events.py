@@ -59,18 +59,41 @@ class DeviceEvent(msgspec.Struct, frozen=True):
         return f"{self.instant / 1e9:.6f} {who}: {self.kind}{f': {self.detail}' if self.detail else ''}"
 
 
+#: Events of one kind and device are told this often at most (ns); all are counted.
+TELL_EVERY = 1_000_000_000
+#: What tells of a change, and therefore is told each time.
+TOLD_ALWAYS = frozenset(
+    (
+        *("silent", "answers", "alarm", "alarm over", "rebooted"),
+        *("opened", "lost", "reopened", "closed", "error-active", "error-passive", "bus-off", "recovered"),
+    )
+)
+#: So many different events are told apart.
+APART = 10_000
+
+
 class EventLog:
-    """Handlers, counts a kind and device, and the last events. A handler that raises is dropped into `failures`."""
+    """Handlers, counts a kind and device, and the last events. What a handler raises is kept in `failures`."""
 
     def __init__(self, keep: int = 1024) -> None:
         self.handlers: list[Callable[[DeviceEvent], None]] = []
         self.last: deque[DeviceEvent] = deque(maxlen=keep)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.failures: deque[BaseException] = deque(maxlen=16)
+        self._told: dict[tuple[str, str, str], int] = {}
 
     def tell(self, event: DeviceEvent) -> None:
-        """Count, keep and hand on."""
+        """Count; keep and hand on, but the same of one device at most once a second, unless it tells of a change."""
         self.counts[event.kind, event.device] += 1
+        # Strangers have no name: their details tell them apart.
+        who = event.device or event.detail if event.kind == "stranger" else event.device
+        key = (event.bus, event.kind, who)
+        last = self._told.get(key)
+        if last is not None and event.instant - last < TELL_EVERY and event.kind not in TOLD_ALWAYS:
+            return
+        if len(self._told) > APART:
+            self._told.clear()
+        self._told[key] = event.instant
         self.last.append(event)
         for handler in self.handlers:
             try:

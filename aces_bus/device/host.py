@@ -14,7 +14,6 @@ import heapq
 import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from ..errors import AcesError, CallerError, FieldError, NoReplyError, UnknownNameError
@@ -22,22 +21,14 @@ from ..protocol import Unknown as UnknownWord
 from ..protocol import Variant
 from ..runtime import Timer
 from .coalesce import Rule, Want, a_device
-from .device import Device, Poll
+from .device import Device
 from .events import DeviceEvent, EventLog, Kind
 from .port import Port
 from .robot import DeviceConfig, Robot
-from .station import Station, tags_of
+from .station import Station
 from .ticket import Ticket
+from .turn import HostCounts, Turn
 
-#: Events of one kind and device are told this often at most (ns); all are counted.
-TELL_EVERY = 1_000_000_000
-#: What tells of a change, and therefore is told each time.
-TOLD_ALWAYS = frozenset(
-    (
-        *("silent", "answers", "alarm", "alarm over", "rebooted"),
-        *("opened", "lost", "reopened", "closed", "error-active", "error-passive", "bus-off", "recovered"),
-    )
-)
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
 NO_REPLY: frozenset[str] = frozenset()
@@ -51,65 +42,10 @@ NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
 SILENT_SHARE = 5
 #: An instant that does not come (ns).
 NEVER = 1 << 62
+#: So many strangers are kept apart; a bus may claim millions.
+STRANGERS = 10_000
 #: The share of a tick that polls may fill when nobody says otherwise.
 BUDGET = 0.9
-
-
-@dataclass
-class HostCounts:
-    """What went over a host's bus, in words; latencies in ns.
-
-    `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for
-    another tick. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it, `latency_ns` that of
-    a single request.
-    """
-
-    ticks: int = 0
-    sent: int = 0
-    set_points: int = 0
-    polls: int = 0
-    polls_carried: int = 0
-    asked: int = 0
-    answered: int = 0
-    missed: int = 0
-    repeated: int = 0
-    received: int = 0
-    not_sent: int = 0
-    latency_ns: int = 0
-    cycle_ns: int = 0
-    cycle_sum_ns: int = 0
-    cycles: int = 0
-    ticks_missed: int = 0
-
-
-class _Turn:
-    """One poll of one device, and when it is due."""
-
-    __slots__ = (
-        "asked_at",
-        "common",
-        "cost_ns",
-        "device",
-        "due",
-        "every_ns",
-        "poll",
-        "replies",
-        "timeout_ns",
-        "waiting",
-        "word",
-    )
-
-    def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
-        self.device, self.poll, self.word = device, poll, word
-        #: It asks everybody: when several devices want it in one tick, it is sent once.
-        self.common = not tags_of(device, device.variant[poll.message])
-        self.every_ns = 0 if poll.every_s is None else round(poll.every_s * 1e9)
-        self.timeout_ns = round(poll.timeout_s * 1e9)
-        self.replies = poll.replies
-        self.due = self.asked_at = 0
-        self.waiting: Ticket | None = None
-        #: What it costs on the wire, with its answer; learnt.
-        self.cost_ns = cost_ns
 
 
 class Host(Station[Device]):
@@ -142,8 +78,7 @@ class Host(Station[Device]):
         #: Who is shown the words that were not understood: scans, which do not know yet what is there.
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.strangers: Counter[str] = Counter()
-        self._told: dict[tuple[str, str], int] = {}
-        self.turns: deque[_Turn] = deque()
+        self.turns: deque[Turn] = deque()
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
@@ -190,7 +125,7 @@ class Host(Station[Device]):
                     f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
                     f" {self._who(member) or 'none'}"
                 ) from error
-            turn = _Turn(member, poll, word, 2 * self.port.wire_ns(word))
+            turn = Turn(member, poll, word, 2 * self.port.wire_ns(word))
             if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self.turns) % 1))
             if self._half and not self._period:
@@ -318,7 +253,7 @@ class Host(Station[Device]):
                     self._take_turn(turn, now)
         self._pump()
 
-    def _take_turn(self, turn: _Turn, now: int) -> None:
+    def _take_turn(self, turn: Turn, now: int) -> None:
         if self._half and not self._period:
             turn.due = NEVER
         elif turn.every_ns:
@@ -512,7 +447,7 @@ class Host(Station[Device]):
         latency = instant - ticket.sent_at
         if latency > counts.latency_ns:
             counts.latency_ns = latency
-        turn: _Turn | None = ticket.poll
+        turn: Turn | None = ticket.poll
         if turn is not None:
             turn.waiting = None
             self._learn(turn, record, instant)
@@ -520,7 +455,7 @@ class Host(Station[Device]):
             self._free(ticket)
         ticket.finish(record)
 
-    def _learn(self, turn: _Turn, record: Any, instant: int) -> None:
+    def _learn(self, turn: Turn, record: Any, instant: int) -> None:
         """What a poll costs with its answer, and how long the round takes."""
         counts = self.counts
         cycle = instant - turn.asked_at
@@ -637,7 +572,9 @@ class Host(Station[Device]):
             for n in sorted(names)
             if isinstance(getattr(record, n, None), int)
         )
-        self.strangers[f"{kind.__name__} {who}"] += 1
+        name = f"{kind.__name__} {who}"
+        if name in self.strangers or len(self.strangers) < STRANGERS:
+            self.strangers[name] += 1
         self.tell(
             "stranger",
             "",
@@ -645,14 +582,5 @@ class Host(Station[Device]):
         )
 
     def tell(self, kind: Kind, device: str, detail: str = "") -> None:
-        """Tell what has happened; the same of one device at most once a second, all are counted."""
-        now = self.clock.now()
-        key = (kind, f"{device} {detail}" if kind == "stranger" else device)
-        last = self._told.get(key)
-        if last is not None and now - last < TELL_EVERY and kind not in TOLD_ALWAYS:
-            self.events.counts[kind, device] += 1
-            return
-        if len(self._told) > 10_000:
-            self._told.clear()
-        self._told[key] = now
-        self.events.tell(DeviceEvent(kind, now, self.name, device, detail))
+        """Tell what has happened; see `EventLog.tell` for how often."""
+        self.events.tell(DeviceEvent(kind, self.clock.now(), self.name, device, detail))
