@@ -91,9 +91,9 @@ def test_slips_in_small_specs_are_caught(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_a_hundred_slips_are_caught(tmp_path: Path) -> None:
-    """At least 90 of a hundred, of all places alike, in all shipped specs: more examples, fewer slips."""
+    """At least 95 of a hundred, of all places alike, in all shipped specs: more examples, fewer slips."""
     missed = judged(drawn(ALL, 100, SEED), tmp_path)
-    assert len(missed) <= 10, "\n".join(map(str, missed))
+    assert len(missed) <= 5, "\n".join(map(str, missed))
 
 
 def test_a_mutation_changes_one_place() -> None:
