@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 from ..device import Rig
@@ -73,8 +74,11 @@ class States(Mapping[str, State]):
 
     def _state(self, whole: str) -> State:
         source: Any = self.rig.signals[whole]
-        return State.of(source, history=self.history, sampled=source.name in self._readable())
+        # What is only set has its set-points for values; all else has what was heard.
+        is_heard = source.name in self._readable or not source.is_writable
+        return State.of(source, history=self.history, sampled=is_heard)
 
+    @cached_property
     def _readable(self) -> set[str]:
         return {name for device in self.rig.devices.values() for name in device.readable}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot, run_real, run_replay, run_virtual
+from aces_bus.assembly import States, VirtualRobot, run_real, run_replay, run_virtual
 from aces_bus.controller import IGNORE, Controller, controller
 from aces_bus.device import connect, simulate
 from aces_bus.errors import CallerError, UnknownNameError
@@ -174,3 +174,13 @@ def test_real_ports_serve_a_rig() -> None:
     with Loop() as loop, connect(robot, {"line": port_of(CanGate(options), loop)}, rate_hz=100, load=drivers):
         pass
     assert threading.active_count() <= before
+
+
+def test_what_nobody_can_set_is_read_only() -> None:
+    """A signal that a driver updates by itself, from no declared field, is a state that is read and not set."""
+    robot = VirtualRobot(robot_of(ROBOT), load=drivers)
+    device = robot.devices["A"]
+    robot.rig.signals["A.mood"] = device.add_signal("mood")
+    mood = States(robot.rig)["A.mood"]
+    device["mood"].update(3.0, 5)
+    assert (mood[0], mood.is_writable) == (3.0, False)
