@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..frame_table import Ints
-from ._mdf_tree import Segment, Stream
+from ._mdf_tree import VARIABLE_GROUP, Segment, Stream
 
 _PIECE = 1 << 22
 #: A run of records of one size is looked for at least so far ahead, and where there is none, so many are taken one by one.
 _AHEAD, _SINGLE = 64, 1024
+#: In place of the size of records that each have their own.
+_OWN = -1
+#: Bytes of variable length that are at hand at once.
+_WINDOW = 1 << 26
 
 
 class Bytes:
@@ -89,6 +93,70 @@ class Bytes:
         return data
 
 
+class Variable:
+    """Bytes of variable length, each with its length in front, from anywhere in the bytes of segments.
+
+    1. What is at hand is one unpacked block and one window of the bytes, and all windows together are not more than some
+       times the bytes.
+    """
+
+    def __init__(self, file: BinaryIO, segments: Sequence[Segment]) -> None:
+        self._file, self._segments = file, segments
+        sizes = [segment.size for segment in segments]
+        self._ends = np.cumsum(sizes, dtype=np.int64)
+        self.size = sum(sizes)
+        self._left = 8 * self.size + _WINDOW
+        self._number, self._unpacked = -1, b""
+
+    def window(self, start: int, end: int) -> bytes:
+        """So many bytes of those there are, fewer at the end. Raises `ValueError` when they cannot be read."""
+        end = min(end, self.size)
+        self._left -= max(0, end - start)
+        if end - start > _WINDOW or self._left < 0:
+            raise ValueError("its data bytes of variable length are scattered too far")
+        parts: list[bytes] = []
+        number = int(np.searchsorted(self._ends, start, side="right"))
+        while start < end:
+            segment = self._segments[number]
+            at = start - (int(self._ends[number]) - segment.size)
+            size = min(end - start, segment.size - at)
+            if segment.packing is None:
+                self._file.seek(segment.at + at)
+                parts.append(self._file.read(size))
+            else:
+                if number != self._number:
+                    self._left -= segment.size
+                    reader = Bytes(self._file, [segment])
+                    whole = bytearray(segment.size)
+                    reader.fill(memoryview(whole))
+                    if reader.fault:
+                        raise ValueError(reader.fault)
+                    self._number, self._unpacked = number, bytes(whole)
+                parts.append(self._unpacked[at : at + size])
+            start, number = start + size, number + 1
+        return b"".join(parts)
+
+
+def values_at(window: Callable[[int, int], bytes], size: int, offsets: Ints) -> tuple[Ints, Ints]:
+    """Bytes of variable length at offsets: their lengths, -1 for what does not lie in the `size` bytes, and rows of them.
+
+    Rows have 8 bytes, or 64; of longer bytes the first 64.
+    """
+    n = len(offsets)
+    lengths = np.full(n, -1, np.int64)
+    is_in = (offsets >= 0) & (offsets <= size - 4)
+    if not is_in.any():
+        return lengths, np.zeros((n, 8), np.uint8)
+    first, last = int(offsets[is_in].min()), int(offsets[is_in].max())
+    stream = np.frombuffer(window(first, last + 4 + 64) + bytes(64), np.uint8)
+    places = np.where(is_in, offsets.astype(np.int64) - first, 0)
+    found = numbers_of(stream[places[:, None] + np.arange(4)]).astype(np.int64)
+    is_in &= places + first + 4 + found <= size
+    lengths[is_in] = found[is_in]
+    width = 8 if int(lengths.max()) <= 8 else 64
+    return lengths, stream[places[:, None] + 4 + np.arange(width)]
+
+
 def records(source: Bytes, size: int, total: int | None, rows: int) -> Iterator[Ints]:
     """Records as arrays of (n, size) bytes with n ≤ `rows`, at most `total` of them; each is overwritten by the next."""
     rows = min(rows, source.size // size + 1)
@@ -122,17 +190,22 @@ class Sorted:
     ) -> None:
         self.segments: dict[int, list[Segment]] = {number: [] for number in wanted}
         self.counts: dict[int, int] = {group.number: 0 for group in stream.groups}
+        self._variable = {group.number for group in stream.groups if group.flags & VARIABLE_GROUP}
         self.fault = ""
         self._out, self._most, self._end = out, most, out.seek(0, 2)
-        sizes = {group.number: group.size for group in stream.groups}
+        sizes = {
+            group.number: None if group.number in self._variable else group.size for group in stream.groups
+        }
         self._finder = Finder(stream.number_bytes, sizes)
         source = Bytes(file, stream.segments, stream.fault)
-        longest = stream.number_bytes + max(sizes.values(), default=0)
+        longest = stream.number_bytes + max((size or 4 for size in sizes.values()), default=0)
         buffer = bytearray(min(max(_PIECE, 2 * longest), source.size + longest + 1))
         kept = 0
         while not self.fault:
             end = kept + source.fill(memoryview(buffer)[kept:])
             done = self._split(buffer, end)
+            if not done and end == len(buffer):
+                self.fault = self.fault or f"a record of more than {end} bytes"
             if end < len(buffer):
                 self.fault = self.fault or source.fault
                 return
@@ -151,6 +224,9 @@ class Sorted:
             self.counts[group] += count
             if count and group in self.segments:
                 rows = starts if count == len(starts) else starts[places == place]
+                if group in self._variable:
+                    self._store(group, finder.variable_records(buffer, chunk, rows))
+                    continue
                 windows = np.lib.stride_tricks.sliding_window_view(chunk, finder.steps[group] - finder.width)
                 self._store(group, windows[rows + finder.width].tobytes())
         return at
@@ -170,15 +246,16 @@ class Sorted:
 
 
 class Finder:
-    """Where records begin that have their group's number, of `width` bytes, in front. `sizes` are by that number.
+    """Where records begin that have their group's number, of `width` bytes, in front. `sizes` are by that number; None
+    where each record has its own in front, of 4 bytes.
 
     A group's place is that of its number among `numbers`, which go up; `steps` are from one record to the next.
     """
 
-    def __init__(self, width: int, sizes: Mapping[int, int]) -> None:
+    def __init__(self, width: int, sizes: Mapping[int, int | None]) -> None:
         self.width = width
         self.numbers = sorted(sizes)
-        self.steps = {number: width + size for number, size in sizes.items()}
+        self.steps = {number: _OWN if size is None else width + size for number, size in sizes.items()}
         self._format = struct.Struct({1: "<B", 2: "<H", 4: "<I", 8: "<Q"}[width])
         self._known = np.array(self.numbers, np.uint64)
         self._steps = np.array([*(self.steps[number] for number in self.numbers), 0], np.int64)
@@ -190,6 +267,23 @@ class Finder:
     def number(self, buffer: bytearray, at: int) -> int:
         """The number that stands there."""
         return int(self._format.unpack_from(buffer, at)[0])
+
+    def _step(self, buffer: bytearray, at: int, end: int) -> int:
+        """From the record that begins there to the next; 0 where there is none, or it is not whole."""
+        step = self.steps.get(self.number(buffer, at), 0)
+        if step == _OWN:
+            if at + self.width + 4 > end:
+                return 0
+            step = self.width + 4 + int.from_bytes(buffer[at + self.width : at + self.width + 4], "little")
+        return step if at + step <= end else 0
+
+    def variable_records(self, buffer: bytearray, chunk: Ints, rows: Ints) -> bytes:
+        """The records of variable length that begin there, with their lengths, one after the other."""
+        starts = rows + self.width
+        ends = starts + 4 + numbers_of(chunk[starts[:, None] + np.arange(4)]).astype(np.int64)
+        view = memoryview(buffer)
+        pairs = zip(starts.tolist(), ends.tolist(), strict=True)
+        return b"".join([view[start:end] for start, end in pairs])
 
     def _places(self, chunk: Ints, starts: Ints) -> Ints:
         """The places of the groups of records that begin there; one behind the last for a number that is none's."""
@@ -212,8 +306,8 @@ class Finder:
         found = [np.zeros(0, np.int64)]
         at, ahead = 0, _AHEAD
         while at + width <= end:
-            step = steps.get(self.number(buffer, at), 0)
-            if not step or at + step > end:
+            step = self._step(buffer, at, end)
+            if not step:
                 break
             run = np.arange(at, min(at + ahead * step, end - step + 1), step)
             is_alike = self._steps[self._places(chunk, run)] == step
@@ -229,6 +323,8 @@ class Finder:
                     if at + width > end:
                         break
                     step = steps.get(unpack(buffer, at)[0], 0)
+                    if step == _OWN:
+                        step = self._step(buffer, at, end)
                     if not step or at + step > end:
                         break
                     single.append(at)

@@ -2,9 +2,11 @@
 
 1. A field lies within its record, or there is none: `field_of` checks it, and the rest may rely on it.
 2. What comes is new or shared with the records, and is not written to.
+3. What is not read here is refused with `Refused`, which names the channel and the reason: arrays, complex numbers, dates,
+   floating-point numbers of 16 bits, and numbers with their highest byte first that are not 1, 2, 4 or 8 whole bytes, as
+   programs do not agree about them.
 
-*Facts*: bits count from the lowest of the byte in which a field begins. What has its highest byte first is read only where
-it takes whole bytes, 1, 2, 4 or 8; programs do not agree about the rest.
+*Facts*: bits count from the lowest of the byte in which a field begins.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..frame_table import Ints
-from ._mdf_tree import SIZED, Channel, Unusual
+from ._mdf_tree import MASTER, SIZED, VALUE, VARIABLE, Channel
 
 _UNSIGNED, _SIGNED, _REAL, _TEXT, _BYTES = (0, 1), (2, 3), (4, 5), (6, 7), 10
 
@@ -32,37 +34,38 @@ class Field(NamedTuple):
     plain: np.dtype[np.generic] | None
 
 
-def number_of(channel: Channel, record_bytes: int) -> Field:
-    """The same as `field_of`, of a channel that has integers."""
-    field = field_of(channel, record_bytes)
-    if field.is_real or field.is_bytes:
-        raise Unusual(f"{channel.name} is no integer")
-    return field
+class Refused(Exception):
+    """A channel group that is not read, and why."""
 
 
 def field_of(channel: Channel, record_bytes: int) -> Field:
-    """The field of a channel, in records with so many bytes. Raises `Unusual` where it is not read here."""
+    """The field of a channel, in records with so many bytes. Raises `Refused` where it is not read."""
     kind, shift, bits = channel.data_type, channel.first_bit, channel.bits
     size = (shift + bits + 7) // 8
     is_number, is_real = kind in _UNSIGNED + _SIGNED, kind in _REAL
     is_bytes = kind == _BYTES or kind in _TEXT
     is_whole = not shift and not bits % 8
     plain = None
-    if not channel.is_plain or (channel.kind not in (0, 2) and not (channel.kind == SIZED and is_bytes)):
-        raise Unusual(f"{channel.name} is not a plain field")
-    if not bits or channel.first_byte + size > record_bytes or not (is_number or is_real or is_bytes):
-        raise Unusual(f"{channel.name} is no field of its records")
+    if channel.kind == VARIABLE:  # the field has an offset
+        is_number, is_real, is_bytes, kind = True, False, False, _UNSIGNED[0]
+    is_placed = channel.kind in (VALUE, VARIABLE, MASTER) or (channel.kind == SIZED and is_bytes)
+    if channel.is_array or not is_placed:
+        raise Refused(f"{channel.name} is not a plain field of its records")
+    if not (is_number or is_real or is_bytes):
+        raise Refused(f"{channel.name} is of data type {kind}, which is not read")
+    if not bits or channel.first_byte + size > record_bytes:
+        raise Refused(f"{channel.name} does not lie within its records")
     if shift > 7 or (is_number and size > 8) or ((is_real or is_bytes) and not is_whole):
-        raise Unusual(f"{channel.name} does not begin and end where its kind does")
+        raise Refused(f"{channel.name} does not begin and end where its data type does")
     if is_real and bits not in (32, 64):
-        raise Unusual(f"{channel.name} is a number of {bits} bits")
+        raise Refused(f"{channel.name} is a floating-point number of {bits} bits, which is not read")
     if not is_bytes:
         is_high_first = kind % 2 == 1
         if is_whole and size in (1, 2, 4, 8):
             letter = "f" if is_real else "i" if kind in _SIGNED else "u"
             plain = np.dtype(f"{'>' if is_high_first else '<'}{letter}{size}")
         elif is_high_first:
-            raise Unusual(f"{channel.name} has its highest byte first, and not whole bytes")
+            raise Refused(f"{channel.name} has its highest byte first, and not 1, 2, 4 or 8 whole bytes")
     return Field(channel.first_byte, size, shift, bits, kind in _SIGNED, is_real, is_bytes, plain)
 
 
@@ -89,10 +92,9 @@ def integers(rows: Ints, field: Field) -> Ints:
     return values
 
 
-def reals(rows: Ints, field: Field) -> Ints:
-    """A field as floating-point numbers."""
-    assert field.plain is not None
-    return _plain(rows, field, field.plain)
+def numbers(rows: Ints, field: Field) -> Ints:
+    """A field as integers, or as floating-point numbers if it has those."""
+    return _plain(rows, field, field.plain) if field.plain is not None else integers(rows, field)
 
 
 def _plain(rows: Ints, field: Field, kind: np.dtype[np.generic]) -> Ints:

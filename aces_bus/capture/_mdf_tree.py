@@ -4,6 +4,8 @@
    no more of them than `BLOCKS`. So this ends soon on any file, in memory that the file's size bounds.
 2. What is damaged is `Damaged`; what is in order and not told here is `Unusual`, and another reader's.
 3. Records are not touched; `_mdf_data.py` reads them.
+4. Nothing that changes what a number means is left out: a channel has its data type, its invalidation bit and its
+   conversion. What of these is not read is refused by `_mf4_group.py`, with the channel's name.
 
 A file is a tree. Its header leads to data groups, each a stream of records and the channel groups whose records they are; a
 channel group leads to its channels, and a channel to its parts: CAN_DataFrame to CAN_DataFrame.ID and so on. *Facts*: the
@@ -13,15 +15,20 @@ layout as ASAM describes MDF 4.0 to 4.2, and as asammdf reads it, beside which t
 from __future__ import annotations
 
 import struct
+from datetime import UTC, datetime
 from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from ._mdf_conversions import Conversion, conversion_of
 
 _HEAD = struct.Struct("<4sIQQ")
 _HEADER_AT = 64
 #: Heads with so many links.
 _SHAPES = [struct.Struct(f"<4sIQQ{links}Q") for links in range(9)]
-_CHANNEL = struct.Struct("<BBBBIII")
+_CHANNEL = struct.Struct("<BBBBIIII")
 _GROUP = struct.Struct("<QQHHIII")
-_LINEAR = struct.Struct("<BBHHHdddd")
+_CONVERSION = struct.Struct("<BBHHHdd")
 _PACKED = struct.Struct("<2sBBIQQ")
 
 #: Groups, channels and data blocks that are followed. A day's log of a busy bus in blocks of 64 KiB has some 50,000.
@@ -32,11 +39,18 @@ _TEXT = 1 << 12
 PACKED_MOST = 1 << 26
 
 # Of `Channel`.
-VALUE, MASTER, _VIRTUAL_MASTER, SIZED = 0, 2, 3, 5
+VALUE, VARIABLE, MASTER, VIRTUAL_MASTER, SIZED, VIRTUAL = 0, 1, 2, 3, 5, 6
+ALL_INVALID, HAS_INVALID = 0x1, 0x2
+#: Of the master channel: it has times.
+TIMES = 1
 # Of `Group.flags`.
 VARIABLE_GROUP, BUS_EVENT, REMOTE_MASTER = 0x1, 0x2, 0x8
 # Of `Tree.unfinished`: record counts are missing; the length of the last data block is; the last list of data blocks is.
-COUNTS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
+COUNTS, _LAST_LENGTH, _LAST_LIST, _OFFSETS = 0x1, 0x4, 0x10, 0x40
+#: Of the header: it begins at a local time.
+_LOCAL = 0x1
+
+_FRAMES = ("CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame")
 
 CIRCLES = "its blocks are linked in circles, or one is named twice; it is damaged"
 _AGAIN = "its blocks lie over each other; it is damaged"
@@ -63,9 +77,10 @@ class Segment(NamedTuple):
 
 
 class Channel(NamedTuple):
-    """A channel: `kind` and `data_type` as in the file; where its bits are in a record.
+    """A channel: `kind`, `data_type`, `sync` and `flags` as in the file; where its bits are in a record.
 
-    `factor` and `offset` make seconds of it; None where no number does.
+    `data_at` is where its data are if they have a place of their own; of bytes of variable length `segments` are those, if
+    they are in blocks and not in records of a group there, and `fault` what is wrong behind the last.
     """
 
     name: str
@@ -74,15 +89,24 @@ class Channel(NamedTuple):
     first_bit: int
     first_byte: int
     bits: int
-    is_time: bool
-    is_plain: bool
-    factor: float | None = 1.0
-    offset: float = 0.0
+    sync: int = 0
+    flags: int = 0
+    invalid_bit: int = 0
+    is_array: bool = False
+    conversion: Conversion = Conversion()
+    data_at: int = 0
+    segments: tuple[Segment, ...] = ()
+    fault: str = ""
 
 
 class Group(NamedTuple):
-    """A channel group. `number` is in front of its records; `records` are announced; a record has `size` bytes."""
+    """A channel group, which is at `at`. `number` is in front of its records; `records` are announced.
 
+    A record has `size` bytes: those of the data, and behind them the invalidation bits. Those of a `VARIABLE_GROUP` have
+    their length in front, and no channels.
+    """
+
+    at: int
     number: int
     records: int
     flags: int
@@ -115,6 +139,18 @@ class Tree(NamedTuple):
     streams: list[Stream]
 
 
+def start_of(time_ns: int, flags: int) -> int:
+    """The instant at which a file begins; a local time, which says so in its flags, is taken as that of this machine."""
+    if not flags & _LOCAL:
+        return time_ns
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    try:
+        local = datetime.fromtimestamp(seconds, UTC).replace(tzinfo=None)
+        return int(local.timestamp()) * 1_000_000_000 + rest
+    except (OverflowError, OSError, ValueError):
+        raise Damaged("it begins at no instant") from None
+
+
 class _Block(NamedTuple):
     links: list[int]
     data: bytes
@@ -122,10 +158,10 @@ class _Block(NamedTuple):
 
 def tree_of(file: BinaryIO, size: int) -> Tree:
     """The tree of a file of `size` bytes. Raises `Unusual`, `Damaged` and `OSError`."""
-    return _Reader(file, size).tree()
+    return Blocks(file, size).tree()
 
 
-class _Reader:
+class Blocks:
     """The walk through one file."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
@@ -137,6 +173,7 @@ class _Reader:
         #: Where known blocks begin: one of which the length is missing ends at the next.
         self._ends: list[int] = []
         self._unfinished = 0
+        self._conversions: dict[int, Conversion] = {}
 
     def tree(self) -> Tree:
         head = self._bytes(0, 64)
@@ -145,10 +182,10 @@ class _Reader:
             words = head[8:12].decode("ascii", "replace").strip("\0 ")
             raise Damaged(f"MDF version {words!r} has no bus logging; only version 4 has")
         self._unfinished, custom = struct.unpack_from("<HH", head, 60)
-        if not 400 <= version <= 420 or custom or self._unfinished & _LAST_LIST:
+        if not 400 <= version <= 420 or custom or self._unfinished & (_LAST_LIST | _OFFSETS):
             raise Unusual("it is of a version, or in a state, that is not known here")
-        header = self._block(_HEADER_AT, b"##HD", 6, 8)
-        start: int = struct.unpack_from("<Q", header.data)[0]
+        header = self._block(_HEADER_AT, b"##HD", 6, 13)
+        start = start_of(*struct.unpack("<Q4xB", header.data))
         streams: list[Stream] = []
         at = header.links[0]
         while at:
@@ -219,7 +256,7 @@ class _Reader:
         at = block.links[1]
         while at:
             group = self._block(at, b"##CG", 6, _GROUP.size)
-            groups.append(self._group(group))
+            groups.append(self._group(at, group))
             at = group.links[0]
         width = block.data[0]
         if width not in (0, 1, 2, 4, 8):
@@ -234,7 +271,7 @@ class _Reader:
             fault = str(error)
         return Stream(width, groups, segments, fault)
 
-    def _group(self, block: _Block) -> Group:
+    def _group(self, group_at: int, block: _Block) -> Group:
         number, records, flags, _, _, data_bytes, more = _GROUP.unpack(block.data)
         bus, path = 0, ""
         if source := block.links[3]:
@@ -248,47 +285,75 @@ class _Reader:
                 channel, then, parts = self._channel(at)
                 channels.append(channel)
                 ahead += then, parts
-        return Group(number, records, flags, data_bytes, data_bytes + more, bus, path, channels)
+        return Group(group_at, number, records, flags, data_bytes, data_bytes + more, bus, path, channels)
 
     def _channel(self, at: int) -> tuple[Channel, int, int]:
         """A channel, the one after it, and the first of its parts."""
         block = self._block(at, b"##CN", 8, _CHANNEL.size)
-        following, parts, name, _, conversion, *_ = block.links
-        kind, sync, data_type, first_bit, first_byte, bits, flags = _CHANNEL.unpack(block.data)
-        is_plain = not flags & 1
-        if parts and self._head(parts)[0] != b"##CN":
-            parts, is_plain = 0, False  # an array
-        factor: float | None = 1.0
-        offset = 0.0
-        if kind in (MASTER, _VIRTUAL_MASTER) and conversion:
-            factor, offset = self._conversion(conversion)
+        following, parts, name_at, _, conversion_at, data_at, *_ = block.links
+        kind, sync, data_type, first_bit, first_byte, bits, flags, invalid_bit = _CHANNEL.unpack(block.data)
+        is_array = bool(parts) and self._head(parts)[0] != b"##CN"
+        name = self._text(name_at)
+        conversion = Conversion()
+        if conversion_at and (kind in (MASTER, VIRTUAL_MASTER) or name.startswith(_FRAMES)):
+            conversion = self.conversion(conversion_at)
+        segments: list[Segment] = []
+        fault = ""
+        if kind == VARIABLE and data_at and name.startswith(_FRAMES):
+            try:
+                if self._head(data_at)[0] != b"##CG":
+                    self._segments(data_at, segments, b"SD")
+            except Damaged as error:
+                if str(error) in (CIRCLES, _AGAIN):
+                    raise
+                fault = str(error)
         channel = Channel(
-            self._text(name),
+            name,
             kind,
             data_type,
             first_bit,
             first_byte,
             bits,
-            kind in (MASTER, _VIRTUAL_MASTER),
-            is_plain and (kind != MASTER or sync == 1),
-            factor,
-            offset,
+            sync,
+            flags,
+            invalid_bit,
+            is_array,
+            conversion,
+            data_at,
+            tuple(segments),
+            fault,
         )
-        return channel, following, parts
+        return channel, following, 0 if is_array else parts
 
-    def _conversion(self, at: int) -> tuple[float | None, float]:
-        linear = 1
-        block = self._block(at, b"##CC", 4, 8, once=False)
-        if block.data[0] == 0:
-            return 1.0, 0.0
-        if block.data[0] != linear:
-            return None, 0.0
-        *_, offset, factor = _LINEAR.unpack(self._block(at, b"##CC", 4, _LINEAR.size, once=False).data)
-        return factor, offset
+    def conversion(self, at: int) -> Conversion:
+        """The conversion that is there. Raises `Unusual` and `OSError`."""
+        if (known := self._conversions.get(at)) is not None:
+            return known
+        try:
+            found = self._conversion(at)
+        except Damaged:
+            found = Conversion(fault="a damaged conversion")
+        self._conversions[at] = found
+        return found
+
+    def _conversion(self, at: int) -> Conversion:
+        block = self._block(at, b"##CC", 4, _CONVERSION.size, once=False)
+        kind, _, _, texts, numbers, _, _ = _CONVERSION.unpack(block.data)
+        _, size, count = self._head(at)
+        if 4 + texts > count or size < _HEAD.size + 8 * count + _CONVERSION.size + 8 * numbers:
+            raise Damaged(f"the conversion at byte {at} is shorter than it says; it is damaged")
+        links = struct.unpack(f"<{texts}Q", self._bytes(at + _HEAD.size + 32, 8 * texts))
+        raw = self._bytes(at + _HEAD.size + 8 * count + _CONVERSION.size, 8 * numbers)
+        # a text may be another conversion, which is none of the texts that are understood
+        said = tuple(
+            self._text(link) if link and self._head(link)[0] in (b"##TX", b"##MD") else "" for link in links
+        )
+        return conversion_of(kind, np.frombuffer(raw, "<f8"), said)
 
     # ---- where the records are
 
-    def _segments(self, at: int, out: list[Segment]) -> None:
+    def _segments(self, at: int, out: list[Segment], of: bytes = b"DT") -> None:
+        """The data blocks that are there, those of records or those of bytes of variable length."""
         if not at:
             return
         name, _, _ = self._head(at)
@@ -296,11 +361,11 @@ class _Reader:
             at = self._block(at, b"##HL", 1, 0).links[0]
             name = self._head(at)[0] if at else b""
         if name == b"##DL":
-            self._list(at, out)
+            self._list(at, out, of)
         elif at:
-            self._data(at, out)
+            self._data(at, out, of)
 
-    def _list(self, at: int, out: list[Segment]) -> None:
+    def _list(self, at: int, out: list[Segment], of: bytes) -> None:
         while at:
             _, _, count = self._head(at)
             if count > BLOCKS:
@@ -308,12 +373,12 @@ class _Reader:
             block = self._block(at, b"##DL", 1, 8)
             said = min(struct.unpack_from("<I", block.data, 4)[0], count - 1)
             for link in struct.unpack(f"<{said}Q", self._bytes(at + _HEAD.size + 8, 8 * said)):
-                self._data(link, out)
+                self._data(link, out, of)
             at = block.links[0]
 
-    def _data(self, at: int, out: list[Segment]) -> None:
+    def _data(self, at: int, out: list[Segment], of: bytes) -> None:
         name, size, count = self._head(at)
-        if name in (b"##DT", b"##DV"):
+        if name == b"##" + of:
             self._once(at)
             first = at + _HEAD.size + 8 * count
             there = max(0, min(at + size, self._size) - first)
@@ -322,16 +387,16 @@ class _Reader:
                 raise Damaged("the file ends within the records")
         elif name == b"##DZ":
             block = self._block(at, b"##DZ", 0, _PACKED.size)
-            of, packing, _, columns, size, stored = _PACKED.unpack(block.data)
+            packed, packing, _, columns, size, stored = _PACKED.unpack(block.data)
             first = at + _HEAD.size + 8 * count + _PACKED.size
-            if packing > 1 or of not in (b"DT", b"DV") or size > PACKED_MOST:
+            if packing > 1 or packed != of or size > PACKED_MOST:
                 raise Unusual("its records are packed in a way that is not known here")
             if first + stored > self._size:
                 raise Damaged("the file ends within packed records")
             if size > 1040 * (stored + 16) or (packing and not columns):  # deflate cannot
                 raise Damaged("a packed block says of itself what cannot be")
             self._add(out, Segment(first, stored, size, columns if packing else 0))
-        elif name in (b"##LD", b"##DL", b"##HL"):
+        elif name in (b"##LD", b"##DL", b"##HL", b"##DV"):
             raise Unusual(f"its records are in {name[2:].decode()} blocks that are not known here")
         else:
             raise Damaged(f"at byte {at} there are no records, though some are named there")

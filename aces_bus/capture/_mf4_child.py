@@ -1,9 +1,11 @@
-"""Reads an MF4 file in a process of its own, and sends the frames to `mf4.py` as tables.
+"""Reads an MF4 file with asammdf in a process of its own, and sends the frames to `mf4.py` as tables.
 
 1. Only this process imports asammdf, and it runs nothing else. What a hostile file may cost is this process: its memory, the
    files it writes and, through the one who waits, its time.
 2. Everything it says goes through one pipe as messages: a letter, a length, the bytes. Nothing is sent as a pickle.
 3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, stand.
+4. asammdf finds the groups and their records; what these mean is said by `_mf4_group.py` alone, which refuses by name what
+   it does not read. No conversion of asammdf's is used: it evaluates formulas, and gives numbers for what it cannot.
 
 Frames of all groups come in the order of their times (of their own numbers, where `write/mf4.py` wrote them), and within a
 group always as they stand there. No group is ever read whole: each gives pieces, and what is earlier than the end of
@@ -26,21 +28,13 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..frame_table import Ints
-from ._mdf import ORDER, PROGRAM
-from ._mf4_frames import (
-    Piece,
-    broken_off,
-    channels_of,
-    fields_of,
-    group_kind,
-    instants,
-    instants_of_seconds,
-    merged,
-    no_log,
-    other_words,
-    piece_of,
-)
+from ._mdf import PROGRAM
+from ._mdf_conversions import Conversion
+from ._mdf_tree import BUS_EVENT, VARIABLE_GROUP, Blocks, Channel, start_of
+from ._mf4_frames import Piece, group_kind, merged, no_log, other_words
+from ._mf4_group import Group, GroupReader, Store, frames_of
 from ._mf4_links import is_tree
+from .base import PROBLEMS_KEPT
 
 #: Memory on top of what the libraries take once they are loaded.
 MEMORY = 1 << 30
@@ -53,19 +47,17 @@ SHAPE = struct.Struct("<IB")
 
 _ROWS = 1 << 15
 _PIECE_BYTES = 1 << 23
-_BUS_EVENT = 0x2
-_PROBLEMS = 5
 
 
 class Reader:
-    """One file. `send` gets a letter and the bytes of a message."""
+    """One file. `send` gets a letter and the bytes of a message; `blocks` are those of the file."""
 
-    def __init__(self, mdf: Any, send: Any) -> None:
-        self.mdf, self.send = mdf, send
+    def __init__(self, mdf: Any, blocks: Blocks, send: Any) -> None:
+        self.mdf, self.blocks, self.send = mdf, blocks, send
         self.names: dict[str | None, int] = {}
         self.is_ours = bytes(mdf.identification.program_identification).rstrip(b"\0 ") == PROGRAM
-        self.start_ns = int(mdf.header.abs_time)
-        self.lines = self.frames = self.bad = 0
+        self.start_ns = start_of(int(mdf.header.abs_time), int(mdf.header.time_flags))
+        self.lines = self.frames = self.lines_unreadable = 0
         self.others: Counter[str] = Counter()
         self.problems: list[tuple[int, str]] = []
 
@@ -74,15 +66,16 @@ class Reader:
         pieces: list[Iterator[Piece]] = []
         has_bus = False
         for index, group in enumerate(self.mdf.groups):
-            records = int(group.channel_group.cycles_nr)
+            records, flags = int(group.channel_group.cycles_nr), int(group.channel_group.flags)
             names = [channel.name for channel in group.channels]
             kind = group_kind(names)
-            is_bus = bool(group.channel_group.flags & _BUS_EVENT)
+            is_bus = bool(flags & BUS_EVENT)
             has_bus = has_bus or is_bus or kind is not None
-            if not records:
+            if not records or flags & VARIABLE_GROUP:
                 continue
             if kind is not None:
-                pieces.append(self._guarded(index, kind, records))
+                reader = self._reader(index, group, kind)
+                pieces.append(frames_of(reader, index, records, self._batches(group), self, self._lose))
                 continue
             source = group.channel_group.acq_source
             words = other_words(names, is_bus, getattr(source, "bus_type", 0))
@@ -101,145 +94,89 @@ class Reader:
         counts = {
             "lines": self.lines,
             "frames": self.frames,
-            "unreadable": self.bad,
+            "unreadable": self.lines_unreadable,
             "others": self.others,
             "problems": self.problems,
             "names": list(self.names),
         }
         self.send(COUNTS, json.dumps(counts).encode())
 
-    def _lose(self, number: int, reason: str, count: int = 1) -> None:
-        self.bad += count
-        if len(self.problems) < _PROBLEMS:
+    def _lose(self, number: int, reason: str, count: int) -> None:
+        self.lines_unreadable += count
+        if len(self.problems) < PROBLEMS_KEPT:
             self.problems.append((number, reason))
 
-    def _guarded(self, index: int, kind: str, records: int) -> Iterator[Piece]:
-        """The frames of a group; where it breaks off, the rest counts as one unreadable record."""
-        done = 0
-        reason = ""
-        try:
-            for count, piece in self._pieces(index, kind):
-                done += count
-                self.lines += count
-                self.frames += len(piece.time)
-                if len(piece.time):
-                    yield piece
-        except MemoryError:
-            reason = "more memory would be needed than is allowed"
-        except Exception as error:
-            reason = str(error) if type(error) is ValueError else _words(error)
-        if reason or done < records:
-            self.lines += 1
-            self._lose(done + 1, broken_off(kind, index, records, done, reason))
+    def _reader(self, index: int, group: Any, kind: str) -> GroupReader:
+        block = group.channel_group
+        data_bytes = int(block.samples_byte_nr)
+        channels = [self._channel(channel, group, at) for at, channel in enumerate(group.channels)]
+        what = Group(channels, int(block.flags), data_bytes, data_bytes + int(block.invalidation_bytes_nr))
+        reader = GroupReader(
+            kind,
+            what,
+            self.start_ns,
+            self._number,
+            is_ours=self.is_ours,
+            path=getattr(block.acq_source, "path", ""),
+        )
+        places = [at for at, channel in enumerate(channels) if channel.name == f"{kind}.DataBytes"]
+        if reader.is_variable:
+            reader.store = self._store(group, places[0])
+        return reader
 
-    def _pieces(self, index: int, kind: str) -> Iterator[tuple[int, Piece]]:
-        """How many records were looked at, and the frames in them."""
-        mdf = self.mdf
-        group = mdf.groups[index]
-        size = int(group.channel_group.samples_byte_nr + group.channel_group.invalidation_bytes_nr)
+    def _channel(self, channel: Any, group: Any, at: int) -> Channel:
+        """A channel as the file has it."""
+        conversion = Conversion()
+        if channel.conversion is not None:
+            conversion = self.blocks.conversion(channel.conversion_addr)
+        return Channel(
+            channel.name,
+            channel.channel_type,
+            channel.data_type,
+            channel.bit_offset,
+            channel.byte_offset,
+            channel.bit_count,
+            channel.sync_type,
+            channel.flags,
+            channel.pos_invalidation_bit,
+            any(not isinstance(part, tuple) for part in group.channel_dependencies[at] or ()),
+            conversion,
+        )
+
+    def _store(self, group: Any, at: int) -> Store:
+        """The bytes of variable length of a channel."""
+        size = sum(int(block.original_size) for block in group.get_signal_data_blocks(at))
+
+        def window(start: int, end: int) -> bytes:
+            # asammdf gives all up to the end of the value that begins at the second place
+            whole: bytes = self.mdf._load_signal_data(
+                group=group, index=at, offsets=(start, max(start, end - 68))
+            )
+            return whole
+
+        return size, window
+
+    def _batches(self, group: Any) -> Iterator[Ints]:
+        """The records of a group; of more than are announced, asammdf tells nothing.
+
+        Raises `ValueError` where they cannot be read on.
+        """
+        block = group.channel_group
+        size = int(block.samples_byte_nr + block.invalidation_bytes_nr)
         group.read_split_count = max(1, min(_ROWS, _PIECE_BYTES // max(size, 1)))
-        places = {channel.name: at for at, channel in enumerate(group.channels)}
-        last: int | None = None
-        seen = 0
-        for fragment in mdf._load_data(group):
-            if not fragment.record_count:
-                continue
+        try:
+            for fragment in self.mdf._load_data(group):
+                if not fragment.is_record:
+                    raise ValueError("its records are kept as columns, which is not read")
+                if count := fragment.record_count:
+                    yield np.frombuffer(fragment.data, np.uint8, count * size).reshape(count, size)
+        except (MemoryError, ValueError):
+            raise
+        except Exception as error:
+            raise ValueError(_words(error)) from error
 
-            def column(name: str, fragment: Any = fragment) -> Any:
-                at = places.get(name)
-                if at is None:
-                    return None
-                return mdf.get(
-                    group=index,
-                    index=at,
-                    data=fragment,
-                    raw=True,
-                    samples_only=True,
-                    ignore_invalidation_bits=True,
-                )[0]
-
-            time = self._time(index, fragment, column)
-            order = column(ORDER) if self.is_ours else None
-            key = np.maximum.accumulate(time if order is None else np.array(order, np.int64))
-            if last is not None:
-                key = np.maximum(key, last)
-            last = int(key[-1])
-            count = len(time)
-            piece = self._frames(index, kind, column, key, time, seen)
-            seen += count
-            yield count, piece
-
-    def _time(self, index: int, fragment: Any, column: Any) -> Ints:
-        """int64 nanoseconds since 1970."""
-        mdf = self.mdf
-        at = mdf.masters_db.get(index)
-        if at is None:
-            raise ValueError("the group has no times")
-        master = mdf.groups[index].channels[at]
-        raw = column(master.name) if master.name not in ("",) else None
-        conversion = master.conversion
-        if (
-            raw is not None
-            and raw.dtype.kind in "iu"
-            and conversion is not None
-            and conversion.conversion_type == 1
-            and conversion.a == 1e-9
-            and not conversion.b
-        ):
-            return instants(raw, self.start_ns)
-        seconds = np.asarray(mdf.get_master(index, data=fragment, one_piece=True), np.float64)
-        return instants_of_seconds(seconds, self.start_ns)
-
-    def _channel(self, name: str | None) -> int:
+    def _number(self, name: str | None) -> int:
         return self.names.setdefault(name, min(len(self.names), 0xFFFF))
-
-    def _channels(self, index: int, numbers: Ints | None, n: int) -> Ints:
-        source = self.mdf.groups[index].channel_group.acq_source
-        if self.is_ours:
-            path = getattr(source, "path", None)
-            return np.full(n, self._channel(path or None), np.uint16)
-        if numbers is None:
-            return np.full(n, self._channel(None), np.uint16)
-        return channels_of(numbers, self._channel)
-
-    def _frames(self, index: int, kind: str, column: Any, key: Ints, time: Ints, seen: int) -> Piece:
-        n = len(time)
-
-        def number(part: str) -> Ints | None:
-            values = column(f"{kind}.{part}")
-            if values is None or values.dtype.kind not in "iubf" or values.shape != (n,):
-                return None
-            return np.array(values, np.int64)
-
-        way = column(f"{kind}.Dir")
-        if way is not None and way.dtype.kind == "S":
-            way = np.char.lower(way) != b"rx"
-        is_sent = None if way is None or way.shape != (n,) else np.asarray(way) != 0
-        data = None if kind == "CAN_RemoteFrame" else _bytes(column(f"{kind}.DataBytes"), n)
-        fields = fields_of(kind, number, data, is_sent, n)
-        piece, faults = piece_of(kind, key, time, self._channels(index, number("BusChannel"), n), fields)
-        for rows, reason in faults:
-            self.bad += len(rows)
-            for row in rows[:_PROBLEMS].tolist():
-                self._lose(seen + row + 1, f"{kind} group {index}: {reason}", 0)
-        return piece
-
-
-def _bytes(values: Any, n: int) -> Ints | None:
-    """Data bytes as rows, however the file has them."""
-    if values is None:
-        return None
-    if values.dtype.kind == "S":
-        width = max(values.dtype.itemsize, 1)
-        return np.frombuffer(values.astype(f"S{width}").tobytes(), np.uint8).reshape(n, width)
-    if values.dtype == np.uint8:
-        return np.asarray(values.reshape(n, -1))
-    if values.dtype.kind == "O":
-        width = min(64, max((len(bytes(value)) for value in values), default=0))
-        return np.frombuffer(
-            b"".join(bytes(v)[:width].ljust(width, b"\0") for v in values), np.uint8
-        ).reshape(n, -1)
-    raise ValueError(f"data bytes of an unknown kind ({values.dtype})")
 
 
 # ---- the process ----------------------------------------------------------------------------------------------------
@@ -285,7 +222,7 @@ def read(path: str, folder: str, send: Any) -> None:
             raise ValueError("its blocks are linked in circles, or one is named twice; it is damaged")
         original.seek(0)
         mdf = open_mdf(file, process_bus_logging=False, temporary_folder=folder)
-        Reader(getattr(mdf, "_mdf", mdf), send).run()
+        Reader(getattr(mdf, "_mdf", mdf), Blocks(original, os.path.getsize(path)), send).run()
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -52,8 +52,19 @@ class Piece(NamedTuple):
         return Piece._make(column[start:end] for column in self)
 
 
+class Numbers(NamedTuple):
+    """The integers of a channel in n records, and the records (n truths) that have none, with the reason."""
+
+    values: Ints
+    wrong: tuple[Fault, ...] = ()
+
+
 class Fields(NamedTuple):
-    """Columns of n records: uint32 identifiers, lengths in a type of their own, 0 or 1 for the rest, None if not there."""
+    """Columns of n records: uint32 identifiers, lengths in a type of their own, 0 or 1 for the rest, None if not there.
+
+    `stored` is how many data bytes a record has where each has its own number of them, -1 where they are not there.
+    `wrong` are records (n truths) of which a field is not known, and why.
+    """
 
     id: Ints
     length: Ints
@@ -63,6 +74,8 @@ class Fields(NamedTuple):
     error_state: Ints | None
     is_sent: Ints | None
     data: Ints | None
+    stored: Ints | None
+    wrong: list[Fault]
 
 
 def group_kind(names: Sequence[str]) -> str | None:
@@ -79,7 +92,9 @@ def other_words(names: Sequence[str], is_bus: bool, bus: int) -> str:
 
 
 def broken_off(kind: str, group: int, announced: int | None, there: int, reason: str = "") -> str:
-    """What to say of a group that has less records than it should."""
+    """What to say of a group that has not as many records as it should."""
+    if announced is not None and there >= announced:
+        return f"{kind} group {group}: {reason}"
     text = f"{kind} group {group} breaks off: "
     text += (
         f"{announced} records are announced, {there} are there" if announced else f"{there} records are there"
@@ -93,47 +108,66 @@ def no_log(groups: int) -> str:
 
 
 def fields_of(
-    kind: str, number: Callable[[str], Ints | None], data: Ints | None, is_sent: Ints | None, n: int
+    kind: str,
+    number: Callable[[str], Numbers | None],
+    data: Ints | None,
+    stored: Ints | None,
+    invalid_data: Ints | None,
+    n: int,
 ) -> Fields:
-    """The fields of n records of a kind. `number` gives integers for a field's name, None when there is no such field.
+    """The fields of n records of a kind. `number` gives the integers of a field by its name, None when there is none.
 
-    Raises `ValueError` when they cannot be frames.
+    A field that a record does not need is not looked at. `invalid_data` are records (n truths) without data bytes.
     """
-    raw = number("ID")
+    wrong: list[Fault] = []
+
+    def taken(part: str) -> Ints | None:
+        found = number(part)
+        if found is None:
+            return None
+        wrong.extend(found.wrong)
+        return found.values
+
+    raw = taken("ID")
     if raw is None:
-        if kind != "CAN_ErrorFrame":
-            raise ValueError("the group has no identifiers")
         raw = np.zeros(n, np.uint32)
+    elif raw.dtype.kind != "u" or raw.dtype.itemsize > 4:
+        wrong.append(((raw < 0) | (raw >= 1 << 32), "an identifier of more than 32 bits"))
     raw = raw.astype(np.uint32, copy=False)
-    wide = number("IDE")
+    wide = taken("IDE")
     is_wide = raw >= 1 << 31 if wide is None else wide != 0
-    is_fd = _truth(number("EDL"))
+    is_fd = _truth(taken("EDL"))
     if is_fd is not None and not is_fd.any():
         is_fd = None
-    code, said = number("DLC"), number("DataLength")
-    if kind == "CAN_RemoteFrame":
-        length = code if code is not None else said
-    elif said is not None:
-        length = said
-    else:
-        length = code
-        if code is not None:
-            length = np.minimum(code, 8)
-            if is_fd is not None:
-                length = np.where(is_fd, _LENGTHS[np.clip(code, 0, 15)], length)
+    parts = ("DLC", "DataLength") if kind == "CAN_RemoteFrame" else ("DataLength", "DLC")
+    length = taken(parts[0])
+    if length is None and (length := taken(parts[1])) is not None and parts[1] == "DLC":
+        code = length
+        length = np.minimum(code, 8)
+        if is_fd is not None:
+            length = np.where(is_fd, _LENGTHS[np.clip(code, 0, 15)], length)
     length = np.zeros(n, np.uint8) if length is None else length
     if length.dtype != np.uint8:
         length = np.minimum(length, 255)
         length = np.where(length < 0, 255, length).astype(np.uint8)
+    flags: dict[str, Ints | None] = {}
+    for part in ("BRS", "ESI"):
+        if is_fd is not None and (found := number(part)) is not None:
+            wrong += [(is_fd & rows, reason) for rows, reason in found.wrong]
+            flags[part] = found.values != 0
+    if invalid_data is not None:
+        wrong.append((invalid_data & (length > 0), f"{kind}.DataBytes is marked invalid"))
     return Fields(
         raw & np.uint32(0x1FFF_FFFF),
         length,
         is_wide,
         is_fd,
-        None if is_fd is None else _truth(number("BRS")),
-        None if is_fd is None else _truth(number("ESI")),
-        is_sent,
+        flags.get("BRS"),
+        flags.get("ESI"),
+        _truth(taken("Dir")),
         data,
+        stored,
+        wrong,
     )
 
 
@@ -150,7 +184,7 @@ def piece_of(kind: str, key: Ints, time: Ints, channel: Ints, fields: Fields) ->
 
     faults: list[Fault] = []
     good: Ints | None = None
-    wrongs: list[Fault] = []
+    wrongs = list(fields.wrong)
     if n and int(time.min()) == NO_TIME:
         wrongs.append((time == NO_TIME, "a time that is no instant"))
     if n and int(length.max()) > min(room, 8):
@@ -159,6 +193,9 @@ def piece_of(kind: str, key: Ints, time: Ints, channel: Ints, fields: Fields) ->
         wrongs.append(
             (is_long if is_fd is None else is_long & ~is_fd, "a classic frame of more than 8 bytes")
         )
+    if fields.stored is not None:
+        wrongs.append((fields.stored < 0, "data bytes that are not in the file"))
+        wrongs.append((length != fields.stored, "a length that is not that of its data bytes"))
     if is_fd is not None:
         wrongs.append((is_fd & ~_IS_FD_LENGTH[length], "a length that CAN FD does not have"))
     if not is_error:

@@ -1,34 +1,29 @@
-"""Ordinary MDF 4 bus logs, read here and in arrays.
+"""MDF 4 bus logs, read here and in arrays.
 
-1. What is not ordinary is told before the first frame, as `Unusual`; `mf4.py` then has another reader.
+1. What cannot be read here is told before the first frame, as `Unusual`; `mf4.py` then has another reader.
 2. Memory is bounded: of each group some ten thousand records are at hand, of packed ones a block, and the streams that mix
    groups are sorted in a file on disk, which is bounded too.
 3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, stand.
+4. What a file says of itself is held against what is there: more or fewer records than announced are counted and said.
 
-Ordinary is: records of fixed size, one group's or several's with their numbers in front, plain or deflated, finished or cut;
-fields of a frame that are integers of up to 64 bits, at any bit; data bytes as bytes; times as numbers that a factor makes
-seconds. Not ordinary are data of variable length in blocks of their own, columns in files of their own (MDF 4.2), and more.
+Here are found the records: of fixed size, one group's or several's with their numbers in front, plain or deflated, finished
+or cut, and bytes of variable length in blocks or records of their own. What they mean is said in `_mf4_group.py`, also where
+asammdf finds the records: later versions than 4.2, lists of columns, offsets or lists that were never finished, and more.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, BinaryIO, NamedTuple
 
-import numpy as np
-
 from ..frame_table import FrameTable, Ints
-from ._mdf import ORDER, PROGRAM
-from ._mdf_data import Bytes, Sorted, numbers_of, records
-from ._mdf_fields import Field, bytes_at, field_of, integers, number_of, reals
+from ._mdf import PROGRAM
+from ._mdf_data import Bytes, Sorted, Variable, numbers_of, records
 from ._mdf_tree import (
     BUS_EVENT,
     COUNTS,
-    MASTER,
-    REMOTE_MASTER,
-    SIZED,
-    VALUE,
+    VARIABLE,
     VARIABLE_GROUP,
     Channel,
     Damaged,
@@ -39,21 +34,10 @@ from ._mdf_tree import (
     Unusual,
     tree_of,
 )
-from ._mf4_frames import (
-    Fault,
-    Piece,
-    broken_off,
-    channels_of,
-    fields_of,
-    group_kind,
-    instants,
-    instants_of_seconds,
-    merged,
-    no_log,
-    other_words,
-    piece_of,
-)
-from .base import PROBLEMS_KEPT, CanCapture
+from ._mf4_frames import Piece, group_kind, merged, no_log, other_words
+from ._mf4_group import Group as What
+from ._mf4_group import GroupReader, Lose, frames_of
+from .base import CanCapture
 
 _ROWS = 1 << 15
 #: Records at hand in all groups together, and unpacked blocks.
@@ -62,28 +46,16 @@ _GROUPS = 1 << 10
 _RECORD = 1 << 20
 #: What sorting may write, beside four times the file's size, and from how much on it goes to disk.
 _DISK, _SMALL = 1 << 30, 1 << 24
-_REALS, _BYTES = (4, 5), 10
-
-_PARTS = ("ID", "IDE", "DLC", "DataLength", "EDL", "BRS", "ESI", "BusChannel")
-
-#: Count so many records as unreadable; the number of the first in its group, and why, may be kept.
-Lose = Callable[[int, str, int], None]
 
 
 class Frames(NamedTuple):
-    """A group of frames, and where their fields are. `announced` is None where the file does not say."""
+    """A group of frames, and the bytes of variable length that it has. `announced` is None where the file does not say."""
 
     place: int
     kind: str
     group: Group
     announced: int | None
-    time: Field
-    factor: float
-    offset: float
-    order: Field | None
-    numbers: dict[str, Field]
-    data: Field | None
-    sent: Field | None
+    variable: Channel | None
 
 
 class BusLog:
@@ -129,48 +101,26 @@ class BusLog:
             raise Damaged("it was never finished: the blocks that say what it holds are missing")
 
     def _layout(self, stream: Stream, group: Group, kind: str | None) -> Frames | None:
-        """Where the fields of a group of frames are; None for a group that has none."""
+        """A group of frames; None for a group that has none."""
         is_open = bool(self._tree.unfinished & COUNTS)
-        if group.flags & (VARIABLE_GROUP | REMOTE_MASTER) or (stream.number_bytes and group.size > _RECORD):
-            raise Unusual("its records have no size, or times elsewhere")
+        is_variable = bool(group.flags & VARIABLE_GROUP)
+        if is_variable and not stream.number_bytes:
+            raise Unusual("its records have no size")
+        if stream.number_bytes and group.size > _RECORD and not is_variable:
+            raise Unusual("its records have no size")
         if kind is None or not (group.records or (is_open and stream.segments)):
             return None
-        if not 0 < group.size <= _RECORD:
+        if is_variable or not 0 < group.size <= _RECORD:
             raise Unusual("its records have no size")
-        named: dict[str, Channel] = {}
-        for channel in group.channels:
-            if channel.name in named and (channel.name.startswith(kind) or channel.name == ORDER):
-                raise Unusual("channels share a name")
-            named[channel.name] = channel
-        times = [channel for channel in group.channels if channel.is_time]
-        if len(times) != 1 or times[0].kind != MASTER or times[0].factor is None or not times[0].name:
-            raise Unusual("its times are not numbers")
-        numbers: dict[str, Field] = {}
-        for part in _PARTS:
-            if (found := named.get(f"{kind}.{part}")) is not None:
-                numbers[part] = number_of(found, group.data_bytes)
-        if "ID" not in numbers and kind != "CAN_ErrorFrame":
-            raise Unusual("its frames have no identifiers")
-        data = None if kind == "CAN_RemoteFrame" else named.get(f"{kind}.DataBytes")
-        if data is not None and (data.kind not in (VALUE, SIZED) or data.data_type != _BYTES):
-            raise Unusual("its data bytes stand in blocks of their own")
-        sent, order = named.get(f"{kind}.Dir"), named.get(ORDER) if self._is_ours else None
-        time = field_of(times[0], group.data_bytes)
-        if time.is_bytes or (sent is not None and (sent.data_type == _BYTES or sent.data_type in _REALS)):
-            raise Unusual("its times or directions are not numbers")
-        return Frames(
-            len(self._frames),
-            kind,
-            group,
-            None if is_open else group.records,
-            time,
-            times[0].factor,
-            times[0].offset,
-            None if order is None else number_of(order, group.data_bytes),
-            numbers,
-            None if data is None else field_of(data, group.data_bytes),
-            None if sent is None else field_of(sent, group.data_bytes),
+        variable = next(
+            (
+                channel
+                for channel in group.channels
+                if channel.kind == VARIABLE and channel.name == f"{kind}.DataBytes"
+            ),
+            None,
         )
+        return Frames(len(self._frames), kind, group, None if is_open else group.records, variable)
 
     def tables(self, capture: CanCapture, folder: str, lose: Lose) -> Iterator[FrameTable]:
         """All frames in the order of their times, of our own files in that of the recording.
@@ -202,24 +152,39 @@ class BusLog:
         there: dict[int, int] = {}
         pieces: dict[int, list[Segment]] = {}
         fault = stream.fault
+        number_at = {group.at: group.number for group in stream.groups if group.flags & VARIABLE_GROUP}
         if len(stream.groups) > 1 and (is_open or any(frames)):
-            wanted = [each.group.number for each in frames if each is not None]
-            done = Sorted(self._file, stream, wanted, store, _DISK + 4 * self._size)
+            wanted = {each.group.number for each in frames if each is not None}
+            variable = {each.variable.data_at for each in frames if each is not None and each.variable}
+            wanted |= {number for at, number in number_at.items() if at in variable}
+            done = Sorted(self._file, stream, sorted(wanted), store, _DISK + 4 * self._size)
             there, pieces, fault = done.counts, done.segments, done.fault
-        elif len(stream.groups) == 1:
+        elif len(stream.groups) == 1 and not number_at:
             step = stream.number_bytes + stream.groups[0].size
             there[stream.groups[0].number] = (
                 sum(segment.size for segment in stream.segments) // step if step else 0
             )
         for group, each in zip(stream.groups, frames, strict=True):
             if each is not None:
-                reader = Bytes(store, pieces[group.number], fault) if pieces else None
-                front = 0 if pieces else stream.number_bytes
-                yield self._guarded(
-                    each, reader or Bytes(self._file, stream.segments, fault), front, capture, lose
+                reader = self._reader(each, capture)
+                if (channel := each.variable) is not None and channel.data_at in number_at:
+                    bytes_of = Variable(store, pieces[number_at[channel.data_at]])
+                    reader.store = bytes_of.size, bytes_of.window
+                elif channel is not None and (channel.segments or not channel.fault):
+                    bytes_of = Variable(self._file, channel.segments)
+                    reader.store = bytes_of.size, bytes_of.window
+                source = Bytes(store, pieces[group.number], fault) if pieces else None
+                batches = self._batches(
+                    each,
+                    source or Bytes(self._file, stream.segments, fault),
+                    0 if pieces else stream.number_bytes,
+                    there[group.number],
                 )
+                yield frames_of(reader, each.place, each.announced, batches, capture, lose)
                 continue
             count = group.records
+            if group.flags & VARIABLE_GROUP:  # its records are parts of others
+                continue
             if group.size and group.number in there:
                 count = there[group.number] if is_open else min(count, there[group.number])
             if count:
@@ -228,85 +193,35 @@ class BusLog:
                 capture.others[words] = capture.others.get(words, 0) + count
                 capture.lines += count
 
-    def _guarded(
-        self, frames: Frames, source: Bytes, front: int, capture: CanCapture, lose: Lose
-    ) -> Iterator[Piece]:
-        """The frames of a group; where it breaks off, the rest counts as one unreadable record."""
-        done = 0
-        reason = ""
-        try:
-            for count, piece in self._pieces(frames, source, front, capture, lose):
-                done += count
-                capture.lines += count
-                capture.frames += len(piece.time)
-                if len(piece.time):
-                    yield piece
-        except ValueError as error:
-            reason = str(error)
-        reason, announced = reason or source.fault, frames.announced
-        if done < announced if announced is not None else reason:
-            capture.lines += 1
-            lose(done + 1, broken_off(frames.kind, frames.place, announced, done, reason), 1)
+    def _reader(self, frames: Frames, capture: CanCapture) -> GroupReader:
+        group = frames.group
+        return GroupReader(
+            frames.kind,
+            What(group.channels, group.flags, group.data_bytes, group.size),
+            self._tree.start_ns,
+            capture.channels.number,
+            is_ours=self._is_ours,
+            path=group.path,
+        )
 
-    def _pieces(
-        self, frames: Frames, source: Bytes, front: int, capture: CanCapture, lose: Lose
-    ) -> Iterator[tuple[int, Piece]]:
-        """How many records were looked at, and the frames in them."""
-        kind, size = frames.kind, front + frames.group.size
-        seen, last = 0, None
-        for rows in records(source, size, frames.announced, max(1, min(_ROWS, self._rows // (size + 128)))):
+    def _batches(self, frames: Frames, source: Bytes, front: int, there: int) -> Iterator[Ints]:
+        """The records of a group, without what is in `front` of each; `there` are so many.
+
+        Raises `ValueError` where there are fewer or more than announced, when there is a reason.
+        """
+        size, announced = front + frames.group.size, frames.announced
+        done = 0
+        for rows in records(source, size, announced, max(1, min(_ROWS, self._rows // (size + 128)))):
             if front:
                 wrong = numbers_of(rows[:, :front]) != frames.group.number
                 if wrong.any():
                     rows = rows[: int(wrong.argmax())]
                     source.stop("a record of a group that there is not")
-                    if not len(rows):
-                        return
                 rows = rows[:, front:]
-            time = self._time(frames, rows)
-            key = time if frames.order is None else integers(rows, frames.order).astype(np.int64)
-            key = np.maximum.accumulate(key)
-            if last is not None and key[0] < last:
-                key = np.maximum(key, last)
-            last = key[-1]
-            piece, faults = self._piece(frames, rows, key, time, capture)
-            for wrong, reason in faults:
-                reason = f"{kind} group {frames.place}: {reason}"
-                for row in wrong[:PROBLEMS_KEPT].tolist():
-                    lose(seen + row + 1, reason, 0)
-                capture.lines_unreadable += len(wrong)
-            seen += len(rows)
-            yield len(rows), piece
-
-    def _time(self, frames: Frames, rows: Ints) -> Ints:
-        if not frames.time.is_real and frames.factor == 1e-9 and not frames.offset:
-            return instants(integers(rows, frames.time), self._tree.start_ns)
-        values = reals(rows, frames.time) if frames.time.is_real else integers(rows, frames.time)
-        if (frames.factor, frames.offset) != (1, 0):
-            values = values * frames.factor
-            if frames.offset:
-                values += frames.offset
-        return instants_of_seconds(values.astype(np.float64), self._tree.start_ns)
-
-    def _piece(
-        self, frames: Frames, rows: Ints, key: Ints, time: Ints, capture: CanCapture
-    ) -> tuple[Piece, list[Fault]]:
-        n = len(rows)
-
-        def number(part: str) -> Ints | None:
-            field = frames.numbers.get(part)
-            return None if field is None else integers(rows, field)
-
-        is_sent: Ints | None = None
-        if frames.sent is not None and frames.sent.is_bytes:
-            is_sent = np.char.lower(bytes_at(rows, frames.sent).view(f"S{frames.sent.size}")[:, 0]) != b"rx"
-        elif frames.sent is not None:
-            is_sent = integers(rows, frames.sent) != 0
-        data = None if frames.data is None else bytes_at(rows, frames.data)
-        numbers = None if self._is_ours else number("BusChannel")
-        if numbers is None:
-            name = frames.group.path or None if self._is_ours else None
-            channel = np.full(n, capture.channels.number(name), np.uint16)
-        else:
-            channel = channels_of(numbers, capture.channels.number)
-        return piece_of(frames.kind, key, time, channel, fields_of(frames.kind, number, data, is_sent, n))
+            done += len(rows)
+            if len(rows):
+                yield rows
+        if source.fault and (announced is None or done < announced):
+            raise ValueError(source.fault)
+        if announced is not None and announced == done < there:
+            raise ValueError(f"{announced} records are announced, {there} are there")

@@ -6,7 +6,7 @@ import io
 import itertools
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -86,6 +86,85 @@ class Builder:
         return bytes(self.out)
 
 
+FIELDS = ("IDE", "DLC", "DataLength", "EDL", "BRS", "ESI", "BusChannel", "Dir")
+
+
+def converts(build: Builder, kind: int, parameters: Sequence[float], texts: Sequence[str] = ()) -> int:
+    """A conversion; "" is for a text that is missing."""
+    links = (0, 0, 0, 0, *(build.text(text) if text else 0 for text in texts))
+    head = struct.pack("<BBHHHdd", kind, 0, 0, len(texts), len(parameters), 0.0, 0.0)
+    return build.put(mdf.block(b"CC", links, head + struct.pack(f"<{len(parameters)}d", *parameters)))
+
+
+def patched(build: Builder, channel: int, **values: int) -> int:
+    """A channel with other values in its block."""
+    places = {
+        "data_at": ("<Q", 64),
+        "kind": ("<B", 88),
+        "sync": ("<B", 89),
+        "data_type": ("<B", 90),
+        "bits": ("<I", 96),
+        "flags": ("<I", 100),
+        "invalid_bit": ("<I", 104),
+    }
+    for name, value in values.items():
+        letter, at = places[name]
+        struct.pack_into(letter, build.out, channel + at, value)
+    return channel
+
+
+Conversions = Mapping[str, tuple[int, Sequence[float], Sequence[str]]]
+
+
+def plain_records(n: int, width: int = 64) -> np.ndarray[Any, Any]:
+    """Records of a time, an identifier, each of `FIELDS` as a byte, and data: short classic frames, received on bus 1."""
+    rows = np.zeros(
+        n, [("t", "<f8"), ("ID", "<u4"), *((name, "u1") for name in FIELDS), ("DataBytes", "u1", width)]
+    )
+    rows["t"], rows["ID"], rows["BusChannel"] = np.arange(n) / 8, 0x100 + np.arange(n), 1
+    rows["DLC"] = rows["DataLength"] = np.arange(n) % 9
+    rows["DataBytes"] = np.arange(1, n * width + 1).reshape(n, width) % 251
+    return rows
+
+
+def converted_file(
+    rows: np.ndarray[Any, Any],
+    conversions: Conversions | None = None,
+    kind: str = "CAN_DataFrame",
+    invalid: bytes = b"",
+    **changes: Mapping[str, int],
+) -> bytes:
+    """A file of `plain_records`: conversions by field ("t" is the time, "" the frame), and changes of their channels.
+
+    `invalid` are invalidation bytes, the same number for each record.
+    """
+    build = Builder()
+    places = {name: converts(build, *what) for name, what in (conversions or {}).items()}
+    at = 0
+    for name in reversed(("ID", *FIELDS, "DataBytes")):
+        dtype, first = rows.dtype.fields[name][:2]  # type: ignore[index]
+        data_type = mdf.BYTES if name == "DataBytes" else mdf.UNSIGNED
+        bits = 8 * dtype.itemsize
+        more = {"next_at": at, "conversion_at": places.get(name, 0)}
+        at = patched(
+            build, build.channel(f"{kind}.{name}", data_type, first, bits, **more), **changes.get(name, {})
+        )
+    size = rows.dtype.itemsize
+    whole = patched(
+        build, build.channel(kind, mdf.BYTES, 8, 8 * (size - 8), parts_at=at), **changes.get("whole", {})
+    )
+    real = 4
+    time = mdf.Channel(
+        build.text("t"), mdf.MASTER, real, 0, 64, 0, whole, conversion_at=places.get("t", 0), is_time=True
+    )
+    first_at = patched(build, build.put(mdf.channel(time)), **changes.get("t", {}))
+    group = build.group(first_at, len(rows), size)
+    each = len(invalid) // len(rows)
+    struct.pack_into("<I", build.out, group + 100, each)
+    out = b"".join(row.tobytes() + invalid[n * each : (n + 1) * each] for n, row in enumerate(rows))
+    return build.finish(group, build.put(mdf.data_block(out)))
+
+
 def data_frames(build: Builder, kind: str = "CAN_DataFrame") -> int:
     """Channels of records of 8 + 4 + 1 + 8 bytes: time, identifier with its 29-bit flag, BusChannel | DataLength, data."""
     data = build.channel(f"{kind}.DataBytes", mdf.BYTES, 13, 64)
@@ -153,6 +232,13 @@ def plain_file(records: bytes, count: int, flags: int = 0) -> bytes:
     if flags:
         content[:8] = b"UnFinMF "
         struct.pack_into("<HH", content, 60, flags, 0)
+    return bytes(content)
+
+
+def later_file() -> bytes:
+    """An ordinary file that says it is of a later version."""
+    content = bytearray(plain_file(RECORDS, 9))
+    content[8:16], content[28:30] = b"4.30    ", struct.pack("<H", 430)
     return bytes(content)
 
 

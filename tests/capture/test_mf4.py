@@ -36,6 +36,7 @@ from tests.capture.mdf_files import (
     circles,
     content_of,
     damaged_files,
+    later_file,
     packed_file,
     plain_file,
     signals_file,
@@ -337,7 +338,7 @@ def test_bombs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         (
             "import json, sys; sys.path[:] = json.loads(sys.argv[1]); sys.modules['asammdf'] = None;"
             " from aces_bus.capture._mf4_child import main; main(sys.argv[2:])",
-            r"its data bytes stand in blocks of their own; such files need asammdf: pip install 'aces-bus\[mf4\]'",
+            r"it is of a version, or in a state, that is not known here; such files need asammdf: pip install 'aces-bus\[mf4\]'",
         ),
     ],
     ids=["stuck", "dead", "not installed"],
@@ -347,7 +348,7 @@ def test_what_becomes_of_the_process_is_said(monkeypatch: pytest.MonkeyPatch, st
     monkeypatch.setattr(mf4, "_START", start)
     monkeypatch.setattr(mf4, "PATIENCE", 0.3 if "sleep" in start else 30.0)
     with pytest.raises(CaptureError, match=says):
-        list(open_capture(io.BytesIO(variable_file()), link="can"))
+        list(open_capture(io.BytesIO(later_file()), link="can"))
 
 
 def test_leaving_early_stops_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -360,7 +361,7 @@ def test_leaving_early_stops_the_process(tmp_path: Path, monkeypatch: pytest.Mon
         return started[-1][1]
 
     monkeypatch.setattr(mf4, "_start", start)
-    capture = Mf4Capture(Source(io.BytesIO(variable_file()), "memory"))
+    capture = Mf4Capture(Source(io.BytesIO(later_file()), "memory"))
     tables = capture.tables()
     next(tables)
     assert Path(started[0][0], "capture").exists()
