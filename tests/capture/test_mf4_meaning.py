@@ -144,11 +144,6 @@ def understood() -> dict[str, bytes]:
             {"BusChannel": (NEAREST, (2, 7, 10, 8, 31, 9), ())},
             {},
         ),
-        "by ranges of one": (
-            short(BusChannel=numbers % 7),
-            {"BusChannel": (RANGES, (1, 1, 40, 2, 2, 50, 5, 5, 60, 99), ())},
-            {},
-        ),
         "directions": (
             short(Dir=numbers % 3 % 2),
             {"Dir": (TEXTS, (0, 1), ("Rx", "Tx", ""))},
@@ -185,3 +180,123 @@ def test_conversions_are_those_of_python_can(tmp_path: Path) -> None:
         assert rows_of(found[0]) == rows_of_python_can(path), name
         assert len(found[0]) == N
         assert found[2] == 0
+
+
+def test_tables_by_their_definition() -> None:
+    """Ranges, and tables by the nearest, against what ASAM says of them; asammdf 8.8.28 reads ranges of integers otherwise."""
+    numbers = np.arange(N)
+    ranges = ((1, 3, 40), (5, 5, 50), (10, 20, 60))
+    texts = ((0, 4, "Rx"), (6, 7, "Tx"), (8, 50, "Rx"))
+    parameters = [number for each in ranges for number in each]
+    files = [
+        converted_file(short(BusChannel=numbers), {"BusChannel": (RANGES, (*parameters, 99), ())}),
+        converted_file(
+            short(Dir=numbers),
+            {"Dir": (TEXT_RANGES, [x for each in texts for x in each[:2]], ("Rx", "Tx", "Rx", "Tx"))},
+        ),
+    ]
+    (by_range, *_), (by_text, *_) = read_both(files)
+    for number in range(N):
+        channel = next((found for low, high, found in ranges if low <= number <= high), 99)
+        assert by_range[number].channel == str(channel)
+        word = next((found for low, high, found in texts if low <= number <= high), "Tx")
+        assert by_text[number].is_rx == (word == "Rx")
+
+
+@pytest.mark.parametrize(
+    ("field", "conversion", "says"),
+    [
+        ("ID", (3, (), ("X1 * 2",)), "CAN_DataFrame.ID has a formula as its conversion, which is not read"),
+        ("Dir", (9, (0, 1, 2), ("Rx", "Tx")), "CAN_DataFrame.Dir has a conversion from text to numbers"),
+        ("IDE", (10, (), ("a", "b", "c")), "CAN_DataFrame.IDE has a conversion from text to text"),
+        ("EDL", (11, (1,), ("a",)), "CAN_DataFrame.EDL has a bit field with texts"),
+        ("BRS", (77, (1, 2), ()), "CAN_DataFrame.BRS has a conversion of kind 77"),
+        ("DLC", (LINEAR, (1,), ()), "CAN_DataFrame.DLC has a damaged conversion"),
+        ("DataLength", (NEAREST, (3, 1, 2, 1), ()), "CAN_DataFrame.DataLength has a damaged conversion"),
+        (
+            "BusChannel",
+            (RANGES, (1, 9, 0, 5, 6, 0, 0), ()),
+            "CAN_DataFrame.BusChannel has a damaged conversion",
+        ),
+        ("DataBytes", (LINEAR, (1, 1), ()), "CAN_DataFrame.DataBytes has a conversion"),
+        ("t", (3, (), ("X + 1",)), "t has a formula as its conversion"),
+    ],
+)
+def test_a_conversion_that_is_not_read_refuses_the_group(
+    field: str, conversion: tuple[int, Sequence[float], Sequence[str]], says: str
+) -> None:
+    """Formulas, conversions of texts, unknown and damaged ones: no frame, each record counted, the channel and reason named."""
+    frames, lines, unreadable, _, _, problems = read(converted_file(short(), {field: conversion}))
+    assert (frames, lines, unreadable) == ([], N, N)
+    assert problems[0].reason.startswith(f"CAN_DataFrame group 0: {says}")
+
+
+def test_what_is_refused_is_refused_by_both_readers() -> None:
+    """Whatever way a file goes, the same groups are refused with the same words."""
+    read_both(
+        [
+            converted_file(short(), {"ID": (3, (), ("X1 * 2",))}),
+            converted_file(short(), {"DataLength": (NEAREST, (3, 1, 2, 1), ())}),
+            converted_file(short(), {"t": (3, (), ("X + 1",))}),
+            converted_file(short(), t={"sync": 2}),
+            converted_file(short(), IDE={"data_type": 10}),
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("field", "conversion", "bad"),
+    [
+        ("ID", (LINEAR, (0, 0.5), ()), lambda n: n % 2),
+        ("ID", (LINEAR, (-0x102, 1), ()), lambda n: n < 2),
+        ("ID", (LINEAR, (0, 1e8), ()), lambda n: True),
+        ("BusChannel", (RATIONAL, (0, 0, 1, 0, 1, -3), ()), lambda n: n not in (2, 4)),
+        ("Dir", (TEXTS, (1, 2), ("Rx", "Tx", "sideways")), lambda n: n not in (1, 2)),
+        ("Dir", (TEXTS, (1, 2), ("Rx", "Tx", "")), lambda n: n not in (1, 2)),
+        ("BusChannel", (TEXTS, (1, 2), ("7", "CAN 2")), lambda n: n != 1),
+        ("IDE", (TEXTS, (1, 2, 3), ("Standard", "extended", "1", "false")), lambda n: False),
+        ("BRS", (TEXTS, (1, 2), ("?", "!", "x")), lambda n: False),
+    ],
+)
+def test_a_number_that_means_nothing_costs_its_record(field: str, conversion: Any, bad: Any) -> None:
+    """Fractions, infinities, negative identifiers, unknown texts: the record is unreadable by name, and others stand.
+
+    Of a classic frame nobody asks whether the bit rate was switched.
+    """
+    numbers = np.arange(N)
+    rows = short(**({} if field == "ID" else {field: numbers}))
+    frames, lines, unreadable, _, _, problems = read(converted_file(rows, {field: conversion}))
+    wrong = [n for n in range(N) if bad(n)]
+    assert (lines, unreadable, len(frames)) == (N, len(wrong), N - len(wrong))
+    assert [problem.line - 1 for problem in problems] == wrong[:5]
+    for problem in problems:
+        assert f"CAN_DataFrame.{field}" in problem.reason or "identifier" in problem.reason
+
+
+# ---- invalidation bits ---------------------------------------------------------------------------------------------
+
+
+def test_what_is_marked_invalid_has_no_value() -> None:
+    """A field, the time or the whole frame with its invalidation bit set costs the record; what a frame does not need, nothing."""
+    marks = bytes(1 << n % 8 for n in range(N))
+    bit = {"flags": 2, "invalid_bit": 3}
+    named = {
+        name: converted_file(short(), None, invalid=marks, **{name: bit})
+        for name in ("ID", "Dir", "t", "whole")
+    }
+    marked = {name: f"CAN_DataFrame.{name} is marked invalid" for name in ("ID", "Dir")} | {
+        "t": "a time that is marked invalid",
+        "whole": "CAN_DataFrame is marked invalid",
+    }
+    named["ESI"] = converted_file(short(), None, invalid=marks, ESI=bit)
+    named["always"] = converted_file(short(), None, Dir={"flags": 1})
+    named["nowhere"] = converted_file(short(), None, invalid=marks, Dir={"flags": 2, "invalid_bit": 8})
+    found = dict(zip(named, read_both([*named.values()]), strict=True))
+    for name, reason in marked.items():
+        frames, _, unreadable, _, _, problems = found[name]
+        assert unreadable == N // 8
+        assert [frame.arbitration_id for frame in frames] == [0x100 + n for n in range(N) if n % 8 != 3]
+        assert [problem.reason for problem in problems] == [f"CAN_DataFrame group 0: {reason}"] * 5
+    assert found["ESI"][2] == 0
+    assert found["always"][2] == found["nowhere"][2] == N
+    assert "an invalidation bit that its records do not have" in found["nowhere"][-1][0].reason
