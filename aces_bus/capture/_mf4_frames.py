@@ -187,15 +187,15 @@ def piece_of(kind: str, key: Ints, time: Ints, channel: Ints, fields: Fields) ->
     wrongs = list(fields.wrong)
     if n and int(time.min()) == NO_TIME:
         wrongs.append((time == NO_TIME, "a time that is no instant"))
+    if fields.stored is not None:
+        wrongs.append((fields.stored < 0, "data bytes that are not in the file"))
+        wrongs.append((length != fields.stored, "a length that is not that of its data bytes"))
     if n and int(length.max()) > min(room, 8):
         wrongs.append((length > room, "more data bytes than the record holds"))
         is_long = length > 8
         wrongs.append(
             (is_long if is_fd is None else is_long & ~is_fd, "a classic frame of more than 8 bytes")
         )
-    if fields.stored is not None:
-        wrongs.append((fields.stored < 0, "data bytes that are not in the file"))
-        wrongs.append((length != fields.stored, "a length that is not that of its data bytes"))
     if is_fd is not None:
         wrongs.append((is_fd & ~_IS_FD_LENGTH[length], "a length that CAN FD does not have"))
     if not is_error:

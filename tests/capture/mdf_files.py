@@ -13,7 +13,7 @@ import numpy as np
 
 from aces_bus.capture import _mdf as mdf
 from aces_bus.capture.write.mf4 import Mf4Writer
-from aces_bus.frame import Frame
+from aces_bus.frame import FD_LENGTHS, Frame
 from aces_bus.frame_table import FrameTable
 
 START = 1436509052.25
@@ -192,28 +192,55 @@ def unsorted_file() -> bytes:
     return build.finish(first, build.put(mdf.data_block(stream)), 1)
 
 
-def variable_file() -> bytes:
-    """Data bytes of variable length, in a block of their own."""
+VALUES = (b"", b"\1\2\3", bytes(range(8)))
+
+
+def variable_file(
+    values: Sequence[bytes] = VALUES,
+    way: str = "block",
+    lengths: Sequence[int] | None = None,
+    offsets: Sequence[int] | None = None,
+) -> bytes:
+    """CAN FD data bytes of variable length, one behind the other: in a "block", in "packed" ones, or in "records".
+
+    `lengths` and `offsets` are what the records say of them, where that is not true.
+    """
     build = Builder()
-    values = [b"", b"\1\2\3", bytes(range(8))]
+    places = [0, *itertools.accumulate(4 + len(value) for value in values)]
     stream = b"".join(struct.pack("<I", len(value)) + value for value in values)
-    signal = build.put(mdf.block(b"SD", (), stream))
-    variable = 1
-    name = build.text("CAN_DataFrame.DataBytes")
-    block = bytearray(mdf.channel(mdf.Channel(name, variable, mdf.BYTES, 13, 64)))
-    struct.pack_into("<Q", block, 24 + 8 * 5, signal)
-    data = build.put(bytes(block))
-    length = build.channel("CAN_DataFrame.DataLength", mdf.UNSIGNED, 12, 4, first_bit=4, next_at=data)
-    bus = build.channel("CAN_DataFrame.BusChannel", mdf.UNSIGNED, 12, 4, next_at=length)
-    identifier = build.channel("CAN_DataFrame.ID", mdf.UNSIGNED, 8, 32, next_at=bus)
-    first = build.time(build.channel("CAN_DataFrame", mdf.BYTES, 8, 13 * 8, parts_at=identifier))
-    records = b""
-    offset = 0
-    for n, value in enumerate(values):
-        records += struct.pack("<dIBQ", n, 0x55, 1 | len(value) << 4, offset)
-        offset += 4 + len(value)
-    group = build.group(first, len(values), 21)
-    return build.finish(group, build.put(mdf.data_block(records)))
+    lengths = lengths or [len(value) for value in values]
+    offsets = offsets or places[:-1]
+    signal = group = 0
+    if way == "packed":
+        parts: list[tuple[int, int]] = []
+        for part in (stream[: len(stream) // 3], stream[len(stream) // 3 :]):
+            packed = zlib.compress(part)
+            head = struct.pack("<2sBBIQQ", b"SD", 0, 0, 0, len(part), len(packed))
+            parts.append((build.put(mdf.block(b"DZ", (), head + packed)), len(part)))
+        signal = build.put(mdf.block(b"HL", (build.put(mdf.data_list(parts)),), struct.pack("<HB5x", 0, 0)))
+    elif way == "records":
+        block = bytearray(mdf.channel_group(0, 0, 0, len(values), len(stream) - 4 * len(values)))
+        struct.pack_into("<QQH", block, 24 + 48, 2, len(values), 1)
+        signal = group = build.put(bytes(block))
+    else:
+        signal = build.put(mdf.block(b"SD", (), stream))
+    kind, variable = "CAN_DataFrame", 1
+    data = patched(
+        build, build.channel(f"{kind}.DataBytes", mdf.BYTES, 14, 64), kind=variable, data_at=signal
+    )
+    length = build.channel(f"{kind}.DataLength", mdf.UNSIGNED, 13, 8, next_at=data)
+    is_fd = build.channel(f"{kind}.EDL", mdf.UNSIGNED, 12, 4, first_bit=4, next_at=length)
+    bus = build.channel(f"{kind}.BusChannel", mdf.UNSIGNED, 12, 4, next_at=is_fd)
+    identifier = build.channel(f"{kind}.ID", mdf.UNSIGNED, 8, 32, next_at=bus)
+    first = build.time(build.channel(kind, mdf.BYTES, 8, 14 * 8, parts_at=identifier))
+    records: list[bytes] = []
+    for n, (value, said, offset) in enumerate(zip(values, lengths, offsets, strict=True)):
+        record = struct.pack("<dIBBQ", n, 0x80000055, 1 | 16, said, offset)
+        if way == "records":
+            record = b"\1" + record + b"\2" + struct.pack("<I", len(value)) + value
+        records.append(record)
+    group = build.group(first, len(values), 22, number=1, next_at=group)
+    return build.finish(group, build.put(mdf.data_block(b"".join(records))), way == "records")
 
 
 def packed_file(records: bytes, size: int, count: int, claimed: int | None = None) -> bytes:
@@ -385,6 +412,11 @@ def in_words() -> bytes:
     return build.finish(group, build.put(mdf.data_block(records)))
 
 
+def long_values() -> list[bytes]:
+    """Data bytes of CAN FD in all its lengths."""
+    return [bytes(range(n, n + FD_LENGTHS[n % 16])) for n in range(50)]
+
+
 def ordinary_files() -> dict[str, bytes]:
     halves = (
         RECORDS[:50],
@@ -413,6 +445,16 @@ def ordinary_files() -> dict[str, bytes]:
         "packed": packed_file(RECORDS, 21, 9),
         "list of packed": listed(halves, 9, 0),
         "list of transposed": listed(halves, 9, 1),
+        "variable": variable_file(),
+        "variable, packed": variable_file(long_values(), "packed"),
+        "variable, in records": variable_file(long_values(), "records"),
+        "converted": converted_file(
+            plain_records(30),
+            {"ID": (1, (2.0, 1.5), ()), "Dir": (7, (0.0,), ("Rx", "Tx"))},
+            invalid=bytes(range(30)),
+            BusChannel={"kind": 6, "bits": 0},
+            IDE={"flags": 2, "invalid_bit": 2},
+        ),
         "odd": odd_fields(1e-3, 0.25),
         "odd nanoseconds": odd_fields(1e-9, 0.0),
     }

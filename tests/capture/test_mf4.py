@@ -338,7 +338,7 @@ def test_bombs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         (
             "import json, sys; sys.path[:] = json.loads(sys.argv[1]); sys.modules['asammdf'] = None;"
             " from aces_bus.capture._mf4_child import main; main(sys.argv[2:])",
-            r"it is of a version, or in a state, that is not known here; such files need asammdf: pip install 'aces-bus\[mf4\]'",
+            r"in a state, that is not known here; such files need asammdf: pip install 'aces-bus\[mf4\]'",
         ),
     ],
     ids=["stuck", "dead", "not installed"],

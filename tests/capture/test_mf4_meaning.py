@@ -1,19 +1,22 @@
-"""What the numbers of an MF4 file mean: both readers of ours, python-can's and asammdf's say the same, or ours refuse by name."""
+"""What the numbers of an MF4 file mean: our readers say what python-can's and asammdf say, or refuse by name.
+
+A process with asammdf takes seconds to start; one therefore reads the files of all tests.
+"""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from aces_bus.capture import open_capture
+from aces_bus.capture import _mdf_data, mdf4
 from aces_bus.frame import FD_LENGTHS, Frame
-from tests.capture.mdf_files import converted_file, plain_records
+from tests.capture.mdf_files import converted_file, long_values, plain_records, variable_file
 from tests.capture.test_mdf4 import Said, read, through_asammdf
 
 if importlib.util.find_spec("asammdf") is None:  # it is not imported: python-can must be first
@@ -61,38 +64,42 @@ def rows_of_python_can(path: Path) -> list[Row]:
     ]
 
 
-def read_both(contents: Sequence[bytes]) -> list[Said]:
+def read_both(files: Mapping[str, bytes]) -> dict[str, Said]:
     """What both readers of ours say of each file, which is the same."""
-    found = [read(content) for content in contents]
-    for number, theirs in enumerate(through_asammdf(contents)):
-        assert found[number] == theirs, number
+    found = {name: read(content) for name, content in files.items()}
+    for name, theirs in zip(files, through_asammdf([*files.values()]), strict=True):
+        assert found[name] == theirs, name
     return found
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Said]:
+    """What both readers of ours say of the files of all tests."""
+    return read_both({**understood(), **by_definition(), **refused(), **marked(), **variable()})
 
 
 # ---- recordings ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("name", "count"), [("canedge-virtual-channels.mf4", 4024), ("fd-lengths.mf4", 8)])
-def test_every_frame_of_real_recordings(shared_captures: Path, name: str, count: int) -> None:
+def test_every_frame_of_real_recordings(shared_captures: Path) -> None:
     """Identifier, kind, channel, direction, data and time of every frame are those of python-can's reader.
 
     But for lengths in fd-lengths.mf4: where asammdf reads all channels at once, as python-can has it do, it converts none.
     """
-    path = shared_captures / "mf4" / name
-    theirs = rows_of_python_can(path)
-    (found,) = read_both([path.read_bytes()])
-    ours = rows_of(found[0])
-    if name == "fd-lengths.mf4":
-        asammdf: Any = importlib.import_module("asammdf")
-        lengths = asammdf.MDF(path).get("CAN_DataFrame.DataLength").samples
-        assert [len(row[-1]) for row in ours] == lengths.tolist() == list(FD_LENGTHS[8:])
-        ours = [(*row[:-1], row[-1][: len(twin[-1])]) for row, twin in zip(ours, theirs, strict=True)]
-    assert ours == theirs
-    assert len(theirs) == count
-    assert found[2] == 0
-    with open_capture(path, link="can") as capture:
-        assert sum(map(len, capture.tables())) == capture.lines == count
+    asammdf: Any = importlib.import_module("asammdf")
+    paths = [shared_captures / "mf4" / name for name in ("canedge-virtual-channels.mf4", "fd-lengths.mf4")]
+    both = read_both({path.name: path.read_bytes() for path in paths})
+    for path, count in zip(paths, (4024, 8), strict=True):
+        theirs = rows_of_python_can(path)
+        ours = rows_of(both[path.name][0])
+        if path.name == "fd-lengths.mf4":
+            lengths = asammdf.MDF(path).get("CAN_DataFrame.DataLength").samples
+            assert [len(row[-1]) for row in ours] == lengths.tolist() == list(FD_LENGTHS[8:])
+            ours = [(*row[:-1], row[-1][: len(twin[-1])]) for row, twin in zip(ours, theirs, strict=True)]
+        assert ours == theirs
+        assert len(theirs) == count
+        assert both[path.name][2] == 0
 
 
 # ---- conversions ---------------------------------------------------------------------------------------------------
@@ -171,36 +178,72 @@ def understood() -> dict[str, bytes]:
     }
 
 
-def test_conversions_are_those_of_python_can(tmp_path: Path) -> None:
-    """Linear, rational, tables, ranges, texts, virtual channels and times: every frame as python-can's reader gives it."""
-    files = understood()
-    for (name, content), found in zip(files.items(), read_both([*files.values()]), strict=True):
+def test_conversions_are_those_of_python_can(tmp_path: Path, found: dict[str, Said]) -> None:
+    """Linear, rational, tables, texts, virtual channels and times: every frame as python-can's reader gives it."""
+    for name, content in understood().items():
         path = tmp_path / "x.mf4"
         path.write_bytes(content)
-        assert rows_of(found[0]) == rows_of_python_can(path), name
-        assert len(found[0]) == N
-        assert found[2] == 0
+        frames, _, unreadable, *_ = found[name]
+        assert rows_of(frames) == rows_of_python_can(path), name
+        assert len(frames) == N
+        assert unreadable == 0
 
 
-def test_tables_by_their_definition() -> None:
-    """Ranges, and tables by the nearest, against what ASAM says of them; asammdf 8.8.28 reads ranges of integers otherwise."""
+RANGED = ((1, 3, 40), (5, 5, 50), (10, 20, 60))
+WORDED = ((0, 4, "Rx"), (6, 7, "Tx"), (8, 50, "Rx"))
+
+
+def by_definition() -> dict[str, bytes]:
     numbers = np.arange(N)
-    ranges = ((1, 3, 40), (5, 5, 50), (10, 20, 60))
-    texts = ((0, 4, "Rx"), (6, 7, "Tx"), (8, 50, "Rx"))
-    parameters = [number for each in ranges for number in each]
-    files = [
-        converted_file(short(BusChannel=numbers), {"BusChannel": (RANGES, (*parameters, 99), ())}),
-        converted_file(
-            short(Dir=numbers),
-            {"Dir": (TEXT_RANGES, [x for each in texts for x in each[:2]], ("Rx", "Tx", "Rx", "Tx"))},
+    parameters = [number for each in RANGED for number in each]
+    limits = [limit for each in WORDED for limit in each[:2]]
+    return {
+        "by range": converted_file(
+            short(BusChannel=numbers), {"BusChannel": (RANGES, (*parameters, 99), ())}
         ),
-    ]
-    (by_range, *_), (by_text, *_) = read_both(files)
+        "by text": converted_file(
+            short(Dir=numbers), {"Dir": (TEXT_RANGES, limits, ("Rx", "Tx", "Rx", "Tx"))}
+        ),
+    }
+
+
+def test_tables_by_their_definition(found: dict[str, Said]) -> None:
+    """Ranges against what ASAM says of them; asammdf 8.8.28 reads those of integers otherwise."""
+    by_range, by_text = found["by range"][0], found["by text"][0]
     for number in range(N):
-        channel = next((found for low, high, found in ranges if low <= number <= high), 99)
+        channel = next((value for low, high, value in RANGED if low <= number <= high), 99)
         assert by_range[number].channel == str(channel)
-        word = next((found for low, high, found in texts if low <= number <= high), "Tx")
+        word = next((word for low, high, word in WORDED if low <= number <= high), "Tx")
         assert by_text[number].is_rx == (word == "Rx")
+
+
+def refused() -> dict[str, bytes]:
+    return {
+        "a formula": converted_file(short(), {"ID": (3, (), ("X1 * 2",))}),
+        "a damaged table": converted_file(short(), {"DataLength": (NEAREST, (3, 1, 2, 1), ())}),
+        "times by a formula": converted_file(short(), {"t": (3, (), ("X + 1",))}),
+        "angles": converted_file(short(), t={"sync": 2}),
+        "bytes": converted_file(short(), IDE={"data_type": 10}),
+        "another length": variable_file(LONG, lengths=[8] * len(LONG)),
+        "elsewhere": variable_file(LONG, offsets=[1 << 40, *[0] * (len(LONG) - 1)]),
+    }
+
+
+def test_what_is_refused_is_refused_by_both_readers(found: dict[str, Said]) -> None:
+    """Whatever way a file goes, the same records are refused with the same words."""
+    says = {
+        "a formula": "CAN_DataFrame.ID has a formula",
+        "a damaged table": "CAN_DataFrame.DataLength has a damaged conversion",
+        "times by a formula": "t has a formula",
+        "angles": "t is not a time",
+        "bytes": "CAN_DataFrame.IDE has data type 10, and is no number",
+        "another length": "a length that is not that of its data bytes",
+        "elsewhere": "data bytes that are not in the file",
+    }
+    for name, reason in says.items():
+        frames, lines, unreadable, _, _, problems = found[name]
+        assert lines == len(frames) + unreadable
+        assert problems[0].reason.startswith(f"CAN_DataFrame group 0: {reason}")
 
 
 @pytest.mark.parametrize(
@@ -225,23 +268,10 @@ def test_tables_by_their_definition() -> None:
 def test_a_conversion_that_is_not_read_refuses_the_group(
     field: str, conversion: tuple[int, Sequence[float], Sequence[str]], says: str
 ) -> None:
-    """Formulas, conversions of texts, unknown and damaged ones: no frame, each record counted, the channel and reason named."""
+    """Formulas, conversions of texts, unknown and damaged ones: no frame, each record counted, with channel and reason."""
     frames, lines, unreadable, _, _, problems = read(converted_file(short(), {field: conversion}))
     assert (frames, lines, unreadable) == ([], N, N)
     assert problems[0].reason.startswith(f"CAN_DataFrame group 0: {says}")
-
-
-def test_what_is_refused_is_refused_by_both_readers() -> None:
-    """Whatever way a file goes, the same groups are refused with the same words."""
-    read_both(
-        [
-            converted_file(short(), {"ID": (3, (), ("X1 * 2",))}),
-            converted_file(short(), {"DataLength": (NEAREST, (3, 1, 2, 1), ())}),
-            converted_file(short(), {"t": (3, (), ("X + 1",))}),
-            converted_file(short(), t={"sync": 2}),
-            converted_file(short(), IDE={"data_type": 10}),
-        ]
-    )
 
 
 @pytest.mark.parametrize(
@@ -276,27 +306,80 @@ def test_a_number_that_means_nothing_costs_its_record(field: str, conversion: An
 # ---- invalidation bits ---------------------------------------------------------------------------------------------
 
 
-def test_what_is_marked_invalid_has_no_value() -> None:
-    """A field, the time or the whole frame with its invalidation bit set costs the record; what a frame does not need, nothing."""
+REASONS = {
+    "ID": "CAN_DataFrame.ID is marked invalid",
+    "Dir": "CAN_DataFrame.Dir is marked invalid",
+    "t": "a time that is marked invalid",
+    "whole": "CAN_DataFrame is marked invalid",
+}
+
+
+def marked() -> dict[str, bytes]:
     marks = bytes(1 << n % 8 for n in range(N))
     bit = {"flags": 2, "invalid_bit": 3}
-    named = {
-        name: converted_file(short(), None, invalid=marks, **{name: bit})
-        for name in ("ID", "Dir", "t", "whole")
+    files = {
+        f"invalid {name}": converted_file(short(), None, invalid=marks, **{name: bit})
+        for name in (*REASONS, "ESI")
     }
-    marked = {name: f"CAN_DataFrame.{name} is marked invalid" for name in ("ID", "Dir")} | {
-        "t": "a time that is marked invalid",
-        "whole": "CAN_DataFrame is marked invalid",
-    }
-    named["ESI"] = converted_file(short(), None, invalid=marks, ESI=bit)
-    named["always"] = converted_file(short(), None, Dir={"flags": 1})
-    named["nowhere"] = converted_file(short(), None, invalid=marks, Dir={"flags": 2, "invalid_bit": 8})
-    found = dict(zip(named, read_both([*named.values()]), strict=True))
-    for name, reason in marked.items():
-        frames, _, unreadable, _, _, problems = found[name]
+    files["invalid always"] = converted_file(short(), None, Dir={"flags": 1})
+    files["invalid nowhere"] = converted_file(
+        short(), None, invalid=marks, Dir={"flags": 2, "invalid_bit": 8}
+    )
+    return files
+
+
+def test_what_is_marked_invalid_has_no_value(found: dict[str, Said]) -> None:
+    """A field, the time or the whole frame that is marked invalid costs the record; what a frame does not need, nothing."""
+    for name, reason in REASONS.items():
+        frames, _, unreadable, _, _, problems = found[f"invalid {name}"]
         assert unreadable == N // 8
         assert [frame.arbitration_id for frame in frames] == [0x100 + n for n in range(N) if n % 8 != 3]
         assert [problem.reason for problem in problems] == [f"CAN_DataFrame group 0: {reason}"] * 5
-    assert found["ESI"][2] == 0
-    assert found["always"][2] == found["nowhere"][2] == N
-    assert "an invalidation bit that its records do not have" in found["nowhere"][-1][0].reason
+    assert found["invalid ESI"][2] == 0
+    assert found["invalid always"][2] == found["invalid nowhere"][2] == N
+    assert "an invalidation bit that its records do not have" in found["invalid nowhere"][-1][0].reason
+
+
+# ---- data bytes of variable length ---------------------------------------------------------------------------------
+
+LONG = long_values()
+
+
+def variable() -> dict[str, bytes]:
+    return {way: variable_file(LONG, way) for way in ("block", "packed", "records")}
+
+
+@pytest.mark.parametrize("way", ["block", "packed", "records"])
+def test_data_of_variable_length(tmp_path: Path, found: dict[str, Said], way: str) -> None:
+    """In a block, in packed ones, in records of their own: the bytes that python-can's reader gives."""
+    path = tmp_path / "x.mf4"
+    path.write_bytes(variable()[way])
+    frames, _, unreadable, *_ = found[way]
+    assert rows_of(frames) == rows_of_python_can(path)
+    assert [frame.data for frame in frames] == LONG
+    assert unreadable == 0
+
+
+def test_data_of_variable_length_in_small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values and records go over the borders of what is at hand at once."""
+    monkeypatch.setattr(_mdf_data, "_PIECE", 150)
+    monkeypatch.setattr(mdf4, "_ROWS", 3)
+    for name, content in variable().items():
+        assert [frame.data for frame in read(content)[0]] == LONG, name
+    values = [*LONG[:3], bytes(5000), *LONG[3:]]
+    frames, _, _, _, _, problems = read(
+        variable_file(values, "records", [len(value) % 65 for value in values])
+    )
+    assert [frame.data for frame in frames] == LONG[:3]
+    assert "data bytes that are not in the file" in problems[0].reason
+    assert "a record of more than" in problems[1].reason
+
+
+def test_scattered_data_of_variable_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that would be read over and over is not: the rest of the group is refused."""
+    monkeypatch.setattr(_mdf_data, "_WINDOW", 200)
+    size = sum(4 + len(value) for value in LONG)
+    offsets = [(size - 8) * (n % 2) for n in range(len(LONG))]
+    frames, _, unreadable, _, _, problems = read(variable_file(LONG, offsets=offsets))
+    assert (frames, unreadable) == ([], 1)
+    assert "scattered too far" in problems[0].reason
