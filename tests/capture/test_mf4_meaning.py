@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import pytest
 
 from aces_bus.capture import _mdf_data, mdf4
 from aces_bus.frame import FD_LENGTHS, Frame
-from tests.capture.mdf_files import converted_file, long_values, plain_records, variable_file
+from tests.capture.mdf_files import FIELDS, converted_file, long_values, plain_records, variable_file
 from tests.capture.test_mdf4 import Said, read, through_asammdf
 
 if importlib.util.find_spec("asammdf") is None:  # it is not imported: python-can must be first
@@ -383,3 +383,107 @@ def test_scattered_data_of_variable_length(monkeypatch: pytest.MonkeyPatch) -> N
     frames, _, unreadable, _, _, problems = read(variable_file(LONG, offsets=offsets))
     assert (frames, unreadable) == ([], 1)
     assert "scattered too far" in problems[0].reason
+
+
+# ---- files that asammdf writes -------------------------------------------------------------------------------------
+
+
+def files_of_asammdf(folder: Path) -> Iterator[Path]:
+    """Groups of data, remote and error frames with conversions and invalidation bits; plain, packed, transposed."""
+    asammdf: Any = importlib.import_module("asammdf")
+    blocks: Any = importlib.import_module("asammdf.blocks.v4_blocks")
+    made: Any = importlib.import_module("asammdf.blocks.conversion_utils").from_dict
+    table = {
+        f"{way}_{n}": (n, length)[way == "phys"]
+        for n, length in enumerate(FD_LENGTHS)
+        for way in ("raw", "phys")
+    }
+    texts = {"val_0": 0, "val_1": 1, "text_0": b"Rx", "text_1": b"Tx"}
+    conversions = {
+        "BusChannel": {"a": 2.0, "b": 1.0},
+        "Dir": texts,
+        "DataLength": table | {"mode": 5},
+        "ID": {"a": 1.0, "b": 0.0},
+    }
+    bus = asammdf.MDF(version="4.11")
+    numbers = np.arange(300)
+    for kind in ("CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame"):
+        rows = np.zeros(
+            len(numbers),
+            [
+                (f"{kind}.ID", "<u4"),
+                *((f"{kind}.{name}", "u1") for name in FIELDS),
+                (f"{kind}.DataBytes", "u1", (64,)),
+            ],
+        )
+        rows[f"{kind}.ID"], rows[f"{kind}.IDE"] = numbers * 5, numbers * 5 > 0x7FF
+        rows[f"{kind}.BusChannel"], rows[f"{kind}.Dir"] = numbers % 3, numbers % 2
+        is_fd = (numbers % 3 == 0) & (kind != "CAN_RemoteFrame")
+        rows[f"{kind}.DLC"] = rows[f"{kind}.DataLength"] = np.where(is_fd, numbers % 16, numbers % 9)
+        rows[f"{kind}.EDL"], rows[f"{kind}.BRS"], rows[f"{kind}.ESI"] = (
+            is_fd,
+            is_fd & (numbers % 5 == 0),
+            is_fd,
+        )
+        rows[f"{kind}.DataBytes"] = numbers[:, None] % 251
+        bus.append(
+            asammdf.Signal(
+                rows,
+                numbers * 0.001 + len(kind) / 1e5,
+                name=kind,
+                source=blocks.SourceInformation(source_type=2, bus_type=2),
+                invalidation_bits=numbers % 10 == 7,
+            ),
+            common_timebase=True,
+        )
+        group = bus.groups[-1]
+        group.channel_group.flags = 2
+        for channel in group.channels:
+            if (part := channel.name.rpartition(".")[2]) in conversions:
+                channel.conversion = made(conversions[part])
+    for compression in (0, 1, 2):
+        yield Path(bus.save(folder / f"{compression}.mf4", compression=compression, overwrite=True))
+    bus.close()
+
+
+def rows_of_asammdf(path: Path) -> list[Row]:
+    """The frames as asammdf gives the channels, one by one, converted and without what is invalid."""
+    asammdf: Any = importlib.import_module("asammdf")
+    found: list[Row] = []
+    with asammdf.MDF(path, process_bus_logging=False) as mdf:
+        start = mdf.start_time.timestamp()
+        for index, kind in enumerate(("CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame")):
+            frame = mdf.get(kind, group=index, ignore_invalidation_bits=True)
+            of = {
+                name: mdf.get(f"{kind}.{name}", group=index, ignore_invalidation_bits=True).samples
+                for name in ("ID", *FIELDS, "DataBytes")
+            }
+            for n, seconds in enumerate(frame.timestamps.tolist()):
+                if frame.invalidation_bits is not None and frame.invalidation_bits[n]:
+                    continue
+                is_fd, length = bool(of["EDL"][n]), int(of["DataLength"][n])
+                is_remote, is_error = kind == "CAN_RemoteFrame", kind == "CAN_ErrorFrame"
+                row = (
+                    round((start + seconds) * 1e6),
+                    int(of["ID"][n]),
+                    (bool(of["IDE"][n]) and not is_error, is_remote, is_error, is_fd),
+                    (
+                        bool(of["BRS"][n]),
+                        bool(of["ESI"][n]),
+                        str(int(of["BusChannel"][n])),
+                        of["Dir"][n] == b"Rx",
+                    ),
+                    length if is_remote else of["DataBytes"][n][:length].tobytes(),
+                )
+                found.append(row)
+    return sorted(found)
+
+
+def test_files_of_asammdf(tmp_path: Path) -> None:
+    """Data, remote and error frames, conversions, invalidation bits, packed or not: what asammdf says of each channel."""
+    paths = list(files_of_asammdf(tmp_path))
+    both = read_both({path.name: path.read_bytes() for path in paths})
+    for path in paths:
+        frames, lines, unreadable, *_ = both[path.name]
+        assert sorted(rows_of(frames)) == rows_of_asammdf(path)
+        assert (lines, unreadable) == (900, 90)
