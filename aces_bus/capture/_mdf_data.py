@@ -148,10 +148,11 @@ def values_at(window: Callable[[int, int], bytes], size: int, offsets: Ints) -> 
     if not is_in.any():
         return lengths, np.zeros((n, 8), np.uint8)
     first, last = int(offsets[is_in].min()), int(offsets[is_in].max())
-    stream = np.frombuffer(window(first, last + 4 + 64) + bytes(64), np.uint8)
+    raw = window(first, last + 4 + 64)
+    stream = np.frombuffer(raw.ljust(last + 4 + 64 - first, b"\0"), np.uint8)
     places = np.where(is_in, offsets.astype(np.int64) - first, 0)
     found = numbers_of(stream[places[:, None] + np.arange(4)]).astype(np.int64)
-    is_in &= places + first + 4 + found <= size
+    is_in &= (places + first + 4 + found <= size) & (places + 4 + np.minimum(found, 64) <= len(raw))
     lengths[is_in] = found[is_in]
     width = 8 if int(lengths.max()) <= 8 else 64
     return lengths, stream[places[:, None] + 4 + np.arange(width)]

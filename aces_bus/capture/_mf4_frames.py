@@ -146,7 +146,8 @@ def fields_of(
         length = np.minimum(code, 8)
         if is_fd is not None:
             length = np.where(is_fd, _LENGTHS[np.clip(code, 0, 15)], length)
-    length = np.zeros(n, np.uint8) if length is None else length
+    if length is None or (data is None and kind == "CAN_ErrorFrame"):
+        length = np.zeros(n, np.uint8)
     if length.dtype != np.uint8:
         length = np.minimum(length, 255)
         length = np.where(length < 0, 255, length).astype(np.uint8)

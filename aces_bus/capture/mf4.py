@@ -1,4 +1,4 @@
-"""ASAM MDF 4 with CAN bus logging (`.mf4`): ordinary files are read here, the others by asammdf in a process of its own.
+"""ASAM MDF 4 with CAN bus logging (`.mf4`): nearly all files are read here, the rest by asammdf in a process of its own.
 
 1. asammdf is never imported here: where it is loaded before python-can, python-can loses its `.mf4`.
 2. Which way a file goes is decided before its first frame; frames and counts are the same either way.
@@ -6,9 +6,12 @@
    the libraries; not on Windows, which has no such limit), and it is stopped when it says nothing for too long.
 4. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its
    group.
+5. What is not understood is refused by name. A group of frames with a channel that cannot be read as the file means it (a
+   formula as its conversion, an unknown data type) is unreadable, record by record; so is a record with a field that has
+   no value, or that is not in the file. `_mf4_group.py` decides that for both ways, and it alone.
 
 Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read;
-`mdf4.py` says what is ordinary, and reads it without asammdf. A channel is named by its number, "1", as with python-can; in
+`mdf4.py` says which need asammdf. A channel is named by its number, "1", as with python-can; in
 files of our own it has the name it had.
 """
 

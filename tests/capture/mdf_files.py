@@ -142,7 +142,7 @@ def converted_file(
     places = {name: converts(build, *what) for name, what in (conversions or {}).items()}
     at = 0
     for name in reversed(("ID", *FIELDS, "DataBytes")):
-        dtype, first = rows.dtype.fields[name][:2]  # type: ignore[index]
+        dtype, first = rows.dtype.fields[name][:2]
         data_type = mdf.BYTES if name == "DataBytes" else mdf.UNSIGNED
         bits = 8 * dtype.itemsize
         more = {"next_at": at, "conversion_at": places.get(name, 0)}

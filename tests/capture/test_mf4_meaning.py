@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,17 @@ import numpy as np
 import pytest
 
 from aces_bus.capture import _mdf_data, mdf4
+from aces_bus.capture._mdf import HD_AT
 from aces_bus.frame import FD_LENGTHS, Frame
-from tests.capture.mdf_files import FIELDS, converted_file, long_values, plain_records, variable_file
+from tests.capture.mdf_files import (
+    FIELDS,
+    RECORDS,
+    converted_file,
+    long_values,
+    plain_file,
+    plain_records,
+    variable_file,
+)
 from tests.capture.test_mdf4 import Said, read, through_asammdf
 
 if importlib.util.find_spec("asammdf") is None:  # it is not imported: python-can must be first
@@ -303,6 +313,41 @@ def test_a_number_that_means_nothing_costs_its_record(field: str, conversion: An
         assert f"CAN_DataFrame.{field}" in problem.reason or "identifier" in problem.reason
 
 
+# ---- what a file says of itself ------------------------------------------------------------------------------------
+
+
+def test_a_start_in_local_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that begins at a local time, without its zone: that of this machine, as python-can's reader takes it."""
+    content = bytearray(converted_file(short()))
+    content[HD_AT + 24 + 48 + 12] = 1
+    path = tmp_path / "local.mf4"
+    path.write_bytes(content)
+    monkeypatch.setenv("TZ", "EST5EDT,M3.2.0,M11.1.0")
+    time.tzset()
+    try:
+        frames = read(bytes(content))[0]
+        assert rows_of(frames) == rows_of_python_can(path)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert frames[0].timestamp == 1e9 + 4 * 3600
+
+
+def test_more_records_than_announced() -> None:
+    """Records behind those that are announced are not given, and that is counted and said."""
+    frames, lines, unreadable, _, _, problems = read(plain_file(RECORDS, 5))
+    assert (len(frames), lines, unreadable) == (5, 6, 1)
+    assert problems[0].line == 6
+    assert problems[0].reason == "CAN_DataFrame group 0: 5 records are announced, 9 are there"
+
+
+def test_error_frames_without_data() -> None:
+    """An error frame whose data bytes are not recorded has none, whatever length it has."""
+    content = converted_file(short(), kind="CAN_ErrorFrame")
+    frames = read(content.replace(b"CAN_ErrorFrame.DataBytes", b"CAN_ErrorFrame.NoMatters"))[0]
+    assert [(frame.is_error_frame, frame.data) for frame in frames] == [(True, b"")] * N
+
+
 # ---- invalidation bits ---------------------------------------------------------------------------------------------
 
 
@@ -316,11 +361,10 @@ REASONS = {
 
 def marked() -> dict[str, bytes]:
     marks = bytes(1 << n % 8 for n in range(N))
-    bit = {"flags": 2, "invalid_bit": 3}
-    files = {
-        f"invalid {name}": converted_file(short(), None, invalid=marks, **{name: bit})
-        for name in (*REASONS, "ESI")
-    }
+    files: dict[str, bytes] = {}
+    for name in (*REASONS, "ESI"):
+        changes: dict[str, Any] = {name: {"flags": 2, "invalid_bit": 3}}
+        files[f"invalid {name}"] = converted_file(short(), None, invalid=marks, **changes)
     files["invalid always"] = converted_file(short(), None, Dir={"flags": 1})
     files["invalid nowhere"] = converted_file(
         short(), None, invalid=marks, Dir={"flags": 2, "invalid_bit": 8}
