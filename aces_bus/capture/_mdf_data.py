@@ -127,11 +127,9 @@ class Variable:
                 if number != self._number:
                     self._left -= segment.size
                     reader = Bytes(self._file, [segment])
-                    whole = bytearray(segment.size)
-                    reader.fill(memoryview(whole))
+                    self._number, self._unpacked = number, reader._unpack(segment)
                     if reader.fault:
                         raise ValueError(reader.fault)
-                    self._number, self._unpacked = number, bytes(whole)
                 parts.append(self._unpacked[at : at + size])
             start, number = start + size, number + 1
         return b"".join(parts)

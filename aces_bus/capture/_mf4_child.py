@@ -30,9 +30,9 @@ import numpy as np
 from ..frame_table import Ints
 from ._mdf import PROGRAM
 from ._mdf_conversions import Conversion
-from ._mdf_tree import BUS_EVENT, VARIABLE_GROUP, Blocks, Channel, start_of
+from ._mdf_tree import BUS_EVENT, VARIABLE_GROUP, Blocks, Channel, Group, start_of
 from ._mf4_frames import Piece, group_kind, merged, no_log, other_words
-from ._mf4_group import Group, GroupReader, Store, frames_of
+from ._mf4_group import GroupReader, Store, frames_of
 from ._mf4_links import is_tree
 from .base import PROBLEMS_KEPT
 
@@ -110,15 +110,10 @@ class Reader:
         block = group.channel_group
         data_bytes = int(block.samples_byte_nr)
         channels = [self._channel(channel, group, at) for at, channel in enumerate(group.channels)]
-        what = Group(channels, int(block.flags), data_bytes, data_bytes + int(block.invalidation_bytes_nr))
-        reader = GroupReader(
-            kind,
-            what,
-            self.start_ns,
-            self._number,
-            is_ours=self.is_ours,
-            path=getattr(block.acq_source, "path", ""),
-        )
+        size = data_bytes + int(block.invalidation_bytes_nr)
+        path = getattr(block.acq_source, "path", "")
+        what = Group(0, 0, int(block.cycles_nr), int(block.flags), data_bytes, size, 0, path, channels)
+        reader = GroupReader(kind, what, self.start_ns, self._number, is_ours=self.is_ours)
         places = [at for at, channel in enumerate(channels) if channel.name == f"{kind}.DataBytes"]
         if reader.is_variable:
             reader.store = self._store(group, places[0])

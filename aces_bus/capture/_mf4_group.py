@@ -14,8 +14,8 @@ counts as marked invalid with all of its record. Times are seconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from ._mdf_tree import (
     VIRTUAL,
     VIRTUAL_MASTER,
     Channel,
+    Group,
 )
 from ._mf4_frames import (
     Fault,
@@ -56,15 +57,6 @@ _BYTES = 10
 _TABLED = 10
 
 
-class Group(NamedTuple):
-    """What a file says of a channel group; a record has `data_bytes`, and behind them invalidation bits, in all `size`."""
-
-    channels: Sequence[Channel]
-    flags: int
-    data_bytes: int
-    size: int
-
-
 class _Number:
     """A channel as the numbers of its records. Raises `Refused` where it cannot be read so."""
 
@@ -78,6 +70,8 @@ class _Number:
             self.field = field_of(channel, group.data_bytes)
         self._mark = _mark_of(channel, group)
         self._is_plain = self.conversion.kind == IDENTITY
+        if channel.kind == VIRTUAL and self._is_plain:
+            raise Refused(f"{channel.name} is virtual, and has no conversion with its value")
         if self.field is not None and self.field.is_bytes:
             if part != "Dir" or channel.data_type == _BYTES:
                 raise Refused(f"{channel.name} has data type {channel.data_type}, and is no number")
@@ -181,7 +175,7 @@ class _Layout:
             named[channel.name] = channel
         times = [channel for channel in group.channels if channel.kind in (MASTER, VIRTUAL_MASTER)]
         if len(times) != 1:
-            raise Refused(f"it has {len(times) or 'no'} channels of times" if times else "it has no times")
+            raise Refused(f"it has {len(times) or 'no'} time channels, and one is needed")
         if times[0].sync != TIMES:
             raise Refused(f"{times[0].name} is not a time")
         self.time = _Number(times[0], group)
@@ -227,13 +221,12 @@ class GroupReader:
         number_of: Callable[[str | None], int],
         *,
         is_ours: bool,
-        path: str,
     ) -> None:
         self.kind, self.size = kind, group.size
         #: What the data bytes of variable length are taken from, when they are.
         self.store: Store | None = None
         self._start_ns, self._number_of = start_ns, number_of
-        self._is_ours, self._path = is_ours, path
+        self._is_ours, self._path = is_ours, group.path
         self._last: int | None = None
         self._layout: _Layout | None = None
         self._refusal = ""
@@ -241,10 +234,6 @@ class GroupReader:
             self._layout = _Layout(kind, group, is_ours=is_ours)
         except Refused as error:
             self._refusal = str(error)
-
-    def refuse(self, reason: str) -> None:
-        """Make no frames of its records."""
-        self._layout, self._refusal = None, reason
 
     @property
     def is_variable(self) -> bool:

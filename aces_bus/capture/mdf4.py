@@ -14,7 +14,7 @@ asammdf finds the records: later versions than 4.2, lists of columns, offsets or
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, BinaryIO, NamedTuple
 
 from ..frame_table import FrameTable, Ints
@@ -35,7 +35,6 @@ from ._mdf_tree import (
     tree_of,
 )
 from ._mf4_frames import Piece, group_kind, merged, no_log, other_words
-from ._mf4_group import Group as What
 from ._mf4_group import GroupReader, Lose, frames_of
 from .base import CanCapture
 
@@ -83,9 +82,11 @@ class BusLog:
                 has_bus = has_bus or kind is not None or bool(group.flags & BUS_EVENT)
                 self._frames.append(self._layout(stream, group, kind))
         wanted = sum(frames is not None for frames in self._frames)
+        packed: list[Sequence[Segment]] = [stream.segments for stream in tree.streams]
+        packed += [each.variable.segments for each in self._frames if each is not None and each.variable]
         largest = sum(
-            max((segment.size for segment in stream.segments if segment.packing is not None), default=0)
-            for stream in tree.streams
+            max((segment.size for segment in segments if segment.packing is not None), default=0)
+            for segments in packed
         )
         if wanted > _GROUPS or largest > 2 * _KEPT:
             raise Unusual("it has very many groups")
@@ -194,14 +195,8 @@ class BusLog:
                 capture.lines += count
 
     def _reader(self, frames: Frames, capture: CanCapture) -> GroupReader:
-        group = frames.group
         return GroupReader(
-            frames.kind,
-            What(group.channels, group.flags, group.data_bytes, group.size),
-            self._tree.start_ns,
-            capture.channels.number,
-            is_ours=self._is_ours,
-            path=group.path,
+            frames.kind, frames.group, self._tree.start_ns, capture.channels.number, is_ours=self._is_ours
         )
 
     def _batches(self, frames: Frames, source: Bytes, front: int, there: int) -> Iterator[Ints]:

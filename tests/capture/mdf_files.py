@@ -450,7 +450,7 @@ def ordinary_files() -> dict[str, bytes]:
         "variable, in records": variable_file(long_values(), "records"),
         "converted": converted_file(
             plain_records(30),
-            {"ID": (1, (2.0, 1.5), ()), "Dir": (7, (0.0,), ("Rx", "Tx"))},
+            {"ID": (1, (2.0, 1.5), ()), "BusChannel": (1, (9.0, 0.0), ()), "Dir": (7, (0.0,), ("Rx", "Tx"))},
             invalid=bytes(range(30)),
             BusChannel={"kind": 6, "bits": 0},
             IDE={"flags": 2, "invalid_bit": 2},

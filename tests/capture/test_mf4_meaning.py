@@ -234,6 +234,7 @@ def refused() -> dict[str, bytes]:
         "times by a formula": converted_file(short(), {"t": (3, (), ("X + 1",))}),
         "angles": converted_file(short(), t={"sync": 2}),
         "bytes": converted_file(short(), IDE={"data_type": 10}),
+        "nothing": converted_file(short(), BusChannel=VIRTUAL),
         "another length": variable_file(LONG, lengths=[8] * len(LONG)),
         "elsewhere": variable_file(LONG, offsets=[1 << 40, *[0] * (len(LONG) - 1)]),
     }
@@ -247,6 +248,7 @@ def test_what_is_refused_is_refused_by_both_readers(found: dict[str, Said]) -> N
         "times by a formula": "t has a formula",
         "angles": "t is not a time",
         "bytes": "CAN_DataFrame.IDE has data type 10, and is no number",
+        "nothing": "CAN_DataFrame.BusChannel is virtual, and has no conversion with its value",
         "another length": "a length that is not that of its data bytes",
         "elsewhere": "data bytes that are not in the file",
     }
