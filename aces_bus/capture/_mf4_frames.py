@@ -143,6 +143,7 @@ def fields_of(
     length = taken(parts[0])
     if length is None and (length := taken(parts[1])) is not None and parts[1] == "DLC":
         code = length
+        wrong.append(((code < 0) | (code > 15), "a DLC above 15"))
         length = np.minimum(code, 8)
         if is_fd is not None:
             length = np.where(is_fd, _LENGTHS[np.clip(code, 0, 15)], length)

@@ -187,6 +187,13 @@ class _Layout:
                 self.numbers[part] = _Number(found, group, part)
         if "ID" not in self.numbers and kind != "CAN_ErrorFrame":
             raise Refused("it has no identifiers")
+        if kind == "CAN_DataFrame" and "DataLength" not in self.numbers:
+            if (code := self.numbers.get("DLC")) is None:
+                raise Refused("it has no lengths")
+            if (
+                code.conversion.kind != IDENTITY
+            ):  # whether it then is a length or still a code, it does not say
+                raise Refused(f"{kind}.DLC has a conversion, and there is no DataLength")
         self.order = _Number(named[ORDER], group) if is_ours and ORDER in named else None
         self.whole = _mark_of(named[kind], group)
         self.data: Field | None = None

@@ -350,6 +350,24 @@ def test_error_frames_without_data() -> None:
     assert [(frame.is_error_frame, frame.data) for frame in frames] == [(True, b"")] * N
 
 
+def test_lengths_that_are_not_said() -> None:
+    """Codes above 15, converted ones, and no lengths at all are never lengths by default."""
+    none, code = b"CAN_DataFrame.NoMatters!", b"CAN_DataFrame.NNN"
+    codes = np.arange(N)
+    alone = converted_file(short(DLC=codes, EDL=1)).replace(b"CAN_DataFrame.DataLength", none)
+    frames, _, unreadable, _, _, problems = read(alone)
+    assert [len(frame.data) for frame in frames] == list(FD_LENGTHS)
+    assert (unreadable, problems[0].reason) == (N - 16, "CAN_DataFrame group 0: a DLC above 15")
+    as_table = converted_file(short(), {"DLC": LENGTHS}).replace(b"CAN_DataFrame.DataLength", none)
+    for content, says in (
+        (as_table, "CAN_DataFrame.DLC has a conversion, and there is no DataLength"),
+        (alone.replace(b"CAN_DataFrame.DLC", code), "it has no lengths"),
+    ):
+        frames, _, unreadable, _, _, problems = read(content)
+        assert (frames, unreadable) == ([], N)
+        assert problems[0].reason == f"CAN_DataFrame group 0: {says}"
+
+
 # ---- invalidation bits ---------------------------------------------------------------------------------------------
 
 
