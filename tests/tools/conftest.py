@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,7 +56,7 @@ def aces(capsys: pytest.CaptureFixture[str]) -> Aces:
 
 
 @contextmanager
-def small_disk(size: int) -> Iterator[None]:
+def small_disk(size: int) -> Generator[None]:
     """No file may grow beyond so many bytes: the system refuses, as a full disk does."""
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
