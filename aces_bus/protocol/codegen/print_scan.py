@@ -203,9 +203,7 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
     out.depth += 1
     out.line(f"j += {back}")
     if framing.check is not None:
-        out.line(f"reason = check_{number}(buffer[i:j])")
-        out.line("if reason is not None:")
-        out.line("    state.work += j - i")
+        _asked(out, number, framing.check)
         out.line("    bad = bad or reason")
         out.line("else:")
         out.depth += 1
@@ -253,14 +251,23 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
             out.line(f"if crc_{number}(buffer[{start}:{end}]) != {_stored(check, 'j')}:")
             out.line(f"    state.work += {size_expr(framing, plain)}")
         else:
-            out.line(f"reason = check_{number}(buffer[i:j])")
-            out.line("if reason is not None:")
-            out.line("    state.work += j - i")
+            _asked(out, number, check)
             failed = "bad = bad or reason"
         out.line(f"    {failed}")
         out.line("else:")
         out.depth += 1
     _accept(out, framing, decode, alone=alone)
+
+
+def _asked(out: Source, number: int, check: Check) -> None:
+    """Asks `check_N` of a packet, and begins the branch of a failure."""
+    if check.kind == "crc":
+        out.line(f"reason = check_{number}(buffer[i:j])")
+        out.line("if reason is not None:")
+        out.line("    state.work += j - i")
+        return
+    out.line(f"reason = failure_{number}(buffer, base, i, j)")
+    out.line("if reason is not None:")
 
 
 def size_expr(framing: Framing, start: int) -> str:

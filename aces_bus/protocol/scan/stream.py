@@ -22,6 +22,7 @@ from ..spec.protocol import Variant
 from ..spec.stuffing import Insert
 from .counts import Counts
 from .decider import Decider
+from .overlaps import Overlaps
 from .record import Meta, Unknown
 
 if TYPE_CHECKING:
@@ -60,6 +61,8 @@ class StreamScanner:
         framings: list[tuple[Framing, str]] = []
         names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
         self._sums: list[Sums] = []
+        #: By the number of the framing: its checks, where they are sums.
+        self._overlaps: dict[int, Overlaps] = {}
         self.reset()
         for decider in self._deciders:
             for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
@@ -80,9 +83,13 @@ class StreamScanner:
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         space = load(self.source, f"aces {label} stream scanner {direction or ''}", names)
         self._scan: Callable[..., int] = space["scan"]
+        for number, overlaps in self._overlaps.items():
+            if f"check_{number}" in space:
+                overlaps.check = space[f"check_{number}"]
         # One framing alone on the wire: large chunks are searched at once.
         self._finder: Finder | None = None
         self._failure: Callable[[bytes], str | None] | None = None
+        self._overlap: Overlaps | None = None
         if len(framings) == 1 and has_size(self.framings[0]) and self.framings[0].stuffing is None:
             framing = self.framings[0]
             cover = (
@@ -96,6 +103,7 @@ class StreamScanner:
             self._decode: Callable[..., Any] = names["packet_0"]
             if self._finder.cover is None:
                 self._failure = space.get("check_0")
+                self._overlap = self._overlaps.get(0) if self._failure is not None else None
 
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""
@@ -126,6 +134,7 @@ class StreamScanner:
             sums = Sums(check)
             self._sums.append(sums)
             names[f"sums_{number}"] = sums
+            self._overlaps[number] = names[f"failure_{number}"] = Overlaps(framing, sums, extras)
         if check is not None:
             names[f"crc_{number}"] = check.engine
         if extras is not None:
@@ -238,7 +247,7 @@ class StreamScanner:
             self._sums[0].lend(base, base + finder.summed, *finder.sums)
             self._state.work += finder.summed
         decode, scan, emit = self._decode, self._scan, found.append
-        state, failure = self._state, self._failure
+        state, failure, overlap = self._state, self._failure, self._overlap
         mark = self.framings[0].sync[:1]
         at = 0
         for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
@@ -250,8 +259,13 @@ class StreamScanner:
                 else:
                     scan(buffer, base, at, start, False, time, emit, lose, state)
             packet = buffer[start:end]
-            if failure is not None and (reason := failure(packet)) is not None:
+            if overlap is not None:
+                reason = overlap(buffer, base, start, end)
+            elif failure is not None and (reason := failure(packet)) is not None:
                 state.work += end - start
+            else:
+                reason = None
+            if reason is not None:
                 lose(base + start, 1, reason)
                 at = start + 1
                 continue
