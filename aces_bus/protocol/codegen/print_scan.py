@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..scan.segments import in_segments
 from ..spec.checks import Check, Extra
 from ..spec.framing import Framing
 from .choose import Choice
@@ -306,7 +307,7 @@ def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: b
     out.line("if verdict == 'more':")
     _wait(out)
     out.line("elif verdict == 'bad':")
-    if framing.check is not None:
+    if framing.check is not None and not in_segments(framing):
         out.line("    if reason == 'malformed: checksum':")
         out.line(f"        state.work += min(end - i, {framing.max_size})")
     out.line("    bad = bad or reason")

@@ -24,6 +24,7 @@ from .counts import Counts
 from .decider import Decider
 from .overlaps import Overlaps
 from .record import Meta, Unknown
+from .segments import Segments, in_segments
 
 if TYPE_CHECKING:
     from .find import Finder
@@ -61,6 +62,8 @@ class StreamScanner:
         framings: list[tuple[Framing, str]] = []
         names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
         self._sums: list[Sums] = []
+        #: What judges the candidates of stuffed framings.
+        self._segments: list[Segments] = []
         #: By the number of the framing: its checks, where they are sums.
         self._overlaps: dict[int, Overlaps] = {}
         self.reset()
@@ -118,6 +121,8 @@ class StreamScanner:
         self._state = _State()
         for sums in self._sums:
             sums.reset()
+        for segments in self._segments:
+            segments.reset()
         for decider in self._deciders:
             decider.reset()
 
@@ -139,7 +144,12 @@ class StreamScanner:
             names[f"crc_{number}"] = check.engine
         if extras is not None:
             names[f"extras_{number}"] = extras.get
-        names[f"judge_{number}"] = _judge(framing, extras)
+        if in_segments(framing):
+            segments = Segments(framing, extras)
+            self._segments.append(segments)
+            names[f"judge_{number}"] = segments
+        else:
+            names[f"judge_{number}"] = _judge(framing, extras)
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
 
@@ -372,9 +382,13 @@ class StreamScanner:
     @property
     def check_work(self) -> int:
         """How many bytes checks have read so far."""
-        return (
-            self._counts.decoded + self._counts.unknown + self._state.work + sum(s.work for s in self._sums)
-        )
+        apart = sum(s.work for s in self._sums) + sum(s.checked for s in self._segments)
+        return self._counts.decoded + self._counts.unknown + self._state.work + apart
+
+    @property
+    def unstuff_work(self) -> int:
+        """How many bytes were unstuffed so far to find packets: those of packets, and of what was none."""
+        return sum(one.work for one in self._segments)
 
 
 def has_size(framing: Framing) -> bool:
