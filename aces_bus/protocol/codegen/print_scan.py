@@ -267,7 +267,12 @@ def _asked(out: Source, number: int, check: Check) -> None:
         out.line("if reason is not None:")
         out.line("    state.work += j - i")
         return
-    out.line(f"reason = failure_{number}(buffer, base, i, j)")
+    out.line(f"if base + i <= sums_{number}.end:")
+    out.line(f"    reason = failure_{number}(buffer, base, i, j)")
+    out.line("else:")
+    out.line(f"    reason = check_{number}(buffer[i:j])")
+    out.line("    if reason is not None:")
+    out.line(f"        sums_{number}.fail(buffer[i:j], base + i)")
     out.line("if reason is not None:")
 
 
