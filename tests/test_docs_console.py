@@ -24,6 +24,7 @@ import pytest
 from hypothesis import settings
 
 from aces_tools import protocols_arg
+from aces_tools.authoring import check
 from aces_tools.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -135,6 +136,8 @@ def test_a_page_is_what_happens(
     """Whoever types what the page shows sees what the page shows."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
+    if settings().max_examples <= 100:
+        monkeypatch.setattr(check, "SECONDS", 0.2)
     terminal, checker = Terminal(capsys), doctest.OutputChecker()
     options = doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
     runner, names, typed = doctest.DocTestRunner(optionflags=options), {"__name__": "tutorial"}, 0

@@ -11,6 +11,7 @@ from typing import Any
 from ..frame_table import FrameTable
 from ..protocol.scan.can import CanScanner
 from ..protocol.scan.record import Unknown
+from ..protocol.scan.segments import CHAINS, in_segments
 from ..protocol.scan.stream import StreamScanner
 from ..protocol.spec.framing import Framing, Verdict
 from ._laws_of_content import first_difference
@@ -164,6 +165,9 @@ def bounded(trial: Trial) -> None:
     limit = _work_allowed(scanner.framings, words, len(cuts))
     if scanner.check_work > limit:
         trial.fail(7, f"checks read {scanner.check_work} bytes of {len(words)}; {limit} is the limit")
+    limit = _unstuffing_allowed(scanner.framings, words, len(cuts))
+    if scanner.unstuff_work > limit:
+        trial.fail(7, f"unstuffing read {scanner.unstuff_work} bytes of {len(words)}; {limit} is the limit")
 
 
 def _work_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int:
@@ -173,13 +177,25 @@ def _work_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int
         if framing.check is None:
             continue
         candidates = len(_candidates(framing, words, 0))
-        if framing.check.kind == "crc" or not framing.sync or framing.end:
+        is_whole = framing.end and framing.stuffing is None  # what stands on the wire is what is summed
+        if framing.check.kind == "crc" or not ((framing.sync and not framing.end) or is_whole):
             limit += framing.max_size * candidates
             if len(framings) > 1:
                 # While another framing waits at the same offset, each chunk has the candidate read again.
                 limit += framing.max_size * chunks
         else:
             limit += len(words) + PER_CANDIDATE * candidates
+    return limit
+
+
+def _unstuffing_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int:
+    """How many bytes may be unstuffed in `words`: a few times all of them, and a small part of a packet a candidate."""
+    limit = 0
+    for framing in framings:
+        if in_segments(framing):
+            limit += 3 * len(words) + (framing.max_size // CHAINS + 1) * len(words)
+            if len(framings) > 1:
+                limit += 2 * framing.max_size * chunks
     return limit
 
 

@@ -92,8 +92,9 @@ def accounting(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (
 def bounded(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
     """Law 7: the buffer holds `max_size` at most after each chunk, and checks read a bounded number of bytes.
 
-    Sums, xor and Fletcher: twice the input plus O(1) a candidate. CRCs: `max_size` a candidate, so `max_size` ÷ header
-    length a byte where headers stand side by side.
+    Sums, xor and Fletcher: twice the input plus O(1) a candidate. CRCs, and whatever is stuffed as a whole: `max_size` a
+    candidate, so `max_size` ÷ header length a byte where headers stand side by side. Unstuffing itself is counted apart: a
+    few times the input, and a small part of a packet a candidate.
     """
     flow.bounded(_trial(wire, direction, scene, cuts))
 

@@ -167,6 +167,7 @@ def test_a_full_disk_is_told_once_and_nothing_stops(
     assert log.dropped == 0
     assert log.lost > 0
     assert log.written + log.lost == 1000
+    assert log.failure
     found = read_log(path)
     # A smaller piece may fit where a larger did not: what is there is whole rows in order, with gaps.
     rows = found["X3"].tolist()
@@ -239,6 +240,16 @@ def test_a_file_grows_by_whole_pieces(tmp_path: Path, small_disk: int) -> None:
     data = (tmp_path / "a").read_bytes()
     assert len(data) == small_disk
     assert b"y" not in data
+
+
+def test_a_device_that_takes_nothing_says_why() -> None:
+    """What cannot be taken back either still has the reason why it was not written."""
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full here")
+    file = AppendFile("/dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        file.write(b"x")
+    file.close()
 
 
 def test_a_writer_that_was_stopped_twice_does_nothing(tmp_path: Path) -> None:

@@ -217,13 +217,18 @@ def test_csv_with_a_slash_is_a_folder(aces: Aces, log: Path, arm: str, tmp_path:
 
 
 def test_a_format_may_be_named(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
-    """--format overrides the suffix, either way."""
+    """--format says what a name leaves open; one that promises something else is refused, and not written."""
     assert aces("decode", log, "-p", arm, "-o", tmp_path / "a", "--format", "sqlite").status == 0
     base = sqlite3.connect(tmp_path / "a")
     assert base.execute('SELECT count(*) FROM "Encoder"').fetchone() == (1,)
     base.close()
-    assert aces("decode", log, "-p", arm, "-o", tmp_path / "b.parquet", "--format", "jsonl").status == 0
-    assert json.loads((tmp_path / "b.parquet").read_text().splitlines()[0])["message"] == "Encoder"
+    assert aces("decode", log, "-p", arm, "-o", tmp_path / "b.log", "--format", "jsonl").status == 0
+    assert json.loads((tmp_path / "b.log").read_text().splitlines()[0])["message"] == "Encoder"
+    for name, form in (("c.parquet", "jsonl"), ("c.csv", "jsonl"), ("c.jsonl", "text"), ("c.npz", "parquet")):
+        refused = aces("decode", log, "-p", arm, "-o", tmp_path / name, "--format", form)
+        assert refused.status == 2
+        assert f"the suffix says {name[2:]}, and --format {form}" in refused.err
+        assert not (tmp_path / name).exists()
 
 
 def test_one_message_is_a_file(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:

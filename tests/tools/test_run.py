@@ -18,7 +18,7 @@ from aces_tools.running.figures import Watch
 from aces_tools.running.loading import default_states, load_controllers, make_loggers
 from aces_tools.running.panel import panel, plain, to_rich
 from tests.device.fan import ROBOT, drivers
-from tests.tools.conftest import Aces
+from tests.tools.conftest import Aces, small_disk
 
 FANS = """
 name = "boards"
@@ -113,6 +113,25 @@ def test_a_controller_of_a_file_runs_in_virtual_time(
     last = numbers(log)[-1]
     assert last[2] == pytest.approx(0.1, abs=0.002)
     assert last[1] == pytest.approx(0.1, abs=0.02)
+
+
+@pytest.mark.parametrize("options", [(), ("--quiet",)])
+def test_a_log_that_is_not_whole_is_no_success(
+    aces: Aces, robot: Path, knee: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    """A disk that fills up stops nothing; the end says which file lacks rows and why, and the status is 1."""
+    log = tmp_path / "knee.csv"
+    with small_disk(800):
+        result = aces("run", robot, knee, "--virtual", "--for", "1s", "--log", log, *options)
+    assert result.status == 1
+    assert result.summary["set_points"] == 101
+    rows = len(numbers(log))
+    lost = 101 - rows
+    assert lost > 25
+    assert (
+        f"{log} is not whole: File too large; log knee.csv: 100 Hz, {rows} rows written, 0 dropped, {lost} lost"
+        in result.messages
+    )
 
 
 def test_the_same_seed_is_the_same_log(aces: Aces, robot: Path, knee: Path, tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from aces_bus.frame import FD_LENGTHS, Frame
 from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
 from aces_tools.live import Told, parse_duration
 from aces_tools.live_text import CandumpLines, Times
+from tests.tools.conftest import small_disk
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
 Aces = Callable[..., Any]
@@ -494,6 +495,27 @@ def test_a_recording_that_fails_ends_the_run(
     assert "recording stopped: No space left on device" in found.err
 
 
+@pytest.mark.parametrize("size", [0, 100, 200])
+def test_what_a_full_disk_took_is_counted(
+    aces: Aces, node: Node, opened: Opened, tmp_path: Path, size: int
+) -> None:
+    """The frames said to be recorded are those in the file, whole; with those said to be missing they are all."""
+    opened.then(walk(node))
+    record = tmp_path / "walk.log"
+    with small_disk(size):
+        found = aces("sniff", *node.options, "--record", record)
+    assert found.status == 2
+    assert "recording stopped: File too large" in found.err
+    said = re.search(r"recorded (\d+) frames in (\S+), (\d+) are not in it", found.err)
+    assert said is not None
+    assert said[2] == str(record)
+    assert int(said[1]) + int(said[3]) == found.summary["frames"]
+    data = record.read_bytes()
+    assert data.count(b"\n") == int(said[1])
+    assert (int(said[1]) > 0) is (size > 0)
+    assert data[-1:] in (b"", b"\n")
+
+
 # ---------------------------------------------------------------------- lines and datagrams
 
 posix = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals, signals and pipes of a Unix system")
@@ -535,6 +557,21 @@ def test_a_serial_line_is_decoded_and_recorded(
     assert written == []
     with pytest.raises(CallerError, match="only listens"):
         opened.gates[0].send(b"\0")
+
+
+@posix
+def test_bytes_that_a_full_disk_took_are_counted(
+    aces: Aces, opened: Opened, pty: tuple[int, str], tmp_path: Path
+) -> None:
+    """Bytes said to be recorded are those in the file; a piece that did not fit leaves no part of it."""
+    far, near = pty
+    opened.then(lambda: os.write(far, bytes(range(100))))
+    record = tmp_path / "line.slog"
+    with small_disk(200):
+        found = aces("sniff", "--serial", near, "--record", record, "-q")
+    assert found.status == 2
+    assert f"recorded 0 bytes in {record}, 100 are not in it" in found.err
+    assert record.read_bytes() == b"# aces serial capture 1\n"
 
 
 @posix

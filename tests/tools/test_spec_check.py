@@ -9,6 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus.protocol import Message, Protocol
+from aces_bus.protocol.lint import Finding
+from aces_tools.authoring import check
+from aces_tools.authoring.proving import LEAST, numbers
+
 from .conftest import Aces
 
 HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"
@@ -20,6 +25,25 @@ p.message("A", id=5,
     payload=Struct(
         "x" / Quantity(Int16ul, unit="raad")))
 """
+
+
+#: What looks right to every rule, and is not: what is decoded is not what was encoded.
+CROOKED = f"""{HEAD}
+class Off(Adapter):
+    def _decode(self, obj, context, path):
+        return obj + 1
+    def _encode(self, obj, context, path):
+        return obj
+p = Protocol("crooked", link="can")
+p.message("A", id=5, payload=Struct("x" / Byte))
+p.message("B", id=6, payload=Struct("x" / Off(Byte)))
+"""
+
+
+@pytest.fixture(autouse=True)
+def _rules_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The laws take their time: here they are asked where a test says so."""
+    monkeypatch.setattr(check, "SECONDS", 0.0)
 
 
 @pytest.fixture
@@ -132,6 +156,67 @@ def test_a_database_is_checked(aces: Aces, written: Path) -> None:
     assert result.status == 1
     assert "car.dbc:5: warning: " in result.out
     assert "note: State.speed: 'furlong/fortnight' is no unit" in result.out
+    assert "held on" in aces("spec", "check", "car.dbc", "--seconds", "0.001").messages[-1]
+
+
+def test_the_laws_are_asked(aces: Aces, written: Path) -> None:
+    """Of the code of a sound spec they hold, and it is said on how many scenes; with 0 seconds they are not asked."""
+    Path("sound.py").write_text(SOUND)
+    result = aces("spec", "check", "sound.py", "--seconds", "0.001")
+    assert (result.status, result.out) == (0, "sound.py: ok: 1 message\n")
+    assert result.messages == [f"sound.py: the nine laws held on {LEAST} scenes"]
+    assert aces("spec", "check", "sound.py", "--seconds", "0").messages == []
+    assert "--seconds -1: a number from 0" in aces("spec", "check", "sound.py", "--seconds", "-1").err
+
+
+def test_a_broken_law_is_an_error(aces: Aces, written: Path) -> None:
+    """With the message and its line, the smallest frame that breaks it, and the command that repeats it."""
+    Path("crooked.py").write_text(CROOKED)
+    result = aces("spec", "check", "crooked.py", "--seconds", "0.001")
+    assert result.status == 1
+    assert result.out.startswith("crooked.py:11: error: B: law 1 (round trip) of crooked, direction None: ")
+    assert re.search(r"\[law\]\n +0  006#", result.out)
+    assert "do not all hold, on" in result.messages[0]
+    again = re.search(r"again: aces (fuzz crooked.py --law 1 --seed 0:\d+)\n", result.out)
+    assert again is not None
+    assert aces(*again[1].split(), "--failures", written / "failures").status == 1
+    (told,) = json.loads(aces("spec", "check", "crooked.py", "--seconds", "0.001", "--json").out)
+    assert next(
+        (one["rule"], one["message"], one["line"]) for one in told["findings"] if one["level"] == "error"
+    ) == ("law", "B", 11)
+
+
+def test_scenes_are_the_same_each_time() -> None:
+    """Each example comes once, those of all benches in turn."""
+    asked = [number for number, _ in zip(numbers(3), range(192), strict=False)]
+    assert sorted(asked) == list(range(192))
+    assert asked[:4] == [0, 32, 64, 1]
+
+
+@pytest.mark.parametrize("wanted", ["rules", "laws"])
+def test_no_check_ends_in_a_traceback(
+    aces: Aces, written: Path, monkeypatch: pytest.MonkeyPatch, wanted: str
+) -> None:
+    """Whatever is raised while a spec is looked at is a finding, with the message that was in hand and its line."""
+    Path("sound.py").write_text(SOUND)
+
+    def stumble(protocol: Protocol) -> list[Finding]:
+        for message in protocol.declared:
+            assert isinstance(message, Message)
+            raise RuntimeError("out of\n order")
+        return []
+
+    def of_laws(places: list[Protocol], **_: object) -> None:
+        stumble(places[0])
+
+    if wanted == "rules":
+        monkeypatch.setattr(check, "check_protocol", stumble)
+    else:
+        monkeypatch.setattr("aces_bus.testing.fuzz.Fuzzer", of_laws)
+    result = aces("spec", "check", "sound.py", "--seconds", "0" if wanted == "rules" else "1")
+    assert result.status == 1
+    said = "cannot be checked" if wanted == "rules" else "the generated code cannot be made or run"
+    assert result.out.startswith(f"sound.py:4: error: A: {said}: RuntimeError: out of order [law]\n")
 
 
 def test_colour_only_where_it_is_wanted(aces: Aces, written: Path) -> None:

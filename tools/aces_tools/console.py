@@ -37,6 +37,15 @@ def abandon_stdout() -> None:
         pass  # not a file of the system (a test's)
 
 
+def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
+    """Raises `CallerError` for a file whose name says another format than these; no suffix says none."""
+    suffix = os.path.splitext(path or "")[1].lower()
+    if suffix and suffix not in suffixes:
+        raise CallerError(
+            f"{option} {path}: what is written there is no {suffix}; name it {' or '.join(suffixes)}"
+        )
+
+
 class Output:
     """Bytes to stdout, or to a file that is none of the inputs. Raises `BrokenPipeError` when nobody reads any more."""
 

@@ -38,6 +38,8 @@ from .window import Window
 
 #: Unreadable lines that are shown, of each file.
 SHOWN = 3
+#: Suffixes that promise no format: recordings of many programs have them.
+PLAIN = (".log", ".txt", ".bin", ".raw")
 KINDS = {"can": "CAN frames", "serial": "bytes of a serial line"}
 
 EPILOG = """\
@@ -147,6 +149,15 @@ class Conversion:
                 raise CallerError(f"--to {name}: this names the format; a time goes to --until")
             raise UnknownNameError("format", name, FORMATS)
         form = FORMATS[name] if name is not None else format_of(self.target)
+        for other in FORMATS.values():
+            mine = tuple(suffix for suffix in other.suffixes if suffix not in PLAIN)
+            if other is not form and self.target.lower().removesuffix(".gz").removesuffix(".zst").endswith(
+                mine
+            ):
+                raise CallerError(
+                    f"{self.target}: the suffix says {other.name}, and --to {form.name}; leave --to away, or give the"
+                    " file another name"
+                )
         if self.target == "-" and not form.is_text and sys.stdout is not None and sys.stdout.isatty():
             raise CallerError(f"{form.what} is nothing for a terminal; redirect it, or name a file")
         return form

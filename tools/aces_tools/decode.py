@@ -16,17 +16,15 @@ links, each file goes to those of its own. More: docs/captures.md.
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from aces_bus.capture import CanCapture, Capture, SerialCapture
 from aces_bus.capture.serial import RawCapture
 from aces_bus.errors import CallerError
-from aces_bus.export.open import FORMATS, format_of
-from aces_bus.export.open import SUFFIXES as TABLES
+from aces_bus.export.open import FORMATS
 from aces_bus.frame import Frame
 from aces_bus.frame_table import to_ns
 from aces_bus.protocol import Scanner, Unknown, make_scanner
@@ -35,22 +33,9 @@ from aces_bus.protocol.keys import key_of
 from .console import Output, Patience, terminal_width, wants_colour
 from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Reading, Requests, Totals, utf8
 from .output import Writer
+from .output.chosen import LIVE, line_format, table_format
 from .where import Where
 
-Format = Literal["text", "jsonl", "csv"]
-
-SUFFIXES: Mapping[str, Format] = {
-    ".jsonl": "jsonl",
-    ".ndjson": "jsonl",
-    ".csv": "csv",
-    ".txt": "text",
-    ".text": "text",
-    ".log": "text",
-    ".out": "text",
-    "": "text",
-}
-#: Formats that are written value by value, in the order of the recording.
-LIVE: tuple[str, ...] = ("text", "jsonl", "csv")
 BATCH = 1024
 
 EPILOG = """\
@@ -201,7 +186,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    form = table_format(arguments)
+    form = table_format(arguments.output, arguments.format)
     if arguments.jobs < 1:
         raise CallerError(f"--jobs {arguments.jobs}: at least one process has to do it")
     if form is not None and arguments.jobs > 1:
@@ -218,29 +203,6 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--{option} is for tables; write some: -o FILE.parquet (or .arrow .npz .sqlite .mcap .csv/)"
             )
     return LiveDecoding(arguments).run()
-
-
-def table_format(arguments: argparse.Namespace) -> str | None:
-    """The format of tables that is asked for; None for text, record lines and CSV by rows."""
-    path: str | None = arguments.output
-    chosen: str | None = arguments.format
-    of_path = format_of(path) if path is not None else None
-    if chosen is None:
-        if path is not None and of_path is None and _suffix(path) not in SUFFIXES:
-            raise CallerError(
-                f"-o {path}: no format has the suffix {_suffix(path)!r}; there are"
-                f" {' '.join(suffix for suffix in (*SUFFIXES, *TABLES) if suffix)} .csv/; or say --format text"
-            )
-        return of_path
-    if chosen in LIVE and not (chosen == "csv" and of_path == "csv"):
-        return None
-    if path is None or path == "-":
-        raise CallerError(f"--format {chosen} goes to a file or folder; name it with --output")
-    return chosen
-
-
-def _suffix(path: str) -> str:
-    return os.path.splitext(path)[1].lower()
 
 
 class LiveDecoding(Decoding):
@@ -260,8 +222,7 @@ class LiveDecoding(Decoding):
         self.writer = self._writer(arguments)
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
-        path: str = arguments.output or ""
-        form: Format = arguments.format or SUFFIXES.get(_suffix(path), "text")
+        form = line_format(arguments.output, arguments.format)
         stated = self.direction if self.direction != "both" else None
         if form == "jsonl":
             from .output.jsonl import JsonLines

@@ -2,8 +2,9 @@
 
 1. Lines are only ever appended, and handed to the system every `STEP_S`: a program that is killed loses less than half a
    second, and a machine that loses its power (`SYNC_S`) little more.
-2. Nothing else in the program holds it up: it has a queue and a thread of its own. What its queue drops is counted.
-3. A file that is there is never written over.
+2. What is counted is in the file, whole: of a disk that fills up, as many frames as it took, and the others are counted too.
+3. Nothing else in the program holds it up: it has a queue and a thread of its own. What its queue drops is counted.
+4. A file that is there is never written over.
 
 CAN frames go into a candump log, bytes of a line into our serial log: formats whose lines are whole by themselves. For a
 format that has to be finished (BLF, MF4, a packed file …) a log is kept beside it, named FILE.log or FILE.slog; it is
@@ -12,18 +13,20 @@ converted when the sniffing ends, and removed when that went well. After a kill 
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.capture import CanCapture, Chunk, open_capture
 from aces_bus.capture.base import Direction, Link
 from aces_bus.capture.serial_log import SerialLogWriter
 from aces_bus.capture.write import FORMATS, format_of, open_writer
 from aces_bus.capture.write.candump import CandumpWriter
+from aces_bus.controller.log.base import AppendFile
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.frame_table import FrameTable
 
@@ -40,6 +43,8 @@ SYNC_S = 1.0
 WAITING = 1 << 18
 #: What a recording of a link is kept as, and its suffix.
 KEPT = {"can": ("candump", ".log"), "serial": ("slog", ".slog")}
+#: What the system answers for a pipe or a device that is to be brought to the disk.
+NO_DISK = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 
 
 class Recorder:
@@ -57,14 +62,17 @@ class Recorder:
         self.journal = path if form == kept and not is_packed else path + suffix
         self.final = None if self.journal == path else form
         self._check()
+        #: What the writer has made of the items in hand.
+        self._lines = io.BytesIO()
+        self._writer: Any = (CandumpWriter if link == "can" else SerialLogWriter)(self._lines, self.journal)
         try:
-            self._file: BinaryIO = open(self.journal, "wb")  # noqa: SIM115 - closed by `stop`
+            self._file = AppendFile(self.journal)
+            self._append()
         except (OSError, ValueError) as error:
             said = error.strerror if isinstance(error, OSError) else None
             raise CallerError(f"--record {path}: cannot be written: {said or error}") from error
-        self._writer: Any = (CandumpWriter if link == "can" else SerialLogWriter)(self._file, self.journal)
-        #: Frames, or bytes, that were recorded; and what stopped it.
-        self.recorded = 0
+        #: Frames, or bytes, that are in the file; that were heard and are not; and what stopped it.
+        self.recorded = self.lost = 0
         self.failure: str | None = None
         self._stopping = threading.Event()
         self._inbox: Any = None
@@ -99,22 +107,20 @@ class Recorder:
     ) -> None:
         """Record what the gate hears from now on."""
         self._inbox = gate.subscribe(limit=WAITING)
-        self._prepared: Callable[[Sequence[Any]], None]
+        self._print: Callable[[Sequence[Any]], None]
         if self.link == "can":
 
             def frames(items: Sequence[Any]) -> None:
                 self._writer.write(FrameTable.from_frames([heard_frame(i, name, epoch_ns) for i in items]))
-                self.recorded += len(items)
 
-            self._prepared = frames
+            self._print = frames
         else:
 
             def chunks(items: Sequence[Any]) -> None:
                 for item in items:
                     self._writer.write(Chunk(item.data, (item.host_ns + epoch_ns) / 1e9, direction))
-                    self.recorded += len(item.data)
 
-            self._prepared = chunks
+            self._print = chunks
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -123,6 +129,40 @@ class Recorder:
         """What came faster than the disk took it."""
         return 0 if self._inbox is None else int(self._inbox.dropped)
 
+    def _size(self, items: Sequence[Any]) -> int:
+        return len(items) if self.link == "can" else sum(len(item.data) for item in items)
+
+    def _append(self) -> None:
+        """What was printed, to the file: all of it, or none and `OSError`."""
+        lines = self._lines.getvalue()
+        self._lines.seek(0)
+        self._lines.truncate()
+        self._file.write(lines)
+
+    def _record(self, items: Sequence[Any]) -> None:
+        """Write items; what does not go in at once goes one by one, up to the first that does not."""
+        self.lost += self._size(items)
+        pieces: list[Sequence[Any]] = [items]
+        while pieces:
+            piece = pieces.pop(0)
+            try:
+                self._print(piece)
+                self._append()
+            except OSError:
+                if len(piece) == 1:
+                    raise
+                pieces = [[item] for item in piece]
+            else:
+                self.lost -= self._size(piece)
+                self.recorded += self._size(piece)
+
+    def _sync(self) -> None:
+        try:
+            self._file.sync()
+        except OSError as error:
+            if error.errno not in NO_DISK:
+                raise
+
     def _run(self) -> None:
         synced, is_dirty = time.monotonic(), False
         try:
@@ -130,13 +170,11 @@ class Recorder:
                 is_last = self._stopping.wait(STEP_S)
                 items = self._inbox.get(0)
                 if items:
-                    self._prepared(items)
-                    self._file.flush()
+                    self._record(items)
                     is_dirty = True
                 now = time.monotonic()
                 if is_dirty and (is_last or now - synced >= SYNC_S):
-                    with suppress(OSError):  # a pipe or a device has no disk
-                        os.fsync(self._file.fileno())
+                    self._sync()
                     synced, is_dirty = now, False
                 if is_last and not items:
                     return
@@ -164,13 +202,14 @@ class Recorder:
         if self._thread is not None:
             self._thread.join()
             self._inbox.close()
+            self.lost += self._size(self._inbox.get(0))
         try:
             self._file.close()
         except OSError as error:
             self.failure = self.failure or error.strerror or str(error)
         if self.failure is not None:
             raise CallerError(
-                f"--record {self.path}: recording stopped: {self.failure}; {self.journal} has the rest"
+                f"--record {self.path}: recording stopped: {self.failure}; {self.journal} has what came before"
             )
         if self.final is not None:
             self._convert(self.final)

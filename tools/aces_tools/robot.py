@@ -23,7 +23,7 @@ from typing import Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
-from .console import Output, say
+from .console import Output, check_suffix, say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -331,6 +331,7 @@ def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
     from aces_bus.device import print_robot
     from aces_devices.robots import import_robot
 
+    check_suffix("--output", arguments.output, ".json" if arguments.json else ".toml")
     imported = import_robot(paths, base=arguments.base, name=arguments.name)
     for note in imported.notes:
         say(note)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError
 
-from .console import Output, say, terminal_width
+from .console import Output, check_suffix, say, terminal_width
 from .device_show import numbers
 from .live import LivePatience
 from .robot_arg import add_robot_arguments, bus_options, channel_of, check_channels, chosen_robot, open_host
@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_suffix("--output", arguments.output, ".toml")
     robot = _robot(arguments)
     if arguments.output is not None and arguments.robot_given:
         raise CallerError(

@@ -15,7 +15,6 @@ Ctrl-C ends it with the summary.
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -28,11 +27,12 @@ from aces_bus.protocol.scan.counts import Counts
 
 from .bus_arg import ChosenBus, add_bus_arguments, chosen_bus
 from .console import abandon_stdout, say, terminal_width, wants_colour
-from .decode import SUFFIXES, LiveDecoding
+from .decode import LiveDecoding
 from .decoding import Direction, Link, Totals, utf8
 from .live import STEP_S, LivePatience, Told, heard_frame, losses, parse_duration
 from .live_text import TIME_MODES, CandumpLines, LiveText, Times
 from .output import Writer
+from .output.chosen import line_format
 from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
@@ -127,6 +127,7 @@ class Sniffing(LiveDecoding):
         for option in ("message", "where"):
             if getattr(arguments, option) and not arguments.protocol:
                 raise CallerError(f"--{option} needs to know the messages; name a protocol: -p NAME")
+        line_format(arguments.output, arguments.format)  # refused before a file is made
         self.times = Times(arguments.time_mode)
         #: Where no protocol is named: candump's lines.
         self.lines: CandumpLines | None = None
@@ -158,9 +159,7 @@ class Sniffing(LiveDecoding):
         return CanScanner((), everything=True) if self.link == "can" else Nameless()
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
-        path: str = arguments.output or ""
-        form: str = arguments.format or SUFFIXES.get(os.path.splitext(path)[1].lower(), "text")
-        if form != "text":
+        if line_format(arguments.output, arguments.format) != "text":
             return super()._writer(arguments)
         from .output.text import make_paint, no_paint
 
@@ -350,6 +349,8 @@ class Sniffing(LiveDecoding):
             self._complain(str(error))
         unit = "frames" if self.link == "can" else "bytes"
         lost = f", {recorder.dropped} came faster than they could be written" if recorder.dropped else ""
+        if recorder.lost:
+            lost += f", {recorder.lost} are not in it"
         say(f"recorded {recorder.recorded} {unit} in {recorder.written}{lost}")
 
     def _summary(self, link: Link, total: Totals) -> str:

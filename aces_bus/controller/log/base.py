@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import ClassVar
 
 import msgspec
@@ -91,7 +92,8 @@ class AppendFile:
             while left:
                 left = left[os.write(self._file, left) :]
         except OSError:
-            os.ftruncate(self._file, self.size)
+            with suppress(OSError):  # a pipe or a device keeps nothing
+                os.ftruncate(self._file, self.size)
             raise
         self.size += len(data)
 

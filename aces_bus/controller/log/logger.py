@@ -103,6 +103,8 @@ class Logger:
         self.capacity = max(LEAST_QUEUE, math.ceil(queue_s * self.rate_hz))
         #: Rows that were written; that did not fit into the queue; that the disk did not take.
         self.written = self.dropped = self.lost = 0
+        #: What first kept the file from being whole; "" while nothing did.
+        self.failure = ""
         #: Who is told when something is dropped or lost; the events so far, the last few.
         self.listeners = Listeners()
         self.events: deque[ControlEvent] = deque(maxlen=64)
@@ -193,6 +195,7 @@ class Logger:
             if thread.is_alive():
                 self.lost += len(self._queue)
                 self._sink = None
+                self._spoil("the disk does not answer")
                 self._tell("log-failed", f"the disk does not answer; {self._total()}")
                 return
         self._write()
@@ -201,10 +204,12 @@ class Logger:
             if not self._is_direct and not self._is_failing:
                 sink.sync()
         except OSError as error:
+            self._spoil(_why(error))
             self._tell("log-failed", f"{self.path}: {_why(error)}; {self._total()}")
         try:
             sink.close()
         except Exception as error:  # the format's library has errors of its own
+            self._spoil(f"could not be closed: {_why(error)}")
             self._tell("log-failed", f"{self.path}: could not be closed: {_why(error)}; {self._total()}")
         if self.dropped:
             self._tell("log-dropped", self._total())
@@ -253,15 +258,20 @@ class Logger:
     def _fail(self, error: Exception, rows: int) -> None:
         self.lost += rows
         self._good = 0
+        self._spoil(_why(error))
         if not self._is_failing:
             self._is_failing = True
             self._tell("log-failed", f"{self.path}: {_why(error)}; {self._total()}, and counting")
 
     def _drop(self) -> None:
         self.dropped += 1
+        self._spoil("the disk is too slow")
         if not self._is_dropping:
             self._is_dropping = True
             self._tell("log-dropped", f"{self.path}: the disk is too slow, rows are dropped")
+
+    def _spoil(self, why: str) -> None:
+        self.failure = self.failure or why
 
     def _total(self) -> str:
         return f"{self.written} rows written, {self.dropped} dropped, {self.lost} lost"

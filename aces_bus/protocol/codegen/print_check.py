@@ -1,6 +1,6 @@
 """Prints the check of a framing's packets: a function that says why a packet's check fails, or None.
 
-1. It reads what stands on the wire, and agrees with `Framing.judge`.
+1. It reads what stands on the wire, and agrees with `Framing.judge`. A sum that is known already may be given to it.
 2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number),
    `texts_N` (numbers as characters).
 """
@@ -21,7 +21,8 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
     if text is not None and check.bytes == 1:
         out.line(f'texts_{number} = [{text!r}.format(n).encode("ascii") for n in range(256)]')
         out.line()
-    out.line(f"def check_{number}(packet):")
+    given = check.kind != "crc"
+    out.line(f"def check_{number}(packet{', found=None' if given else ''}):")
     out.depth += 1
     out.line(f'"""Why the check of a packet fails ({check.describe}), or None."""')
     if any(isinstance(part, Extra) for part in check.over or ()):
@@ -35,6 +36,10 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
         out.line("if extra is None:")
         out.line("    return f'malformed: no message {message} to check by'")
     found = computed(check, number, _covered(check, len(framing.sync), back))
+    if given:
+        out.line("if found is None:")
+        out.line(f"    found = {found}")
+        found = "found"
     out.line(f"if {_wanted(check, number, found)} != {_stored(check, back)}:")
     out.line("    return 'malformed: checksum'")
     out.line("return None")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..scan.segments import in_segments
 from ..spec.checks import Check, Extra
 from ..spec.framing import Framing
 from .choose import Choice
@@ -203,9 +204,7 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
     out.depth += 1
     out.line(f"j += {back}")
     if framing.check is not None:
-        out.line(f"reason = check_{number}(buffer[i:j])")
-        out.line("if reason is not None:")
-        out.line("    state.work += j - i")
+        _asked(out, number, framing.check)
         out.line("    bad = bad or reason")
         out.line("else:")
         out.depth += 1
@@ -253,14 +252,28 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
             out.line(f"if crc_{number}(buffer[{start}:{end}]) != {_stored(check, 'j')}:")
             out.line(f"    state.work += {size_expr(framing, plain)}")
         else:
-            out.line(f"reason = check_{number}(buffer[i:j])")
-            out.line("if reason is not None:")
-            out.line("    state.work += j - i")
+            _asked(out, number, check)
             failed = "bad = bad or reason"
         out.line(f"    {failed}")
         out.line("else:")
         out.depth += 1
     _accept(out, framing, decode, alone=alone)
+
+
+def _asked(out: Source, number: int, check: Check) -> None:
+    """Asks `check_N` of a packet, and begins the branch of a failure."""
+    if check.kind == "crc":
+        out.line(f"reason = check_{number}(buffer[i:j])")
+        out.line("if reason is not None:")
+        out.line("    state.work += j - i")
+        return
+    out.line(f"if base + i <= sums_{number}.end:")
+    out.line(f"    reason = failure_{number}(buffer, base, i, j)")
+    out.line("else:")
+    out.line(f"    reason = check_{number}(buffer[i:j])")
+    out.line("    if reason is not None:")
+    out.line(f"        sums_{number}.fail(buffer[i:j], base + i)")
+    out.line("if reason is not None:")
 
 
 def size_expr(framing: Framing, start: int) -> str:
@@ -299,7 +312,7 @@ def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: b
     out.line("if verdict == 'more':")
     _wait(out)
     out.line("elif verdict == 'bad':")
-    if framing.check is not None:
+    if framing.check is not None and not in_segments(framing):
         out.line("    if reason == 'malformed: checksum':")
         out.line(f"        state.work += min(end - i, {framing.max_size})")
     out.line("    bad = bad or reason")

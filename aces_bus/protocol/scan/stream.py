@@ -22,7 +22,9 @@ from ..spec.protocol import Variant
 from ..spec.stuffing import Insert
 from .counts import Counts
 from .decider import Decider
+from .overlaps import Overlaps
 from .record import Meta, Unknown
+from .segments import Segments, in_segments
 
 if TYPE_CHECKING:
     from .find import Finder
@@ -60,6 +62,10 @@ class StreamScanner:
         framings: list[tuple[Framing, str]] = []
         names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
         self._sums: list[Sums] = []
+        #: What judges the candidates of stuffed framings.
+        self._segments: list[Segments] = []
+        #: By the number of the framing: its checks, where they are sums.
+        self._overlaps: dict[int, Overlaps] = {}
         self.reset()
         for decider in self._deciders:
             for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
@@ -80,9 +86,13 @@ class StreamScanner:
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         space = load(self.source, f"aces {label} stream scanner {direction or ''}", names)
         self._scan: Callable[..., int] = space["scan"]
+        for number, overlaps in self._overlaps.items():
+            if f"check_{number}" in space:
+                overlaps.check = space[f"check_{number}"]
         # One framing alone on the wire: large chunks are searched at once.
         self._finder: Finder | None = None
         self._failure: Callable[[bytes], str | None] | None = None
+        self._overlap: Overlaps | None = None
         if len(framings) == 1 and has_size(self.framings[0]) and self.framings[0].stuffing is None:
             framing = self.framings[0]
             cover = (
@@ -96,6 +106,7 @@ class StreamScanner:
             self._decode: Callable[..., Any] = names["packet_0"]
             if self._finder.cover is None:
                 self._failure = space.get("check_0")
+                self._overlap = self._overlaps.get(0) if self._failure is not None else None
 
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""
@@ -110,6 +121,8 @@ class StreamScanner:
         self._state = _State()
         for sums in self._sums:
             sums.reset()
+        for segments in self._segments:
+            segments.reset()
         for decider in self._deciders:
             decider.reset()
 
@@ -126,11 +139,17 @@ class StreamScanner:
             sums = Sums(check)
             self._sums.append(sums)
             names[f"sums_{number}"] = sums
+            self._overlaps[number] = names[f"failure_{number}"] = Overlaps(framing, sums, extras)
         if check is not None:
             names[f"crc_{number}"] = check.engine
         if extras is not None:
             names[f"extras_{number}"] = extras.get
-        names[f"judge_{number}"] = _judge(framing, extras)
+        if in_segments(framing):
+            segments = Segments(framing, extras)
+            self._segments.append(segments)
+            names[f"judge_{number}"] = segments
+        else:
+            names[f"judge_{number}"] = _judge(framing, extras)
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
 
@@ -238,7 +257,7 @@ class StreamScanner:
             self._sums[0].lend(base, base + finder.summed, *finder.sums)
             self._state.work += finder.summed
         decode, scan, emit = self._decode, self._scan, found.append
-        state, failure = self._state, self._failure
+        state, failure, overlap = self._state, self._failure, self._overlap
         mark = self.framings[0].sync[:1]
         at = 0
         for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
@@ -250,8 +269,13 @@ class StreamScanner:
                 else:
                     scan(buffer, base, at, start, False, time, emit, lose, state)
             packet = buffer[start:end]
-            if failure is not None and (reason := failure(packet)) is not None:
+            if overlap is not None:
+                reason = overlap(buffer, base, start, end)
+            elif failure is not None and (reason := failure(packet)) is not None:
                 state.work += end - start
+            else:
+                reason = None
+            if reason is not None:
                 lose(base + start, 1, reason)
                 at = start + 1
                 continue
@@ -358,9 +382,13 @@ class StreamScanner:
     @property
     def check_work(self) -> int:
         """How many bytes checks have read so far."""
-        return (
-            self._counts.decoded + self._counts.unknown + self._state.work + sum(s.work for s in self._sums)
-        )
+        apart = sum(s.work for s in self._sums) + sum(s.checked for s in self._segments)
+        return self._counts.decoded + self._counts.unknown + self._state.work + apart
+
+    @property
+    def unstuff_work(self) -> int:
+        """How many bytes were unstuffed so far to find packets: those of packets, and of what was none."""
+        return sum(one.work for one in self._segments)
 
 
 def has_size(framing: Framing) -> bool:

@@ -219,6 +219,16 @@ class Framing:
             covered = packet if inserted else self.logical(packet)
         except ValueError as error:
             return BAD(str(error))
+        judged = self.judge_data(covered, packet, extras)
+        if inserted and judged.verdict is Verdict.WHOLE:
+            try:
+                self.logical(packet)
+            except ValueError as error:
+                return BAD(str(error))
+        return judged
+
+    def judge_data(self, covered: bytes, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
+        """What a packet is by its length and its check, which covers `covered`: the packet, or its unstuffed form."""
         if len(covered) < self.min_size:
             return BAD("length")
         if self.check is not None:
@@ -232,11 +242,6 @@ class Framing:
             want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
             if covered[end : end + self.check_size] != want:
                 return BAD("checksum")
-        if inserted:
-            try:
-                self.logical(packet)
-            except ValueError as error:
-                return BAD(str(error))
         return Judgement(Verdict.WHOLE, len(packet))
 
     def logical(self, packet: bytes) -> bytes:

@@ -13,6 +13,10 @@ worth knowing. A comment says that something is meant, on its line or above:
 
     "speed" / Int16ub,  # aces: allow byte-order
 
+Then the nine laws ('aces fuzz --help' lists them) are asked of the code that
+is generated from the spec, for --seconds; what breaks one is an error, shown
+with the smallest bytes that do it. The same spec gets the same scenes.
+
 Rules are named in brackets behind each line; docs/checking.md has them all.
 A Python file is executed with your rights: name only what you trust.
 
@@ -26,6 +30,7 @@ import json
 import os
 import re
 import sys
+import textwrap
 import traceback
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -40,6 +45,10 @@ from aces_bus.protocol.spec.place import Place
 from ..console import Output, say, wants_colour
 from ..output.text import Paint, make_paint, no_paint
 from ..protocols_arg import load_file, named, problems_of
+from .proving import prove, raised
+
+#: How long the laws are asked of a protocol, unless it is said.
+SECONDS = 3.0
 
 _PLACED = re.compile(r"(?P<file>(?:[A-Za-z]:)?[^:\n]+):(?P<line>\d+): (?P<text>.*)", re.DOTALL)
 _WITNESS = re.compile(
@@ -53,6 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--notes", action="store_true", help="show notes too, instead of counting them")
     parser.add_argument("--apart", action="store_true", help="the protocols named do not share a bus")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=SECONDS,
+        metavar="N",
+        help="how long the laws are asked of each protocol (default: %(default)g; 0: not at all)",
+    )
     parser.add_argument("--json", action="store_true", help="for programs: everything, notes too")
     parser.add_argument(
         "--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal"
@@ -70,9 +86,16 @@ class Checked:
     complaint: str = ""
     #: What shares a bus: label of a variant → how the command line names it.
     labels: dict[str, str] = field(default_factory=dict)
+    #: Scenes of which the laws were asked; None where they were not. What shows a failure, by its finding.
+    scenes: int | None = None
+    drawings: dict[Finding, str] = field(default_factory=dict)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    if not 0 <= arguments.seconds <= 3600:
+        raise CallerError(
+            f"--seconds {arguments.seconds:g}: a number from 0 (the laws are not asked) to 3600"
+        )
     names = list(dict.fromkeys(arguments.names))
     variants: dict[Variant, str] = {}
     done: dict[int, None] = {}
@@ -84,7 +107,12 @@ def run(arguments: argparse.Namespace) -> int:
         for protocol in result.protocols:
             if id(protocol) not in done:
                 done[id(protocol)] = None
-                result.findings += check_protocol(protocol) + _of_database(protocol)
+                try:
+                    result.findings += check_protocol(protocol) + _of_database(protocol)
+                except Exception as error:  # whatever a spec makes a rule raise is a fault with a line
+                    result.findings.append(raised(error, protocol, "cannot be checked"))
+                if arguments.seconds:
+                    _ask_laws(protocol, result, arguments.seconds)
     if not arguments.apart and len(variants) > 1:
         found = Checked(" + ".join(variants.values()))
         found.labels = {variant.label: name for variant, name in variants.items()}
@@ -100,6 +128,10 @@ def run(arguments: argparse.Namespace) -> int:
     for result in results:
         if result.complaint:
             say(result.complaint)
+        if result.scenes is not None:
+            is_held = not any(one.rule == "law" for one in result.findings)
+            held = "held" if is_held else "were asked, and do not all hold,"
+            say(f"{result.name}: the nine laws {held} on {_count(result.scenes, 'scene')}")
     if any(result.complaint for result in results):
         return 2
     return int(any(one.level != "note" for result in results for one in result.findings))
@@ -126,6 +158,22 @@ def _check(name: str, result: Checked, variants: dict[Variant, str]) -> None:
             result.complaint = str(error)
         else:
             result.findings.append(finding)
+    except (
+        Exception
+    ) as error:  # of the core, in the hands of a spec: no traceback, and the line where it began
+        place = _innermost(error) or Place(name, 0)
+        said = " ".join(str(error).split())
+        result.findings.append(Finding("error", "python", place, f"{type(error).__name__}: {said}"))
+
+
+def _ask_laws(protocol: Protocol, result: Checked, seconds: float) -> None:
+    if not protocol.declared:
+        return
+    spoken = result.name if len(result.protocols) == 1 else f"{result.name}:{protocol.name}"
+    proved = prove(protocol, spoken, seconds)
+    result.findings += proved.findings
+    result.drawings.update(proved.drawings)
+    result.scenes = (result.scenes or 0) + proved.scenes
 
 
 def _every(name: str) -> list[str]:
@@ -239,7 +287,7 @@ def _witness(text: str) -> str | None:
 
 def _innermost(error: BaseException) -> Place | None:
     """The last line of a traceback that is not Python's own or the core's."""
-    if isinstance(error, SyntaxError) and error.filename:
+    if isinstance(error, SyntaxError) and error.filename and not error.filename.startswith("<"):
         return Place(error.filename, error.lineno or 1)
     own = str(Path(sys.modules["aces_bus"].__file__ or "").parent)
     library = str(Path(os.__file__).parent)
@@ -267,6 +315,7 @@ def _print_json(results: Sequence[Checked]) -> None:
                 "messages": sum(len(protocol.declared) for protocol in result.protocols),
                 "counts": {level: levels.count(level) for level in LEVELS},
                 "complaint": result.complaint or None,
+                "scenes": result.scenes,
                 "findings": [one.as_dict() for one in result.findings],
             }
         )
@@ -287,6 +336,8 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
                 continue
             level = paint(_STYLES[one.level], f"{one.level}:")
             print(f"{one.place}: {level} {one.text} {paint('place', f'[{one.rule}]')}")
+            if one in result.drawings:
+                print(textwrap.indent(result.drawings[one], "    "))
             if one.witness is not None and one.rule == "collision":
                 spoken = " ".join(name for label, name in result.labels.items() if f"{label} " in one.text)
                 print(f"    to see it: aces spec explain {spoken or result.name} '{one.witness}'")

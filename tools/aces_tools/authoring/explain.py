@@ -33,7 +33,7 @@ from aces_bus.protocol.explain import Attempt
 from aces_bus.protocol.lint.examples import plain
 from aces_bus.protocol.spec.fields import FlagSet
 
-from ..console import Output, say, terminal_width, wants_colour
+from ..console import Output, check_suffix, say, terminal_width, wants_colour
 from ..output.text import make_paint, no_paint
 from ..protocols_arg import parse_protocols
 from .explain_inputs import DIRECTIONS, LARGEST, Frames, Stream, inputs_of
@@ -72,6 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     count = arguments.count if arguments.count is not None else 1 if arguments.at is not None else 12
     if count < 1:
         raise CallerError("--count: at least one decision is explained")
+    check_suffix("--svg", arguments.svg, ".svg")
     inputs: list[Frames | Stream] = []
     groups: list[tuple[str, list[Attempt]]] = []
     for one in inputs_of(arguments.capture, variants, DIRECTIONS[arguments.direction]):

@@ -28,7 +28,7 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.protocol.printers import Loss
 
-from ..console import say
+from ..console import check_suffix, say
 from ..protocols_arg import named
 
 
@@ -70,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_suffix("-o", arguments.output, *_SUFFIXES[arguments.to])
     variant = named(arguments.protocol).variant()
     for name in arguments.message:
         if name not in variant.messages:
@@ -106,6 +107,7 @@ def _tell(variant: Variant, losses: Sequence[Loss], form: str) -> None:
         )
 
 
+_SUFFIXES = {"dbc": (".dbc",), "wireshark": (".lua",), "markdown": (".md", ".markdown", ".txt")}
 _FORMS = {"dbc": "a DBC", "wireshark": "the dissector", "markdown": "a page"}
 
 

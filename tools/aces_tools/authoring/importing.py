@@ -21,7 +21,7 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol.foreign import SUFFIXES, load_database
 from aces_bus.protocol.printers.source import print_source
 
-from ..console import say
+from ..console import check_suffix, say
 from .left_out import left_out
 
 
@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     path: str = arguments.file
+    check_suffix("-o", arguments.output, ".py")
     imported = load_database(path)
     kind = Path(path).suffix.lstrip(".").upper()
     problems = list(imported.problems)

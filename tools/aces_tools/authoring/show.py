@@ -34,7 +34,7 @@ from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.spec.ambiguity import needing_context
 
 from .. import protocols
-from ..console import Output, say
+from ..console import Output, check_suffix, say
 from ..protocols import Page
 from ..protocols_arg import named
 
@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_suffix("--svg", arguments.svg, ".svg")
     ways = [way for way in _WAYS if getattr(arguments, way)]
     if len(ways) > 1 or (ways and arguments.svg):
         both = [*ways, *(["svg"] if arguments.svg else [])]

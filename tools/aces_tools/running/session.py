@@ -268,7 +268,10 @@ class Session:
         if self.is_real and self.arguments.real_time and not any(task.is_real_time for task in tasks):
             say("SCHED_FIFO is not allowed here (CAP_SYS_NICE, or an rtprio limit); it ran without")
         for logger in self.loggers:
-            self._say(str(logger))
+            if logger.failure:
+                say(f"{logger.path} is not whole: {logger.failure}; {logger}")
+            else:
+                self._say(str(logger))
         clips = sum(c.total for s in runner.supervisors for c in s.guard.clips.values())
         counts = {
             "cycles": sum(task.ticks for task in tasks),
@@ -284,7 +287,8 @@ class Session:
         sent = "" if runner.drives else " (set-points were not sent)"
         text = " ".join(f"{name}={number}" for name, number in counts.items())
         say(f"seconds={ended.seconds:.3f} {text}{sent}", who="")
-        return status or int(bool(ended.tripped or ended.failed or missing))
+        is_cut = any(logger.failure for logger in self.loggers)
+        return status or int(bool(ended.tripped or ended.failed or missing or is_cut))
 
 
 class _Recording:
