@@ -116,6 +116,8 @@ class Session:
                 stack.callback(sys.setswitchinterval, before)
             status = 0
             missing: list[str] = []
+            # What may move is stopped at its end: until then a second signal interrupts nothing.
+            stack.enter_context(self.patience.stopping())
             try:
                 with self.patience.waiting():
                     runner.open()
@@ -259,6 +261,8 @@ class Session:
             say(f"{name} was stopped: {reason}")
         if self.arguments.replay and runner.missing:
             say(f"not in the recording: {', '.join(runner.missing)}")
+        if ended.not_stopped:
+            say(f"NOT switched off: {', '.join(ended.not_stopped)}")
         for text in ended.failed:
             say(f"at the end: {text}")
         tasks = runner.tasks.tasks
