@@ -25,9 +25,11 @@ from typing import Any
 import can
 
 from aces_bus.device.rig import variants_of
+from aces_bus.frame import Frame
 from aces_bus.hardware.virtual import to_frame
 from aces_bus.protocol import make_scanner
 from aces_devices.robots import load_robot
+from aces_tools.main import main as aces
 
 ROBOT, JOINT = "hubo2plus", "RHP"
 #: How a command ends, and the signal that ends it (None: its time is up).
@@ -57,6 +59,37 @@ class Result:
         return self.runs == self.off == self.told
 
 
+class Command:
+    """`aces …` as a process of its own: a fork of this one, which has all modules loaded, so that its start costs little."""
+
+    def __init__(self, *words: str) -> None:
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        self.pid = os.fork()
+        if self.pid:
+            return
+        status = 99
+        try:
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), 1)
+            os.dup2(self._errors.fileno(), 2)
+            status = aces(list(words))
+        finally:
+            os._exit(status)
+
+    def poll(self) -> bool:
+        """Whether it has ended."""
+        return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+    def wait(self) -> int:
+        """Its exit status; minus the signal that killed it."""
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+    def said(self) -> str:
+        """What it wrote to stderr."""
+        self._errors.seek(0)
+        return self._errors.read().decode()
+
+
 class Stand:
     """The simulated robot, and a listener on the joint's bus."""
 
@@ -82,6 +115,7 @@ class Stand:
                 if time.monotonic() > until or self.sim.poll() is not None:
                     raise
                 time.sleep(0.1)
+        aces(["device", JOINT, "-r", ROBOT, "--virtual", "get"])  # loads what it needs
         (self.variant,) = variants_of(self.robot, self.config.bus)
         self.scanner = make_scanner([self.variant], everything=True)
 
@@ -95,20 +129,22 @@ class Stand:
                 records += self.scanner.feed([to_frame(message)])
         return [record for record in records if getattr(record, "board", None) == self.board]
 
-    def await_record(self, name: str, command: subprocess.Popen[bytes] | None = None) -> float | None:
+    def await_record(self, name: str, command: Command | None = None) -> float | None:
         """When a record of this name came; None: the command has ended without."""
         until = time.monotonic() + WAIT_S
         while time.monotonic() < until:
             if any(type(record).__name__ == name for record in self.heard(0.02)):
                 return time.monotonic()
-            if command is not None and command.poll() is not None:
+            if command is not None and command.poll():
                 return None
         raise TimeoutError(f"no {name} within {WAIT_S:g} s")
 
     def is_off(self) -> bool:
-        """Ask the board."""
+        """Ask the board, once all that it said before was heard: a status may leave after a ControlOff that it precedes."""
+        self.heard(0.1)
         word = self.variant.encoder.word(self.variant["SendStatus"], {"board": self.board})
         self.scanner.sent(word)
+        assert isinstance(word, Frame)
         self.bus.send(can.Message(arbitration_id=word.arbitration_id, data=word.data, is_extended_id=False))
         until = time.monotonic() + WAIT_S
         while time.monotonic() < until:
@@ -127,35 +163,30 @@ class Stand:
 def one(stand: Stand, end: int | None, chance: random.Random, result: Result) -> None:
     """One command, from its start to its end."""
     duration = "1s" if end is None else "60s"
-    command = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "aces_tools.main", "device", JOINT, "-r", ROBOT, "-i", "aces"),
-            *("set", "position=0.1", "--enable", "--for", duration, "--tx"),
-        ],
-        env=stand.environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+    command = Command(
+        *("device", JOINT, "-r", ROBOT, "-i", "aces"),
+        *("set", "position=0.1", "--enable", "--for", duration, "--tx"),
     )
     result.runs += 1
     if stand.await_record("ControlOn", command) is None:
-        raise RuntimeError(f"it never began: {command.communicate()[1].decode()}")
+        raise RuntimeError(f"it never began: {command.wait()}: {command.said()}")
     began = time.monotonic()
     if end is not None:
         time.sleep(chance.random())
         began = time.monotonic()
-        command.send_signal(end)
+        os.kill(command.pid, end)
     off_at = stand.await_record("ControlOff", command) or (
         time.monotonic() if any(type(r).__name__ == "ControlOff" for r in stand.heard(0.2)) else None
     )
-    _, said = command.communicate(timeout=WAIT_S)
-    result.statuses[command.returncode] += 1
+    status = command.wait()
+    result.statuses[status] += 1
     if off_at is not None:
         result.told += 1
         result.latest_s = max(result.latest_s, off_at - began)
     if stand.is_off():
         result.off += 1
     else:
-        print(f"still on, exit status {command.returncode}: {said.decode()}", file=sys.stderr)
+        print(f"still on, exit status {status}: {command.said()}", file=sys.stderr)
 
 
 def _restore(before: str | None) -> None:
@@ -175,9 +206,10 @@ def measure(runs: int, seed: int = 0) -> dict[str, Result]:
         stack.callback(_restore, before)
         stand = Stand()
         stack.callback(stand.close)
-        for _ in range(runs):
+        for number in range(runs):
             for name, end in ENDS.items():
                 one(stand, end, chance, found[name])
+            print(f"{number + 1} of {runs}", file=sys.stderr)
     return found
 
 

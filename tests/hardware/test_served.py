@@ -170,7 +170,7 @@ def test_a_gate_finds_the_server_again() -> None:
         gate.stop()
 
 
-def test_waiting_costs_nothing(opened: Open) -> None:
+def test_waiting_costs_nothing(opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """`recv` with a time-out sleeps in the system until that is over, and asks it once or twice; 0 does not wait."""
     with serve():
         bus = opened()
@@ -181,7 +181,7 @@ def test_waiting_costs_nothing(opened: Open) -> None:
             waits.append(timeout)
             return wait(timeout)
 
-        bus._waiter.wait = noted
+        monkeypatch.setattr(bus._waiter, "wait", noted)
         start = time.monotonic()
         assert bus.recv(0.4) is None
         assert time.monotonic() - start >= 0.4
