@@ -21,7 +21,7 @@ from .datagram import Datagram, DatagramGate
 from .datagram_wire import DatagramWire
 from .events import BusEvent
 from .frame_time import INTERMISSION, frame_bits
-from .outbox import AGE_S, Report
+from .outbox import AGE_S
 from .serial import Heard, SerialGate
 from .serial_wire import BITS, SerialWire
 from .wire import Node, Wire, WireEvent
@@ -303,15 +303,19 @@ def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Cal
     def give(word: Any, age_ns: int, urgent: bool, topic: object, report: Told | None, *to: Any) -> bool:
         if gate.state != "open" and not urgent:
             return False
-        left: Report | None = None
-        if report is not None:
 
-            def left(fate: str, why: str) -> None:
+        def left(fate: str, why: str) -> None:
+            if report is not None:
                 clock.call_soon(lambda: report(fate, why))
 
         try:
             return send(
-                word, *to, age_s=age_ns / 1e9 if age_ns else None, urgent=urgent, topic=topic, report=left
+                word,
+                *to,
+                age_s=age_ns / 1e9 if age_ns else None,
+                urgent=urgent,
+                topic=topic,
+                report=None if report is None else left,
             )
         except CallerError:  # too much waits already, or not of this bus's kind
             return False

@@ -18,8 +18,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, redirect_stdout
 from dataclasses import dataclass, field
+from io import StringIO
 from typing import Any
 
 import can
@@ -115,7 +116,8 @@ class Stand:
                 if time.monotonic() > until or self.sim.poll() is not None:
                     raise
                 time.sleep(0.1)
-        aces(["device", JOINT, "-r", ROBOT, "--virtual", "get"])  # loads what it needs
+        with redirect_stdout(StringIO()):
+            aces(["device", JOINT, "-r", ROBOT, "--virtual", "get"])  # loads what it needs
         (self.variant,) = variants_of(self.robot, self.config.bus)
         self.scanner = make_scanner([self.variant], everything=True)
 
