@@ -14,7 +14,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-long test-socketcan soak check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-long test-socketcan soak stops check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -76,6 +76,9 @@ test-socketcan: $(VENV)/.dev ## SocketCAN with a real kernel under QEMU (a minut
 
 soak: $(VENV)/.dev ## a full 1 Mbit/s bus through a live scanner for a minute; ARGS="--seconds 600" for longer
 	$(BIN)/python -m tests.bench.soak $(ARGS)
+
+stops: $(VENV)/.dev ## ends of `aces device` against `aces sim`, in real time; ARGS="--runs 50" for a release
+	$(BIN)/python -m tests.bench.stops $(ARGS)
 
 check: lint types pristine ## ruff, mypy, pyright and the pristine check
 

@@ -12,7 +12,8 @@
     │   └── RobotError         a robot file is wrong: says file:line of everything that is (aces_bus.device)
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
     ├── DeviceError            a device did not do what its protocol promises
-    │   └── NoReplyError       it did not answer in time
+    │   ├── NoReplyError       it did not answer in time
+    │   └── NotStoppedError    it was told to stop, and may still move: says which, and why
     └── BugError               aces-bus is wrong: please report it
 
 1. A message says who, where and what next.
@@ -63,6 +64,16 @@ class DeviceError(AcesError):
 
 class NoReplyError(DeviceError):
     """A device that did not answer in time."""
+
+
+class NotStoppedError(DeviceError):
+    """Devices that have not stopped: `devices`, name → why."""
+
+    def __init__(self, devices: dict[str, str]) -> None:
+        many = len(devices) > 1
+        reasons = "; ".join(f"{name}: {why}" if many else why for name, why in devices.items())
+        super().__init__(f"NOT switched off: {', '.join(devices)} ({reasons})")
+        self.devices = devices
 
 
 class BugError(AcesError):

@@ -68,7 +68,7 @@ class ODrive(Device):
 
     def disable(self) -> Ticket:
         self.drop("SetVelocity")
-        return self.tell("SetState", state="idle")
+        return self.tell_now("SetState", state="idle")
 
     stop_motion = disable
 

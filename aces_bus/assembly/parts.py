@@ -45,10 +45,11 @@ class Recorder(Protocol):
 @dataclass
 class Ended:
     """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
-    end itself.
+    end itself, and of that `not_stopped` the devices that may still move, with why.
     """
 
     reason: str
     tripped: dict[str, str]
     seconds: float
     failed: list[str] = field(default_factory=list[str])
+    not_stopped: dict[str, str] = field(default_factory=dict[str, str])

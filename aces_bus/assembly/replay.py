@@ -37,9 +37,19 @@ class ReplayPort:
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
         """Nothing happens to a recording."""
 
-    def send(self, word: Any) -> bool:
+    def send(
+        self,
+        word: Any,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Callable[[str, str], Any] | None = None,
+    ) -> bool:
         """Taken and dropped."""
         self.swallowed += 1
+        if report is not None:
+            report("sent", "")
         return True
 
     def wire_ns(self, word: Any) -> int:

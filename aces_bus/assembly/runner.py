@@ -17,14 +17,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
+from functools import partial
 from typing import Any, Literal, TypeVar
 
 from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
 from ..controller.events import Listeners
 from ..controller.guard import Action, Bounds
-from ..device import UNKNOWN, Device, DeviceEvent, Rig
+from ..device import UNKNOWN, Device, DeviceEvent, Job, Rig, stop_devices, wait_stopped
 from ..device.ticket import together
-from ..errors import AcesError, CallerError, DeviceError, UnknownNameError
+from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
 from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
 from .parts import Ended, Recorder
 from .states import States
@@ -37,8 +38,6 @@ BUSES, CONTROL, LOGGING = 50, 40, 5
 DEAD_PERIODS, DEAD_S = 5, 0.1
 #: Seconds in which devices must have been heard before controllers begin.
 HEARD_S = 5.0
-#: Time for the last words to leave before a bus is closed (ns).
-LAST_WORDS = 20_000_000
 #: Seconds that any one part of an end may take.
 PATIENCE_S = 2.0
 #: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
@@ -92,6 +91,9 @@ class Runner:
         self._dead_men: dict[str, int] = {}
         self._setters: dict[str, Callable[[float], None]] = {}
         self._failed_at_end: list[str] = []
+        self._not_stopped: dict[str, str] = {}
+        #: What is left of the end.
+        self._to_end: deque[tuple[str, Callable[[], Any]]] = deque()
         self._is_bound = False
         self._logging: list[Recorder] = []
         self._seconds = 0.0
@@ -270,7 +272,11 @@ class Runner:
             self.clock.call_soon(lambda: self._stop_driven(supervisor))
 
     def _stop_driven(self, supervisor: Supervisor) -> None:
-        self._stop_devices(self.driven(supervisor))
+        def over(stopping: Job) -> None:
+            if stopping.error is not None:
+                self._note(ControlEvent("failed", self.clock.now(), supervisor.name, str(stopping.error)))
+
+        stop_devices(self.clock, supervisor.name, self.driven(supervisor)).then(over)
 
     def _watch(self) -> None:
         """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
@@ -299,24 +305,17 @@ class Runner:
         }
         return [d for d in self.rig.devices.values() if not names or d.name in names]
 
-    def _stop_devices(self, devices: Collection[Device]) -> list[Any]:
-        """Have devices stop what moves, each whatever the others do; the tickets and jobs of that."""
-        told: list[Any] = []
-        for device in devices:
-            try:
-                told.append(device.stop_motion())
-            except Exception as error:  # a driver's code: the other devices are stopped all the same
-                self._fault(device.name, error)
-        return [one for one in told if one is not None]
-
     # ------------------------------------------------------------------ running
 
     def __enter__(self) -> Runner:
         self.open()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.stop("the program left it")
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        was_over = self._phase == "over" and not self._to_end
+        ended = self.stop("the program left it")
+        if ended.not_stopped and kind is None and not was_over:  # else `run` or `stop` has returned it
+            raise NotStoppedError(ended.not_stopped)
 
     def open(self) -> None:
         """Open the buses, and wait until every polled device has been heard or `HEARD_S` are over.
@@ -453,46 +452,53 @@ class Runner:
             clock.advance_to(min(end, clock.now() + LOOK))
 
     def stop(self, reason: str = "") -> Ended:
-        """Stop controllers, motion, buses, logs; in this order, whatever fails on the way."""
-        if self._phase == "over":
-            return self.ended(reason)
-        self._seconds, self._reason = self.seconds, reason or self._reason
-        was, self._phase = self._phase, "over"
-        interrupted: BaseException | None = None
+        """Stop controllers, motion, buses, logs; in this order, whatever fails on the way.
 
-        def part(source: str, action: Callable[[], Any]) -> None:
-            nonlocal interrupted
+        Called again after it was interrupted, it goes on where it was.
+        """
+        if self._phase != "over":
+            self._seconds, self._reason = self.seconds, reason or self._reason
+            was, self._phase = self._phase, "over"
+            now = self.clock.now()
+            if was == "running":
+                self._to_end.append(("tasks", self.tasks.stop))
+                self._to_end += [(one.name, partial(one.stop, now)) for one in self.supervisors]
+            if was != "new" and self.drives:
+                self._to_end.append(("stop", self._stop_motion))
+            self._to_end.append(("buses", lambda: self._in_time(self.rig.close)))
+            self._to_end += [("end", end) for end in self.after]
+            self._to_end += [(one.name, partial(self._close_log, one)) for one in self._logging]
+        interrupted: BaseException | None = None
+        while self._to_end:
+            source, action = self._to_end[0]
             try:
                 action()
             except Exception as error:  # whatever it is, the rest is done
                 self._fault(source, error)
             except BaseException as error:  # Ctrl-C: the rest is done, and then it is told
                 interrupted = error
-
-        now = self.clock.now()
-        if was == "running":
-            part("tasks", self.tasks.stop)
-            for supervisor in self.supervisors:
-                part(supervisor.name, lambda one=supervisor: one.stop(now))  # type: ignore[misc]
-        if was != "new" and self.drives:
-            part("stop", self._stop_motion)
-        part("buses", lambda: self._in_time(self.rig.close))
-        for end in self.after:
-            part("end", end)
-        for logger in self._logging:
-            part(logger.name, lambda one=logger: one.stop(self.clock.now()))  # type: ignore[misc]
+            self._to_end.popleft()
         if interrupted is not None:
             raise interrupted
         return self.ended(reason)
 
+    def _close_log(self, logger: Recorder) -> None:
+        logger.stop(self.clock.now())
+
     def _stop_motion(self) -> None:
-        told = self._in_time(lambda: self._stop_devices(self.rig.devices.values()))
+        stopping = self._in_time(
+            lambda: stop_devices(self.clock, self.rig.robot.name, self.rig.devices.values())
+        )
         try:
-            together(self.clock, f"{self.rig.robot.name} stop", told).wait(PATIENCE_S)
+            wait_stopped(stopping)
         except DeviceError as error:
-            for text in [str(one.error) for one in told if one.error is not None] or [str(error)]:
-                self._fault("stop", text)  # each device that could not be told
-        self.clock.wait(lambda: False, LAST_WORDS)
+            if not isinstance(stopping.error, NotStoppedError):
+                self._fault("stop", str(error))
+        finally:
+            if isinstance(stopping.error, NotStoppedError):
+                self._not_stopped = stopping.error.devices
+                for name, why in self._not_stopped.items():
+                    self._fault(name, why)
 
     def _in_time(self, action: Callable[[], T]) -> T:
         """Do it on the buses' thread, which may hang or be gone: then, after a while, here."""
@@ -519,7 +525,9 @@ class Runner:
     def ended(self, reason: str = "") -> Ended:
         """How it ended."""
         tripped = {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
-        return Ended(reason or self._reason, tripped, self._seconds, list(self._failed_at_end))
+        return Ended(
+            reason or self._reason, tripped, self._seconds, list(self._failed_at_end), dict(self._not_stopped)
+        )
 
     @property
     def stopped(self) -> dict[str, str]:

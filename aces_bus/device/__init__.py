@@ -44,6 +44,8 @@ from .robot_text import print_robot as print_robot
 from .signals import UNKNOWN as UNKNOWN
 from .signals import Reading as Reading
 from .signals import Signal as Signal
+from .stopping import stop_devices as stop_devices
+from .stopping import wait_stopped as wait_stopped
 from .ticket import Job as Job
 from .ticket import Steps as Steps
 from .ticket import Ticket as Ticket

@@ -136,6 +136,8 @@ class Device:
         #: When it was last heard (ns).
         self.last_heard: int | None = None
         self.is_silent = False
+        #: Whether it was given set-points, or told to move, since it was last stopped.
+        self.is_driven = False
         self.misses = 0
         self.missing_since = self.missed_at = 0
         #: Tickets that wait for an answer, oldest first; the host's.
@@ -174,7 +176,14 @@ class Device:
         return None
 
     def stop_motion(self) -> Any:
-        """Stop what moves, now; nothing by default. Returns a ticket or job, or None."""
+        """Stop what moves, now; nothing by default. Returns a ticket or job, or None. It may be called again and again."""
+        return None
+
+    def confirm_stopped(self) -> Any:
+        """Ask whether `stop_motion` has done its work: a ticket or job that fails when it has not; None: that is not known.
+
+        A driver whose `stop_motion` is over only when the device has said so need not override it.
+        """
         return None
 
     def garbled(self, reason: str, instant: int) -> None:
@@ -426,8 +435,16 @@ class Device:
         return self.host.ask(Ticket(self.clock, self, message, word, names, round(timeout_s * 1e9), retries))
 
     def tell(self, message: str, **fields: Any) -> Ticket:
-        """Send a message that is not answered."""
+        """Send a message that is not answered. The ticket is over when it has left, and fails when it does not."""
         return self.ask(message, **fields)
+
+    def tell_now(self, message: str, **fields: Any) -> Ticket:
+        """Send a message as `tell`, before all others and instead of what still waits for this device: for stops.
+
+        While the bus is lost it waits, and is the first to leave when the bus is back.
+        """
+        word = self.host.word(self, message, fields)
+        return self.host.ask(Ticket(self.clock, self, message, word, frozenset(), 0, urgent=True))
 
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:
         """Begin something that takes several steps; see `Job`."""

@@ -20,7 +20,8 @@ Kind = Literal[
     "alarm",  # the device reports a fault
     "alarm over",
     "limited",  # a set-point was beyond its limits
-    "not sent",  # the bus does not take words
+    "not sent",  # the bus does not take words, or words did not leave in time
+    "not stopped",  # was told to stop and has not yet
     "overrun",  # a tick's words did not fit into the tick
     "bug",  # a driver's own code raised
     # of the bus, as gates and wires tell them

@@ -16,14 +16,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ..errors import AcesError, CallerError, FieldError, NoReplyError, UnknownNameError
+from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
 from ..protocol import Unknown as UnknownWord
 from ..protocol import Variant
 from ..runtime import Timer
 from .coalesce import Rule, Want, a_device
 from .device import Device
 from .events import DeviceEvent, EventLog, Kind
-from .port import Port
+from .port import Left, Port
 from .robot import DeviceConfig, Robot
 from .station import Station
 from .ticket import Ticket
@@ -303,6 +303,7 @@ class Host(Station[Device]):
                 else:
                     used += self.port.wire_ns(word)
                     self._transmit(word, out.device, out.message)
+                out.device.is_driven = True
         if self._half and wanted:
             self._pump()
         return used
@@ -312,33 +313,70 @@ class Host(Station[Device]):
     def ask(self, ticket: Ticket) -> Ticket:
         """Send a ticket's word, again when it is not answered; on a half-duplex line as soon as that is free."""
         self.counts.asked += bool(ticket.reply)
-        if self._half:
-            self._line.append(ticket)
-            self._pump()
-        else:
+        if not self._half:
             self._send(ticket, self.clock.now())
+            return ticket
+        if ticket.urgent:
+            device = ticket.device
+            kept: deque[Ticket] = deque()
+            for waiting in self._line:
+                if waiting.device is device and not waiting.urgent and waiting.poll is None:
+                    waiting.fail(DeviceError(f"{waiting.message} to {device.name}: a stop overtook it"))
+                else:
+                    kept.append(waiting)
+            kept.insert(sum(1 for waiting in kept if waiting.urgent), ticket)
+            self._line = kept
+        else:
+            self._line.append(ticket)
+        self._pump()
         return ticket
 
     def _send(self, ticket: Ticket, now: int) -> None:
         ticket.tries += 1
-        self._transmit(ticket.word, ticket.device, ticket.message)
-        self._await(ticket, now)
+        ticket.sent_at = now
+        if ticket.reply:
+            # What is not answered in time is asked again: it must not leave later than that.
+            self._transmit(
+                ticket.word, ticket.device, ticket.message, ticket.timeout_ns, urgent=ticket.urgent
+            )
+            self._await(ticket, now)
+            return
 
-    def _transmit(self, word: Any, device: Device, message: str) -> None:
+        def left(fate: str, why: str) -> None:
+            if fate == "sent":
+                ticket.finish()
+            else:
+                ticket.fail(
+                    DeviceError(f"{self.name} {ticket.device.name}: {ticket.message} was not sent: {why}")
+                )
+
+        if not self._transmit(
+            ticket.word, ticket.device, ticket.message, 0, urgent=ticket.urgent, report=left
+        ):
+            left("dropped", "the bus does not take it")
+
+    def _transmit(
+        self,
+        word: Any,
+        device: Device,
+        message: str,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        report: Left | None = None,
+    ) -> bool:
         """Put a word on the bus; one that it does not take is told."""
-        if not self._is_open or not self.port.send(word):
+        if not self._is_open or not self.port.send(word, age_ns, urgent=urgent, topic=device, report=report):
             self.counts.not_sent += 1
             self.tell("not sent", device.name, f"{message}: the bus does not take it")
-        else:
-            self.counts.sent += 1
-            self._note(word)
+            return False
+        self.counts.sent += 1
+        self._note(word)
+        return True
 
     def _await(self, ticket: Ticket, now: int) -> None:
         """A ticket's word is on its way: wait for the answer until its time is up."""
         ticket.sent_at = now
-        if not ticket.reply:
-            ticket.finish()
-            return
         ticket.deadline = now + ticket.timeout_ns + self.port.wire_ns(ticket.word)
         ticket.device.awaiting.append(ticket)
         self._serial_number += 1

@@ -7,6 +7,9 @@ from typing import Any, Literal, Protocol
 
 from ..runtime import EventClock
 
+#: Told what became of a word, and why.
+Left = Callable[[str, str], Any]
+
 
 class Port(Protocol):
     """One bus. Words are frames (CAN) or bytes; `aces_bus.hardware.port_of` makes one of any wire or gate."""
@@ -39,8 +42,21 @@ class Port(Protocol):
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
         ...
 
-    def send(self, word: Any) -> bool:
-        """Send a word; False when the bus does not take it."""
+    def send(
+        self,
+        word: Any,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Left | None = None,
+    ) -> bool:
+        """Send a word; False when the bus does not take it.
+
+        One that has not left after `age_ns` does not leave (0: the bus's own limit). `urgent`: a stop, which goes before
+        all others, instead of those that wait with the same `topic`, and waits for a bus that is lost. `report(fate, why)`
+        is called once, on the clock's thread, with what became of it: "sent", or why not (see `aces_bus.hardware.outbox`).
+        """
         ...
 
     def wire_ns(self, word: Any) -> int:

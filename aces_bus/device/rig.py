@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..errors import CallerError, UnknownNameError
+from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Variant, load_protocol
 from ..runtime import EventClock
 from .coalesce import Rule
@@ -21,6 +21,7 @@ from .port import Port
 from .registry import Driver, load_driver
 from .robot import DeviceConfig, Robot
 from .signals import Signal
+from .stopping import stop_devices, wait_stopped
 from .ticket import Job, together
 from .twin import Twin, Twins, World
 
@@ -29,7 +30,11 @@ Loader = Callable[[str], Driver]
 
 @dataclass
 class Rig:
-    """A robot's hosts and devices. A context manager: it opens and closes its buses."""
+    """A robot's hosts and devices. A context manager: it opens its buses, and closes them with all stopped that it drove.
+
+    A rig that gave no set-points and enabled nothing stops nothing: it may only have looked on. The end raises
+    `NotStoppedError` where a device did not stop, unless something else was raised before.
+    """
 
     robot: Robot
     clock: EventClock
@@ -72,14 +77,16 @@ class Rig:
         return self
 
     def close(self) -> None:
-        """Close all buses. Nothing is stopped: see `stop_motion`."""
+        """Close all buses, each when what was told has left. Nothing is stopped: see `stop_motion`."""
         for host in self.hosts.values():
             host.close()
 
     def stop_motion(self) -> Job:
-        """Have every device stop what moves; the job is over when all have been told."""
-        told = [device.stop_motion() for device in self.devices.values()]
-        return together(self.clock, f"{self.robot.name} stop", [one for one in told if one is not None])
+        """Have every device stop what moves, at once and again until it has (`stopping`).
+
+        On the clock's thread. The job fails with `NotStoppedError`, which names those that have not.
+        """
+        return stop_devices(self.clock, self.robot.name, self.devices.values())
 
     def each(self, action: str) -> Job:
         """Call an action ("enable") of every device that has it; the job is over when all are."""
@@ -89,8 +96,18 @@ class Rig:
     def __enter__(self) -> Rig:
         return self.open()
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            driven = [device for device in self.devices.values() if device.is_driven]
+            if driven:
+                stopping = self.clock.call(lambda: stop_devices(self.clock, self.robot.name, driven))
+                wait_stopped(stopping)
+        except DeviceError as error:
+            if kind is None:
+                raise
+            self.events.tell(DeviceEvent("not stopped", self.clock.now(), "", "", str(error)))
+        finally:
+            self.close()
 
 
 def connect(

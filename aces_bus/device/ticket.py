@@ -72,6 +72,7 @@ class Awaited:
 class Ticket(Awaited):
     """One request of a device. `result` is the record that answered, None when no answer is expected.
 
+    One without an answer is over when its word has left, and fails when it does not. `urgent`: a stop (`Device.tell_now`).
     `word` is what went out; `sent_at` and `answered_at` are instants (ns); `tries` counts how often it went out.
     """
 
@@ -86,6 +87,7 @@ class Ticket(Awaited):
         "sent_at",
         "timeout_ns",
         "tries",
+        "urgent",
         "word",
     )
 
@@ -99,10 +101,12 @@ class Ticket(Awaited):
         timeout_ns: int,
         retries: int = 0,
         poll: Any = None,
+        urgent: bool = False,
     ) -> None:
         super().__init__(clock)
         self.device, self.message, self.word = device, message, word
         self.reply, self.timeout_ns, self.retries, self.poll = reply, timeout_ns, retries, poll
+        self.urgent = urgent
         self.tries = 0
         self.sent_at = self.answered_at = self.deadline = 0
 

@@ -10,7 +10,6 @@ monotonic clock when the frame was read. An adapter's clock that goes back is to
 from __future__ import annotations
 
 import errno
-import heapq
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -32,6 +31,7 @@ from .backends import (
 )
 from .gate import POLL_S, Gate
 from .inbox import LIMIT, Inbox, Listener
+from .outbox import Report
 from .wire import arbitration
 
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
@@ -42,6 +42,9 @@ HOLLOW = 50
 STRANGE = 20
 #: Frames that wait to be sent, at most.
 OUTBOX = 4096
+#: Backends that have given a frame away when `send` returns; others' adapters may hold it a moment longer (ns).
+PROMPT = frozenset({"aces", "aces_bus", "socketcan", "udp_multicast", "virtual"})
+LINGER = 50_000_000
 #: Seconds between attempts to send when the system's queue, often of ten frames, is full; and how many there are.
 FULL_S, FULL_TIMES = 0.001, 1000
 
@@ -68,7 +71,8 @@ class CanGate(Gate[Received]):
     again, for ever. `send_rate` limits what is sent, in frames/s.
     """
 
-    items = "frames"
+    items = unit = "frames"
+    most = OUTBOX
 
     def __init__(
         self,
@@ -93,8 +97,8 @@ class CanGate(Gate[Received]):
         channel = str(options.get("channel") or self._interface) if options else "can"
         super().__init__(name or channel, listen_only=listen_only, reopen=reopen, clock=clock)
         self.send_rate = send_rate
-        self._waiting: list[tuple[int, int, Frame]] = []
-        self._count = 0
+        self._pause = 0 if send_rate is None else round(1e9 / send_rate)
+        self._due = 0
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=OUTBOX)
         self._controller = "error-active"
         self._last_stamp: float | None = None
@@ -115,6 +119,7 @@ class CanGate(Gate[Received]):
         self._controller = "error-active"
         kinds = {self._interface, *type(bus).__module__.split(".")}
         self._is_echoing = not kinds.isdisjoint(ECHOES)
+        self.linger_ns = LINGER if kinds.isdisjoint(PROMPT) else 0
         self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
         return bus
 
@@ -263,21 +268,29 @@ class CanGate(Gate[Received]):
 
     # ------------------------------------------------------------------ sending
 
-    def send(self, frame: Frame | Any, *, priority: int | None = None) -> None:
+    def send(
+        self,
+        frame: Frame | Any,
+        *,
+        priority: int | None = None,
+        age_s: float | None = None,
+        urgent: bool = False,
+        topic: object = None,
+        report: Report | None = None,
+    ) -> bool:
         """Queue a frame (or a python-can message). The lowest `priority` goes first, by default as on the wire.
+
+        `age_s`: one that has not left after so many seconds does not leave (None: `AGE_S`). `urgent` is for stops: it goes
+        before all others, instead of those that wait with the same `topic`, and waits for a lost bus. `report` is told
+        what became of it. False: the bus is lost, and the frame is dropped.
 
         Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.
         """
         self._check_may_send()
         made = frame if isinstance(frame, Frame) else self._as_frame(frame)
-        with self._outgoing:
-            if len(self._waiting) >= OUTBOX:
-                raise CallerError(f"{self.name}: {OUTBOX} frames wait to be sent; is anybody on the bus?")
-            self._count += 1
-            heapq.heappush(
-                self._waiting, (arbitration(made) if priority is None else priority, self._count, made)
-            )
-            self._outgoing.notify()
+        return self._queue(
+            made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
+        )
 
     @staticmethod
     def _as_frame(message: Any) -> Frame:
@@ -296,52 +309,37 @@ class CanGate(Gate[Received]):
             message.dlc if message.is_remote_frame else None,
         )
 
-    @property
-    def waiting(self) -> int:
-        """How many frames wait to be sent."""
-        return len(self._waiting)
+    def _may_leave(self) -> bool:
+        left = self._due - self.clock.now()
+        return left <= 0 or not self._stopping.wait(left / 1e9)
 
-    def _transmit(self) -> None:
-        """The transmit thread."""
+    def _name_of(self, word: Frame) -> str:
+        return f"{word.arbitration_id:#x}"
+
+    def _put_out(self, word: Frame) -> None:
         import can
 
-        pause = 0 if self.send_rate is None else round(1e9 / self.send_rate)
-        due = 0
-        while True:
-            with self._outgoing:
-                while not self._stopping.is_set() and (not self._waiting or self.state != "open"):
-                    self._outgoing.wait(1.0)
-                if self._stopping.is_set():
-                    return
-            if pause and (left := due - self.clock.now()) > 0:
-                if self._stopping.wait(left / 1e9):
-                    return
-            with self._outgoing:
-                if not self._waiting:
-                    continue
-                _, _, frame = heapq.heappop(self._waiting)
-            due = max(due, self.clock.now()) + pause
-            if self._is_echoing:
-                self._echoes.append((arbitration(frame), frame.data))
-            try:
-                self._give(
-                    can.Message(
-                        arbitration_id=frame.arbitration_id,
-                        data=frame.data,
-                        dlc=frame.length,
-                        is_extended_id=frame.is_extended_id,
-                        is_remote_frame=frame.is_remote_frame,
-                        is_fd=frame.is_fd,
-                        bitrate_switch=frame.bitrate_switch,
-                        error_state_indicator=frame.error_state_indicator,
-                    )
+        if self._pause:
+            self._due = max(self._due, self.clock.now()) + self._pause
+        if self._is_echoing:
+            self._echoes.append((arbitration(word), word.data))
+        try:
+            self._give(
+                can.Message(
+                    arbitration_id=word.arbitration_id,
+                    data=word.data,
+                    dlc=word.length,
+                    is_extended_id=word.is_extended_id,
+                    is_remote_frame=word.is_remote_frame,
+                    is_fd=word.is_fd,
+                    bitrate_switch=word.bitrate_switch,
+                    error_state_indicator=word.error_state_indicator,
                 )
-                self.counters.sent += 1
-            except Exception as error:  # CanError, OSError, and whatever a backend lets through
-                if self._is_echoing:
-                    self._is_echo(frame)  # it will not come back
-                self.counters.send_failed += 1
-                self._tell("send failed", f"{frame.arbitration_id:#x}: {type(error).__name__}: {error}")
+            )
+        except Exception:
+            if self._is_echoing:
+                self._is_echo(word)  # it will not come back
+            raise
 
     def _give(self, message: Any) -> None:
         """Send a message. A full queue of the system, which SocketCAN tells as a failure at once, is waited for."""

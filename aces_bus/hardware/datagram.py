@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import socket
-from collections import deque
 from typing import Any
 
 import msgspec
@@ -15,6 +14,7 @@ import msgspec
 from ..errors import CallerError
 from ..runtime import Clock
 from .gate import POLL_S, Gate
+from .outbox import Report
 
 Address = tuple[str, int]
 
@@ -38,7 +38,8 @@ class DatagramGate(Gate[Datagram]):
     goes when it is not told; with `only_peer` datagrams of others are counted as bad input and not handed on.
     """
 
-    items = "datagrams"
+    items = unit = "datagrams"
+    most = OUTBOX
 
     def __init__(
         self,
@@ -57,7 +58,6 @@ class DatagramGate(Gate[Datagram]):
         self.bind, self.peer, self.only_peer = bind, peer, only_peer
         if only_peer and peer is None:
             raise CallerError(f"{self.name}: only_peer needs a peer")
-        self._waiting: deque[tuple[bytes, Address]] = deque()
 
     def _opened(self) -> Any:
         made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -104,8 +104,17 @@ class DatagramGate(Gate[Datagram]):
             self.counters.received += 1
             self._put([Datagram(data, source, self.clock.now())])
 
-    def send(self, data: bytes, to: Address | None = None) -> None:
-        """Queue a datagram to `to`, by default to the peer.
+    def send(
+        self,
+        data: bytes,
+        to: Address | None = None,
+        *,
+        age_s: float | None = None,
+        urgent: bool = False,
+        topic: object = None,
+        report: Report | None = None,
+    ) -> bool:
+        """Queue a datagram to `to`, by default to the peer. The options, and what it returns, are those of `CanGate.send`.
 
         Raises `CallerError` when this gate only listens, is not open, knows no address, or the datagram is too long.
         """
@@ -115,23 +124,10 @@ class DatagramGate(Gate[Datagram]):
             raise CallerError(f"{self.name}: to whom? Give an address or a peer")
         if len(data) > MOST:
             raise CallerError(f"{self.name}: a datagram carries at most {MOST} bytes, not {len(data)}")
-        with self._outgoing:
-            if len(self._waiting) >= OUTBOX:
-                raise CallerError(f"{self.name}: {OUTBOX} datagrams wait to be sent")
-            self._waiting.append((bytes(data), address))
-            self._outgoing.notify()
+        return self._queue((bytes(data), address), 1, 0, age_s, urgent, topic, report)
 
-    def _transmit(self) -> None:
-        while True:
-            with self._outgoing:
-                while not self._stopping.is_set() and (not self._waiting or self.state != "open"):
-                    self._outgoing.wait(1.0)
-                if self._stopping.is_set():
-                    return
-                data, address = self._waiting.popleft()
-            try:
-                self._bus.sendto(data, address)
-                self.counters.sent += 1
-            except OSError as error:
-                self.counters.send_failed += 1
-                self._tell("send failed", f"to {address[0]}:{address[1]}: {error}")
+    def _name_of(self, word: tuple[bytes, Address]) -> str:
+        return "to {}:{}".format(*word[1])
+
+    def _put_out(self, word: tuple[bytes, Address]) -> None:
+        self._bus.sendto(*word)

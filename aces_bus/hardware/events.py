@@ -25,6 +25,7 @@ Kind = Literal[
     "bad input",
     "listener",
     "send failed",
+    "not sent",
 ]
 
 
@@ -34,7 +35,9 @@ class BusEvent(msgspec.Struct, frozen=True):
     `kind`: "opened"; "lost" (unplugged, the server is gone); "reopened"; "closed"; "error-active", "error-passive" and
     "bus-off" (the controller's state); "dropped" (frames lost: `count` of them, `detail` says where); "clock" (the adapter's
     stamps went back); "bad input" (the adapter said what cannot be understood); "listener" (one raised: its exception in
-    `detail`); "send failed". `time_ns` is the host's monotonic clock, `bus` the name of the gate.
+    `detail`); "send failed" (the backend refused a word); "not sent" (`count` frames, bytes or datagrams were too old, were
+    given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which). `time_ns` is the host's
+    monotonic clock, `bus` the name of the gate.
     """
 
     kind: Kind

@@ -21,17 +21,22 @@ from .datagram import Datagram, DatagramGate
 from .datagram_wire import DatagramWire
 from .events import BusEvent
 from .frame_time import INTERMISSION, frame_bits
+from .outbox import AGE_S
 from .serial import Heard, SerialGate
 from .serial_wire import BITS, SerialWire
-from .wire import Wire, WireEvent
+from .wire import Node, Wire, WireEvent
 
 Handler = Callable[[Any, int], Any]
+#: Told what became of a word ("sent", "failed", "expired", "dropped", "unsent"), and why.
+Told = Callable[[str, str], Any]
 #: Told of what happens to a bus: kind ("bus-off", "lost", "reopened" …) and details.
 BusHandler = Callable[[str, str], Any]
 #: What of a simulated node is told; the others ("bit error", "no acknowledge") come by thousands, and are counted.
 STATES = ("error-active", "error-passive", "bus-off", "recovered")
 #: How long after bus-off a simulated station comes back (ns): SocketCAN's usual restart-ms, and what boards do.
 RESTART = 100_000_000
+#: How long a frame whose sender wants to know may wait in a simulated node's mailbox (ns).
+LEAVES = round(AGE_S * 1e9)
 
 
 class CanPort:
@@ -68,7 +73,7 @@ class CanPort:
                 self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART
             )
             self.node.hears_sent = False
-            self._send: Callable[[Frame], Any] = self.node.send
+            self._send: Callable[..., bool] = _on_wire(self.node)
             return
         loop, handle = self.clock, received
 
@@ -79,7 +84,7 @@ class CanPort:
 
             loop.call_soon(hand_over)
 
-        self._send = _sender(self._bus)
+        self._send = _sender(self._bus, loop)
         self._bus.__enter__()
         self._inbox = self._bus.listen(heard)
 
@@ -93,9 +98,17 @@ class CanPort:
         if self._handler is not None and event.kind in STATES:
             self._handler(event.kind, "")
 
-    def send(self, word: Frame) -> bool:
-        """Send a frame; False when it cannot be (mailboxes full, bus-off)."""
-        return self._send(word) is not False
+    def send(
+        self,
+        word: Frame,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Told | None = None,
+    ) -> bool:
+        """Send a frame; False when it cannot be (mailboxes full, bus-off, lost). See `aces_bus.device.port.Port`."""
+        return self._send(word, age_ns, urgent, topic, report)
 
     def wire_ns(self, word: Frame) -> int:
         """How long a frame occupies the bus at most, its intermission included."""
@@ -154,7 +167,6 @@ class SerialPort:
         if isinstance(self._line, SerialWire):
             # An adapter for half-duplex lines takes its own echo out.
             self.node = self._line.attach(self.name, received, echo=False, whole=True)
-            self._send: Callable[[bytes], Any] = self.node.send
             return
         loop, handle = self.clock, received
 
@@ -165,7 +177,7 @@ class SerialPort:
 
             loop.call_soon(hand_over)
 
-        self._send = _sender(self._line)
+        self._send = _sender(self._line, loop)
         self._line.__enter__()
         self._inbox = self._line.listen(heard)
 
@@ -174,9 +186,22 @@ class SerialPort:
         if isinstance(self._line, SerialGate):
             _forward(self._line, self.clock, handler)
 
-    def send(self, word: bytes) -> bool:
-        """Send bytes; False when they cannot be (the line is lost, too much waits)."""
-        return self._send(word) is not False
+    def send(
+        self,
+        word: bytes,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Told | None = None,
+    ) -> bool:
+        """Send bytes; False when they cannot be (the line is lost, too much waits). See `aces_bus.device.port.Port`."""
+        if isinstance(self._line, SerialWire):
+            end = self.node.send(word)
+            if report is not None:
+                self.clock.call_at(end, lambda: report("sent", ""))
+            return True
+        return self._send(word, age_ns, urgent, topic, report)
 
     def wire_ns(self, word: bytes) -> int:
         """How long bytes occupy the line."""
@@ -224,6 +249,7 @@ class DatagramPort:
 
             loop.call_soon(hand_over)
 
+        self._send = _sender(self._network, loop)
         self._network.__enter__()
         self._inbox = self._network.listen(heard)
 
@@ -232,15 +258,25 @@ class DatagramPort:
         if isinstance(self._network, DatagramGate):
             _forward(self._network, self.clock, handler)
 
-    def send(self, word: bytes) -> bool:
-        """Send a datagram: to the peer, or to whom was heard last; False when there is neither."""
+    def send(
+        self,
+        word: bytes,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Told | None = None,
+    ) -> bool:
+        """Send a datagram: to the peer, or to whom was heard last; False when there is neither. See `Port`."""
         if isinstance(self._network, DatagramWire):
             self.node.send(word)
+            if report is not None:
+                report("sent", "")
             return True
         to = self._network.peer or self._last_source
         if to is None:
             return False
-        return _sender(self._network)(word, to)
+        return self._send(word, age_ns, urgent, topic, report, to)
 
     def wire_ns(self, word: bytes) -> int:
         """Nothing worth counting."""
@@ -257,21 +293,42 @@ class DatagramPort:
             self._network.stop()
 
 
-def _sender(gate: CanGate | SerialGate | DatagramGate) -> Callable[..., bool]:
+def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Callable[..., bool]:
     """What sends through a gate; False: it does not take the word.
 
-    On a bus that is lost words do not wait: sent when it is back, an old set-point would move a robot.
+    On a bus that is lost words do not wait, but for stops: sent when it is back, an old set-point would move a robot.
     """
-    send: Callable[..., Any] = gate.send
+    send: Callable[..., bool] = gate.send
 
-    def give(*word: Any) -> bool:
-        if gate.state != "open":
+    def give(word: Any, age_ns: int, urgent: bool, topic: object, report: Told | None, *to: Any) -> bool:
+        if gate.state != "open" and not urgent:
             return False
+
+        def left(fate: str, why: str) -> None:
+            if report is not None:
+                clock.call_soon(lambda: report(fate, why))
+
         try:
-            send(*word)
+            return send(
+                word,
+                *to,
+                age_s=age_ns / 1e9 if age_ns else None,
+                urgent=urgent,
+                topic=topic,
+                report=None if report is None else left,
+            )
         except CallerError:  # too much waits already, or not of this bus's kind
             return False
-        return True
+
+    return give
+
+
+def _on_wire(node: Node) -> Callable[..., bool]:
+    """What sends from a simulated node, whose frames wait in its mailboxes as in a controller's."""
+    send = node.send
+
+    def give(word: Frame, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
+        return send(word) if report is None else send(word, report, age_ns or LEAVES)
 
     return give
 

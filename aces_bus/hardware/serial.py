@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import msgspec
@@ -15,6 +14,7 @@ import msgspec
 from ..errors import CallerError
 from ..runtime import Clock
 from .gate import POLL_S, Gate
+from .outbox import Report
 
 #: Bytes that wait to be sent, at most.
 OUTBOX = 1 << 20
@@ -49,7 +49,8 @@ class SerialGate(Gate[Heard]):
     silence, in seconds, that must lie between what others say and what is sent. `keep_own` also hands own bytes to readers.
     """
 
-    items = "pieces"
+    items, unit = "pieces", "bytes"
+    most = OUTBOX
 
     def __init__(
         self,
@@ -79,8 +80,6 @@ class SerialGate(Gate[Heard]):
         self.turnaround_ns = round(turnaround * 1e9)
         self.keep_own = keep_own
         self._options = options
-        self._waiting: deque[bytes] = deque()
-        self._size = 0
         self._echo_due = bytearray()
         self._echo_until = 0
         self._heard_at = 0
@@ -182,56 +181,47 @@ class SerialGate(Gate[Heard]):
 
     # ------------------------------------------------------------------ sending
 
-    def send(self, data: bytes) -> None:
-        """Queue bytes, which are sent together.
+    def send(
+        self,
+        data: bytes,
+        *,
+        age_s: float | None = None,
+        urgent: bool = False,
+        topic: object = None,
+        report: Report | None = None,
+    ) -> bool:
+        """Queue bytes, which are sent together. The options, and what it returns, are those of `CanGate.send`.
 
         Raises `CallerError` when this gate only listens, is not open, or too much waits.
         """
-        self._check_may_send()
         if not data:
-            return
-        with self._outgoing:
-            if self._size + len(data) > OUTBOX:
-                raise CallerError(f"{self.name}: {self._size} bytes wait to be sent; the line takes no more")
-            self._waiting.append(bytes(data))
-            self._size += len(data)
-            self._outgoing.notify()
+            self._check_may_send()
+            return True
+        return self._queue(bytes(data), len(data), 0, age_s, urgent, topic, report)
 
-    @property
-    def waiting(self) -> int:
-        """How many bytes wait to be sent."""
-        return self._size
+    def _may_leave(self) -> bool:
+        return not self._must_wait()
 
-    def _transmit(self) -> None:
-        while True:
+    def _name_of(self, word: bytes) -> str:
+        return f"{len(word)} bytes"
+
+    def _put_out(self, word: bytes) -> None:
+        if self.echo:
             with self._outgoing:
-                while not self._stopping.is_set() and (not self._waiting or self.state != "open"):
-                    self._outgoing.wait(1.0)
-                if self._stopping.is_set():
-                    return
-            if self._must_wait():
-                return
-            with self._outgoing:
-                data = self._waiting.popleft()
-                self._size -= len(data)
-                if self.echo:
-                    if len(self._echo_due) > OUTBOX:
-                        self._echo_due.clear()  # nothing is heard at all
-                    self._echo_due += data
-                    bits = 10 * (len(self._echo_due) + len(data))
-                    self._echo_until = (
-                        self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
-                    )
-            try:
-                self._bus.write(data)
-                self.counters.sent += len(data)
-                if self.keep_own:
-                    self._put([Heard(data, self.clock.now(), True)])
-            except (
-                Exception
-            ) as error:  # SerialException, OSError; the receive thread finds out whether it is gone
-                self.counters.send_failed += len(data)
-                self._tell("send failed", f"{len(data)} bytes: {type(error).__name__}: {error}")
+                if len(self._echo_due) > OUTBOX:
+                    self._echo_due.clear()  # nothing is heard at all
+                self._echo_due += word
+                bits = 10 * (len(self._echo_due) + len(word))
+                self._echo_until = self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
+        self._bus.write(word)
+        if self.keep_own:
+            self._put([Heard(word, self.clock.now(), True)])
+
+    def _still_held(self) -> int:
+        try:
+            return int(self._bus.out_waiting)
+        except Exception:  # `socket://` has no such number, and a port that is gone has none either
+            return 0
 
     def _must_wait(self) -> bool:
         """Wait until others have been silent for long enough; True when the gate is to end."""

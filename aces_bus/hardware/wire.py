@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from typing import Literal
 
 from ..errors import CallerError
@@ -92,6 +92,8 @@ class Node:
         #: Whether `happened` is told of every frame that was sent.
         self.hears_sent = happened is not None
         self._waiting: list[tuple[int, int, Frame]] = []
+        #: Who wants to know what becomes of a frame, by its number.
+        self._reports: dict[int, Callable[[str, str], object]] = {}
         #: What is on the wire, not among those that wait.
         self._sending: tuple[int, int, Frame] | None = None
 
@@ -100,8 +102,12 @@ class Node:
         """How many frames are not sent yet, the one on the wire included."""
         return len(self._waiting) + (self._sending is not None)
 
-    def send(self, frame: Frame) -> bool:
-        """Queue a frame; the most urgent identifier goes first. False when all mailboxes are full or the node is bus-off."""
+    def send(self, frame: Frame, report: Callable[[str, str], object] | None = None, age_ns: int = 0) -> bool:
+        """Queue a frame; the most urgent identifier goes first. False when all mailboxes are full or the node is bus-off.
+
+        `report` is called with "sent", "expired" (it did not leave within `age_ns`) or "unsent" (the node was taken off),
+        and why.
+        """
         if self.listen_only:
             raise CallerError(f"{self.name} only listens")
         if frame.is_error_frame:
@@ -111,8 +117,22 @@ class Node:
         wire = self.wire
         wire.count += 1
         heappush(self._waiting, (arbitration(frame), wire.count, frame))
+        if report is not None:
+            number = wire.count
+            self._reports[number] = report
+            if age_ns:
+                wire.clock.call_in(age_ns, lambda: self._expire(number))
         wire.wake()
         return True
+
+    def _expire(self, number: int) -> None:
+        """A frame is too old: it leaves its mailbox, unless it is on the wire."""
+        if number in self._reports:
+            left = [entry for entry in self._waiting if entry[1] != number]
+            if len(left) < len(self._waiting):
+                heapify(left)
+                self._waiting = left
+            self._reports.pop(number)("expired", "it was not taken; is anybody on the bus?")
 
     def disconnect(self) -> None:
         """Pull the plug: nothing arrives and nothing leaves; what waits goes on waiting."""
@@ -126,9 +146,12 @@ class Node:
 
     def abort(self) -> int:
         """Drop what waits to be sent; how many frames that was. The one on the wire is sent."""
-        count = len(self._waiting)
-        self._waiting.clear()
-        return count
+        gone = self._waiting
+        self._waiting = []
+        for _, number, _ in gone if self._reports else ():
+            if (report := self._reports.pop(number, None)) is not None:
+                report("unsent", "the node was taken off, or its mailboxes were emptied")
+        return len(gone)
 
     def restart(self) -> None:
         """Come back from bus-off: after 128 times 11 recessive bits."""
@@ -320,6 +343,10 @@ class Wire:
         load.busy_ns += duration + pause
         self._idle_from = now + pause
         for node in senders:
+            if node._reports and node._sending is not None:
+                report = node._reports.pop(node._sending[1], None)
+                if report is not None:
+                    report("sent", "")
             node._sending = None
             if node.transmit_errors:
                 node.count_errors(-1, 0, frame)

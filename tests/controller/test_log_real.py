@@ -86,7 +86,7 @@ class Slow(Sink):
         self.rows = []
 
     def append(self, rows: Sequence[Row]) -> None:
-        self.goes.wait(10)
+        assert self.goes.wait(60)
         self.rows += rows
 
     def close(self) -> None:
@@ -109,11 +109,9 @@ def test_a_slow_disk_never_holds_control_up(tmp_path: Path, monkeypatch: pytest.
     log.listeners.add(told.append)
     log.bind({"X": [1.0]})
     log.start(RealClock().now())
-    began = time.monotonic()
     for i in range(10_000):
         log.step(i * 10 * MS)
-    took = time.monotonic() - began
-    assert took < 1.0
+    assert made[0].rows == []  # the disk has not answered once: no step waited for it
     assert log.dropped >= 10_000 - 2 * log.capacity
     assert [event.kind for event in told] == ["log-dropped"]
     assert told[0].source == "log a.csv"

@@ -44,11 +44,11 @@ class Line:
 
     def _tap(self, station: Any, said: bytearray) -> None:
         """Note what a station says, where it says it: at its port."""
-        send: Callable[[bytes], bool] = station.port.send
+        send: Callable[..., bool] = station.port.send
 
-        def noted(word: bytes) -> bool:
+        def noted(word: bytes, *how: Any, **more: Any) -> bool:
             said.extend(word)
-            return send(word)
+            return send(word, *how, **more)
 
         station.port.send = noted
 

@@ -214,9 +214,9 @@ def test_a_packet_to_many_fits_the_receive_buffer() -> None:
         port = virtual.rig.hosts["line"].port
         send = port.send
 
-        def noted(word: bytes) -> bool:
+        def noted(word: bytes, *how: Any, **more: Any) -> bool:
             packets.append(len(word))
-            return bool(send(word))
+            return bool(send(word, *how, **more))
 
         port.send = noted  # type: ignore[method-assign]
         for n in range(46):

@@ -6,6 +6,7 @@ from typing import Any
 
 from aces_bus.errors import CallerError
 from aces_bus.hardware.ports import _sender
+from aces_bus.runtime import VirtualClock
 
 
 class Gate:
@@ -17,22 +18,35 @@ class Gate:
     def __init__(self) -> None:
         self.sent: list[Any] = []
 
-    def send(self, word: Any) -> None:
+    def send(self, word: Any, *, report: Any, **how: Any) -> bool:
         if self.is_full:
             raise CallerError("4096 frames wait to be sent")
         self.sent.append(word)
+        if report is not None:
+            report("sent", "")
+        return True
 
 
 def test_words_do_not_wait_for_a_lost_bus() -> None:
-    """While a bus is lost, or too much waits, a word is refused: sent later, an old set-point would move a robot."""
+    """While a bus is lost, or too much waits, a word is refused: sent later, it would move a robot. Stops wait."""
     gate: Any = Gate()
-    send = _sender(gate)
+    clock = VirtualClock()
+    give = _sender(gate, clock)
+    fates: list[str] = []
+
+    def send(word: str, *, urgent: bool = False) -> bool:
+        return give(word, 0, urgent, None, lambda fate, why: fates.append(fate))
+
     assert send("a")
     gate.state = "lost"
     assert not send("b")
+    assert send("stop", urgent=True)
     gate.state = "open"
     gate.is_full = True
     assert not send("c")
     gate.is_full = False
     assert send("d")
-    assert gate.sent == ["a", "d"]
+    assert gate.sent == ["a", "stop", "d"]
+    assert fates == []  # what became of them is told on the clock's thread
+    clock.advance(1)
+    assert fates == ["sent"] * 3

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -11,6 +13,9 @@ from typing import Any
 
 import pytest
 
+from aces_bus.assembly import VirtualRobot
+from aces_bus.hardware import Recorder
+from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_tools import device_do
 from aces_tools.robot_arg import chosen_robot
 from aces_tools.sim_stand import Stand
@@ -205,6 +210,77 @@ def test_set_without_enabling(virtual: Any) -> None:
     made = virtual("YAW", "set", "position=0.1", "--for", "0.2s")
     assert made.status == 1
     assert made.messages == ["YAW: not enabled, so it follows no set-points; add --enable"]
+
+
+ENDS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.mark.parametrize("ends", [[], *[[end] for end in ENDS], ENDS], ids=str)
+@pytest.mark.parametrize("at", ["enabling", "moving"])
+def test_whatever_ends_it_the_motor_is_off(
+    virtual: Any, monkeypatch: pytest.MonkeyPatch, ends: list[signal.Signals], at: str
+) -> None:
+    """Its time, a signal, three of them, while it is enabled or after: control is off, and off is the last word."""
+    if at == "enabling" and not ends:
+        return
+    worlds: list[VirtualRobot] = []
+    recorders: list[Recorder] = []
+    wait, make = device_do.Doing.wait, VirtualRobot.open
+
+    def opens(robot: VirtualRobot) -> VirtualRobot:
+        worlds.append(robot)
+        recorders.append(Recorder(robot.wires["can"]))
+        return make(robot)
+
+    def waits(doing: Any, until: Any, duration: int) -> bool:
+        device = doing.device
+        if device.is_driven and device.is_enabled == (at == "moving") and not doing.patience.is_over:
+            for end in ends:
+                os.kill(os.getpid(), end)
+        return wait(doing, until, duration)
+
+    monkeypatch.setattr(VirtualRobot, "open", opens)
+    monkeypatch.setattr(device_do.Doing, "wait", waits)
+    made = virtual("KNEE", "set", "position=0.1", "--enable", "--for", "0.2s")
+    assert "NOT" not in made.err
+    assert not any(channel.control_on for channel in worlds[-1].twins["JMC1"].channels)
+    commands = [frame.data[1] for frame in recorders[-1].frames() if frame.arbitration_id == 1]
+    switches = [command for command in commands if command in (0x0E, 0x0F)]  # control on, control off
+    assert switches[-1:] == [0x0F]
+
+
+def test_a_closed_pipe_ends_it_with_the_motor_off(virtual: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is raised on the way, the device is told to stop before it comes out."""
+    stopped: list[str] = []
+    stop = device_do.Doing.stop
+
+    def stops(doing: Any) -> None:
+        stop(doing)
+        stopped.append(doing.device.name)
+
+    def broken(*_: Any) -> int:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(device_do.Doing, "stop", stops)
+    monkeypatch.setattr(device_do.Doing, "_show_set", broken)
+    assert virtual("KNEE", "set", "position=0.1", "--enable", "--for", "0.1s").status == 0
+    assert stopped == ["JMC1"]
+
+
+def test_who_is_not_switched_off_is_said(virtual: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that stays on is named, also after an action that was interrupted, and the status is 1."""
+    told: list[float] = []
+
+    def deaf(twin: Any, request: Any) -> None:
+        told.append(twin.clock.now() / 1e9)
+
+    monkeypatch.setattr(HuboMotorTwin, "control_off", deaf)
+    made = virtual("KNEE", "set", "position=0.1", "--enable", "--for", "0.1s")
+    assert made.status == 1
+    assert made.messages[-1].startswith("NOT switched off: JMC1 (")
+    assert "its status says that KNEE is still on" in made.messages[-1]
+    assert len(told) > 20  # told again and again
+    assert told[-1] - told[0] < 2
 
 
 # ---------------------------------------------------------------------- actions

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import can
 import pytest
 
+from aces_bus.hardware import BusEvent
 from aces_tools.live import LivePatience
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
@@ -296,3 +298,48 @@ def test_unreadable_lines_are_named_once(aces: Aces, node: Node, tmp_path: Path)
     found = aces("play", path, *node.options, "--tx", "--loop", 3)
     assert found.summary["sent"] == 3
     assert found.messages == [f"{path}:2: not a line of candump: 'oops'"]
+
+
+def test_an_outage_is_said_and_not_made_up_for(
+    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What falls due while the bus is lost does not go out when it is back: it is said and counted, and status 1."""
+    path = tmp_path / "long.log"
+    path.write_text("".join(f"({number}.0) can0 {number:03X}#\n" for number in range(30)))
+    waits = itertools.count(1)
+    events: list[BusEvent] = []
+    changed = threading.Condition()
+
+    def told(event: BusEvent) -> None:
+        with changed:
+            events.append(event)
+            changed.notify_all()
+
+    def until(kind: str) -> None:
+        with changed:
+            assert changed.wait_for(lambda: any(event.kind == kind for event in events), WAIT_S)
+
+    def gone(*_: Any) -> Any:
+        raise can.CanOperationError("unplugged")
+
+    def wait_until(patience: LivePatience, instant: int) -> bool:
+        number, (gate,) = next(waits), opened.gates
+        if number == 11:
+            while gate.counters.sent < 10:
+                time.sleep(0)
+            gate.on_event(told)
+            gate.open_before, gate._open, gate._read = gate._open, gone, gone
+            until("lost")
+        elif number == 21:
+            gate._open = gate.open_before
+            until("reopened")
+        return True
+
+    monkeypatch.setattr(LivePatience, "wait_until", wait_until)
+    found = aces("play", path, *node.options, "--tx")
+    assert found.status == 1
+    assert [identifier for identifier, _ in sent(node)] == [*range(10), *range(20, 30)]
+    assert found.summary == {
+        "frames": 30, "sent": 20, "failed": 0, "filtered": 0, "skipped": 0, "unsent": 10,
+    }  # fmt: skip
+    assert any("10 frames were given while the bus was lost" in line for line in found.messages)

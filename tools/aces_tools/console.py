@@ -143,7 +143,7 @@ class Patience:
 
     def __init__(self) -> None:
         self.is_over = False
-        self._is_waiting = False
+        self._is_waiting = self._is_stopping = False
         self._before: Any = None
         self._is_ours = threading.current_thread() is threading.main_thread()
 
@@ -157,10 +157,19 @@ class Patience:
             signal.signal(signal.SIGINT, self._before)
 
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
-        if self.is_over or self._is_waiting:
-            self.is_over = True
+        was_over, self.is_over = self.is_over, True
+        if self._is_waiting or (was_over and not self._is_stopping):
+            self._is_waiting = False
             raise KeyboardInterrupt
-        self.is_over = True
+
+    @contextmanager
+    def stopping(self) -> Generator[None, None, None]:
+        """In here a second Ctrl-C interrupts nothing either: for what may move and is stopped at its end, within a bound."""
+        self._is_stopping = True
+        try:
+            yield
+        finally:
+            self._is_stopping = False
 
     @contextmanager
     def waiting(self) -> Generator[None, None, None]:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.errors import CallerError, NotStoppedError, UnknownNameError
 
 from .console import say
 from .device_do import Doing, checked, signals_of
@@ -41,7 +41,8 @@ VERBS = ("get", "watch", "set")
 
 EPILOG = """\
 exit status: 0; 1 when a value stayed unknown, what was set cannot have been
-followed, an action failed or was interrupted, or --tx is missing; 2 a wrong
+followed, an action failed or was interrupted, a device was NOT switched off
+at the end, or --tx is missing; 2 a wrong
 call, or a bus that cannot be opened
 """
 
@@ -105,6 +106,10 @@ def run(arguments: argparse.Namespace) -> int:
             if action == "set":
                 return doing.set(values, duration)
             return doing.act(action, values)
+        except NotStoppedError as error:
+            told.tell(last=True)
+            say(str(error))
+            return 1
         finally:
             told.tell(last=True)
 

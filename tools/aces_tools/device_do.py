@@ -2,6 +2,7 @@
 
 1. Everything about the call that can be wrong without a bus was looked at before (`checked`).
 2. Whatever ends it, motion that this call began is stopped: after `set --enable`, and when an action is interrupted.
+   Until then no signal interrupts anything: it ends the waiting, and what has not stopped is said by name.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from argparse import Namespace
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.errors import CallerError, DeviceError, UnknownNameError
+from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
 from .console import say
 from .device_text import plain, reading, result_lines, shown, value_for
@@ -201,6 +202,16 @@ class Doing:
             return 1
         self.told.holding.add("not sent")
         targets = _targets(device, self.part, values)  # again: now it is known what kind of value each has
+        if not self.arguments.enable:
+            return self._set(targets, duration)
+        with self.patience.stopping():
+            try:
+                return self._set(targets, duration)
+            finally:
+                self.stop()
+
+    def _set(self, targets: list[tuple[Signal, Any]], duration: int | None) -> int:
+        device = self.device
         try:
             if self.arguments.enable:
                 self.finish(self.live.clock.call(getattr(device, "enable")), stops=False)  # noqa: B009
@@ -211,9 +222,6 @@ class Doing:
             self.told.tell(without=("no reply",))
             say(f"{self.arguments.name} set: {error}")
             return 1
-        finally:
-            if self.arguments.enable:
-                self.stop()
 
     def _is_there(self) -> bool:
         """Whether the device has been heard; one that is never asked anything may be there."""
@@ -245,12 +253,11 @@ class Doing:
         return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
 
     def stop(self) -> None:
-        """Stop what moves, whatever was interrupted."""
-        ended = self.live.clock.call(self.device.stop_motion)
-        if ended is None:
-            return
-        if not self.live.clock.wait(lambda: ended.is_over, 5_000_000_000) or ended.error is not None:
-            say(f"{self.device.name}: was not stopped: {ended.error or 'it does not answer'}")
+        """Stop what moves, whatever was interrupted. Raises `NotStoppedError`."""
+        from aces_bus.device import stop_devices, wait_stopped
+
+        device, clock = self.device, self.live.clock
+        wait_stopped(clock.call(lambda: stop_devices(clock, device.name, [device])))
 
     # ------------------------------------------------------------------ actions
 
@@ -261,9 +268,13 @@ class Doing:
         if self.part is not None and "joint" in inspect.signature(method).parameters:
             values.setdefault("joint", self.live.rig.aliases.get(self.part, self.part))
         self._is_there()
+        stops = action not in device.asking
         try:
-            started = self.live.clock.call(lambda: method(**values))
-            result = None if started is None else self.finish(started, stops=action not in device.asking)
+            with self.patience.stopping():
+                started = self.live.clock.call(lambda: method(**values))
+                result = None if started is None else self.finish(started, stops=stops)
+        except NotStoppedError:
+            raise
         except DeviceError as error:
             self.told.tell(without=("no reply", "silent"))
             say(f"{self.arguments.name} {action}: {error}")
@@ -286,13 +297,18 @@ class Doing:
         is_shown = sys.stderr is not None and sys.stderr.isatty() and self.live.virtual is None
         end = self.live.clock.now() + LONGEST
         text = ""
-        while not awaited.is_over and not self.patience.is_over and self.live.clock.now() < end:
-            self.wait(lambda: awaited.is_over, STEP)
-            if is_shown and hasattr(awaited, "progress"):
-                before, text = text, f"{awaited.progress:4.0%} {awaited.text:.60}".rstrip()
-                print(f"\r{text:<{len(before)}}", end="", file=sys.stderr, flush=True)
-        if text:
-            print(f"\r{' ' * len(text)}\r", end="", file=sys.stderr, flush=True)
+        try:
+            while not awaited.is_over and not self.patience.is_over and self.live.clock.now() < end:
+                self.wait(lambda: awaited.is_over, STEP)
+                if is_shown and hasattr(awaited, "progress"):
+                    before, text = text, f"{awaited.progress:4.0%} {awaited.text:.60}".rstrip()
+                    print(f"\r{text:<{len(before)}}", end="", file=sys.stderr, flush=True)
+            if text:
+                print(f"\r{' ' * len(text)}\r", end="", file=sys.stderr, flush=True)
+        except BaseException:  # a terminal that has gone, for one
+            if stops:
+                self.stop()
+            raise
         if not awaited.is_over:
             if hasattr(awaited, "cancel"):
                 self.live.clock.call(awaited.cancel)

@@ -62,7 +62,7 @@ def parse_duration(option: str, text: str) -> int:
 
 
 class LivePatience(Patience):
-    """Patience with everything that ends a live command: a second signal interrupts at once."""
+    """Patience with everything that ends a live command: a second signal interrupts at once, but not in `stopping`."""
 
     def __enter__(self) -> LivePatience:
         super().__enter__()
@@ -156,27 +156,32 @@ class Outgoing:
     `pending` counts in the gate's own unit: frames, bytes or datagrams.
     """
 
-    def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
+    def __init__(self, gate: CanGate | SerialGate | DatagramGate, age_s: float | None = None) -> None:
         self.gate = gate
+        #: How long a word may wait (None: the gate's own limit).
+        self.age_s = age_s
         self.items = 0
         self._queued = 0
         self._send: Any = gate.send
 
     def send(self, word: Any) -> None:
-        """Queue a frame or bytes, behind all that were queued before. Raises `CallerError` where the gate refuses."""
+        """Queue a frame or bytes, behind all that were queued before. Raises `CallerError` where the gate refuses.
+
+        While the bus is lost it is dropped, and counted by the gate.
+        """
         if isinstance(word, Frame):
-            self._send(word, priority=0)
+            self._send(word, priority=0, age_s=self.age_s)
             self._queued += 1
         else:
-            self._send(word)
+            self._send(word, age_s=self.age_s)
             self._queued += len(word) if self.gate.items == "pieces" else 1
         self.items += 1
 
     @property
     def pending(self) -> int:
-        """What was queued and has neither left nor failed."""
+        """What was queued and waits to leave."""
         counters = self.gate.counters
-        return self._queued - counters.sent - counters.send_failed
+        return self._queued - counters.sent - counters.not_sent
 
     def drain(self, patience: LivePatience | None = None, most: int = 0, seconds: float = 2.0) -> bool:
         """Wait until no more than `most` is pending; False when nothing has left for so long, or `patience` is over."""

@@ -36,7 +36,7 @@ BATCH = 256
 #: What recordings are counted in, by the kind of bus.
 UNITS = {"can": "frames", "serial": "bytes", "datagram": "datagrams"}
 #: What may wait in a gate's queue.
-WAITING = {"frames": 1024, "bytes": 4096, "datagrams": 64}
+WAITING = {"frames": 64, "bytes": 4096, "datagrams": 64}
 #: Bytes of a serial recording that are sent at once.
 PIECE = 512
 #: Seconds after which a bus that takes nothing is given up.
@@ -233,7 +233,7 @@ class Playing:
                 for name, gate in gates.items():
                     self.told.append(Told(gate))
                     self.buses[name].start(gate)
-                    self.outgoing[name] = Outgoing(gate)
+                    self.outgoing[name] = Outgoing(gate, PATIENCE_S)
                 self._began = time.monotonic()
                 self._play(patience)
                 for outgoing in self.outgoing.values():
@@ -250,7 +250,8 @@ class Playing:
         failed = sum(gate.counters.send_failed for gate in gates.values())
         self.unsent = self.total - self.filtered - self.skipped - sent - failed
         self._summarise(sent, failed)
-        if failed or (self.unsent and not patience.is_over):
+        dropped = sum(gate.counters.send_dropped + gate.counters.send_expired for gate in gates.values())
+        if failed or dropped or (self.unsent and not patience.is_over):
             self.status = self.status or 1
         return self.status
 
@@ -300,7 +301,7 @@ class Playing:
             for due, piece in line.pieces(word, stamp, is_split=self._is_split):
                 if not patience.wait_until(due):
                     return
-                most = WAITING[self.unit]
+                most = self.most
                 if outgoing.pending > most and not outgoing.drain(patience, most // 2, PATIENCE_S):
                     if not patience.is_over:
                         say(f"{outgoing.gate.name}: it takes no more; is anybody on the bus?")
@@ -316,6 +317,12 @@ class Playing:
                     return
             self._tell()
             self._progress()
+
+    @property
+    def most(self) -> int:
+        """How much may wait to be sent: what leaves well within `PATIENCE_S`, so that little is old after a standstill."""
+        most, rate = WAITING[self.unit], self.arguments.rate
+        return most if rate is None else max(1, min(most, int(rate * PATIENCE_S / 2)))
 
     @property
     def _is_split(self) -> bool:

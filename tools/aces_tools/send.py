@@ -256,8 +256,7 @@ class Sending:
             self.bus.start(gate)
             try:
                 self._send(outgoing, patience, told, replies)
-                if not outgoing.drain():
-                    say(f"{self.bus.name}: what was to be sent last did not leave")
+                outgoing.drain()
                 patience.wait_until(time.monotonic_ns() + round(LINGER_S * 1e9))
                 if replies is not None:
                     replies.wait(patience)
@@ -278,10 +277,12 @@ class Sending:
                 status = status or 1
             unit = "bytes" if gate.items == "pieces" else gate.items
             line = f"sent={counters.sent} failed={counters.send_failed} late={self.late}"
+            if missed := counters.not_sent - counters.send_failed:
+                line += f" unsent={missed}"
             if unit == "bytes":
                 line = f"packets={outgoing.items} {line}"
             say(line + (f" replies={replies.count}" if replies is not None else ""), who="")
-            if counters.send_failed or outgoing.pending:
+            if counters.not_sent:
                 status = status or 1
         return status
 

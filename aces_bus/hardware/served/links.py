@@ -68,6 +68,14 @@ class Link:
             raise EOFError
         self.take(data)
 
+    def hear_out(self) -> None:
+        """Act on what a client has left behind."""
+        try:
+            while data := self.stream.recv(READ):
+                self.take(data)
+        except (OSError, PacketError):  # that was all, or cannot be understood
+            pass
+
     def take(self, data: bytes) -> None:
         """Act on bytes from the client."""
         raise NotImplementedError

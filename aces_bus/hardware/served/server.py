@@ -229,7 +229,10 @@ class BusServer:
             return
         try:
             action()
-        except (OSError, EOFError):  # it has gone
+        except EOFError:  # it has gone, and all that it said was read
+            self._drop(link)
+        except OSError:  # it has gone: what it has said before, a stop perhaps, is still heard
+            link.hear_out()
             self._drop(link)
         except PacketError as error:
             self._cut(link, str(error))

@@ -370,6 +370,7 @@ class Cia402(ObjectAccess):
     def enable(self, joint: str | None = None) -> Job:
         """Bring the joints, or one, to "operation enabled". Fails with `DeviceError` where a joint is in fault."""
         axes = self._axes(joint)
+        self.is_driven = True
 
         def steps(job: Job) -> Steps:
             yield from self._ready()
@@ -501,6 +502,7 @@ class Cia402(ObjectAccess):
     def home(self, joint: str | None = None, method: int | None = None, timeout_s: float = 30.0) -> Job:
         """Search home; the job's text says how far it is. Fails with `DeviceError` when the drive does not find it."""
         axes = self._axes(joint)
+        self.is_driven = True
 
         def steps(job: Job) -> Steps:
             yield from self._ready()

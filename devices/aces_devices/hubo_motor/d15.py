@@ -202,6 +202,7 @@ class HuboMotorD15(Device):
 
     def enable(self) -> Job:
         """Drivers on, control on, references from where the joints are. Fails with `DeviceError` when it stays off."""
+        self.is_driven = True
 
         def steps(job: Job) -> Steps:
             yield self.ask("SendEncoderD15", reply="EncoderD15", mode="once")
@@ -231,12 +232,23 @@ class HuboMotorD15(Device):
         """Control off."""
         return self._off("stop", is_driver_too=False)
 
+    def confirm_stopped(self) -> Job:
+        """By the board's status."""
+
+        def steps(job: Job) -> Steps:
+            yield self._status()
+            on = [axis.joint.name for axis in self.axes if "control_on" in axis.drive]
+            if on:
+                raise DeviceError(f"its status says that {', '.join(on)} is still on")
+
+        return self.job("look whether it is off", steps)
+
     def _off(self, name: str, *, is_driver_too: bool) -> Job:
         for job in self._led:
             job.cancel()
         self._end()
         told: list[Any] = [
-            self.tell("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes
+            self.tell_now("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes
         ]
         if is_driver_too:
             told += [
@@ -248,6 +260,7 @@ class HuboMotorD15(Device):
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
         """Search home; enables before. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
         axes = self._axes(joint)
+        self.is_driven = True
 
         def steps(job: Job) -> Steps:
             if not self.is_enabled:

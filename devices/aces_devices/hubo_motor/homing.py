@@ -49,6 +49,7 @@ class Homing(BoardCore):
         if self.homing:
             raise CallerError(f"{self.name}: a home search is under way")
         axes = self.chosen(joint)
+        self.is_driven = True
         if message == "Home":
             return self._start(axes, lambda job: self._home_d12(job, axes, joint is None))
         if message == "Home5D08":

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from aces_bus.device import Job, Steps, Ticket
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, DeviceError
 
 from .axis import Axis
 from .core import BoardCore, unsigned
@@ -29,6 +29,7 @@ class Switching(BoardCore):
     def enable(self) -> Job:
         """Follow set-points from now on, beginning where the joints are. Waits for a hold-off to end."""
         self._stop_enabling()
+        self.is_driven = True
         self._enable_job = self.job("enable", self._enabling)
         return self._enable_job
 
@@ -177,8 +178,23 @@ class Switching(BoardCore):
         if was_compliant or self.set_message == shape.pwm:
             ticket = self._pwm_off()
         if shape.has_switches:
-            ticket = self.tell("ControlOff")
+            ticket = self.tell_now("ControlOff")
         return ticket
+
+    def confirm_stopped(self) -> Job | None:
+        """By the board's status, where it tells of its drives."""
+        status = self.shape.status
+        axes = [axis for axis in self.axes if axis.enabled is not None]
+        if status is None or not axes or not (self.shape.reports_drive and self.shape.has_switches):
+            return None
+
+        def steps(job: Job) -> Steps:
+            yield self.ask("SendStatus", reply=status.reply)
+            on = [axis.name for axis in axes if axis.enabled is not None and axis.enabled.value is not False]
+            if on:
+                raise DeviceError(f"its status says that {', '.join(on)} is still on")
+
+        return self.job("look whether it is off", steps)
 
     def _pwm_off(self) -> Ticket | None:
         shape = self.shape
@@ -188,7 +204,7 @@ class Switching(BoardCore):
         fields: dict[str, Any] = {"mode": "off", "duty": zeros}
         if not shape.pwm_signed or shape.pwm_off == "Pwm":
             fields.update(unsigned(zeros, shape.directions))
-        return self.tell(shape.pwm_off, **fields)
+        return self.tell_now(shape.pwm_off, **fields)
 
     def stop_homing(self) -> None:
         """End home searches that this driver waits for."""

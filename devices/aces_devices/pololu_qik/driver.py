@@ -180,13 +180,13 @@ class Qik(Device):
     def coast(self) -> Job:
         """Let both motors turn freely; set-points end."""
         self.drop("SetSpeed")
-        return self._both("coast", [self.tell("Coast", motor=motor) for motor in (0, 1)])
+        return self._both("coast", [self.tell_now("Coast", motor=motor) for motor in (0, 1)])
 
     def brake(self) -> Job:
         """Stop both motors; set-points end."""
         self.drop("SetSpeed")
         words = {"reverse": 0, "high": 0, "speed": 0}
-        return self._both("brake", [self.tell("SetSpeed", motor=motor, **words) for motor in (0, 1)])
+        return self._both("brake", [self.tell_now("SetSpeed", motor=motor, **words) for motor in (0, 1)])
 
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""

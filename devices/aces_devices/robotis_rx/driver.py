@@ -326,6 +326,7 @@ class RobotisRX(RegisterDevice):
 
         A set-point that is given meanwhile stays. Where the torque is on already, nothing moves.
         """
+        self.is_driven = True
         is_on = self.cached("torque_enable", raw=True) == 1 and not self.is_silent
         if not is_on:
             self.drop("goal_position")

@@ -116,6 +116,7 @@ class Session:
                 stack.callback(sys.setswitchinterval, before)
             status = 0
             missing: list[str] = []
+            stack.callback(runner.stop)  # goes on where even this end was interrupted
             try:
                 with self.patience.waiting():
                     runner.open()
@@ -137,9 +138,20 @@ class Session:
                     raise CallerError(f"{error}; say which with -i, such as -i socketcan") from error
                 raise
             finally:
-                ended = runner.stop()
+                ended, was_interrupted = self._stop(runner)
+                status = 130 if was_interrupted else status
                 self._stop_showing(watch, ended)
             return self._summarise(runner, watch, self._end or ended, missing, status)
+
+    @staticmethod
+    def _stop(runner: Runner) -> tuple[Ended, bool]:
+        """Ctrl-C at the end shortens what hangs, and skips nothing: how it ended, and whether there was one."""
+        was_interrupted = False
+        while True:
+            try:
+                return runner.stop(), was_interrupted
+            except KeyboardInterrupt:
+                was_interrupted = True
 
     def _prepare(self, runner: Runner, missing: Sequence[str]) -> bool:
         """Home and enable what is driven; False when some of it is not there."""
@@ -259,6 +271,8 @@ class Session:
             say(f"{name} was stopped: {reason}")
         if self.arguments.replay and runner.missing:
             say(f"not in the recording: {', '.join(runner.missing)}")
+        if ended.not_stopped:
+            say(f"NOT switched off: {', '.join(ended.not_stopped)}")
         for text in ended.failed:
             say(f"at the end: {text}")
         tasks = runner.tasks.tasks

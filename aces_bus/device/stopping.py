@@ -1,0 +1,118 @@
+"""Stopping devices: at once, again and again until they have stopped, and by name those that have not.
+
+1. Every device is told before anything is waited for, whatever the drivers of others do.
+2. A stop counts when its words have left; where the device can be asked whether it has stopped, when it has said so.
+3. It has an end: who has not stopped within `STOP_NS` is named, with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from ..errors import AcesError, DeviceError, NotStoppedError
+from ..runtime import EventClock
+from .device import Device
+from .ticket import Awaited, Job, Steps
+
+#: Seconds that a program waits for all of it.
+PATIENCE_S = 3.0
+#: How long a stop is repeated (ns); between two attempts; how long one attempt, and one confirmation, may take.
+STOP_NS, PAUSE_NS, ATTEMPT_NS = 1_500_000_000, 20_000_000, 500_000_000
+
+
+def stop_devices(clock: EventClock, name: str, devices: Iterable[Device]) -> Job:
+    """Stop what moves. The job fails with `NotStoppedError`; to be called on the clock's thread.
+
+    Devices that were never heard are told, and not asked whether they have.
+    """
+    jobs = {device.name: _Stop(device).begin() for device in devices}
+
+    def steps(job: Job) -> Steps:
+        failed: dict[str, str] = {}
+        for number, (who, part) in enumerate(jobs.items()):
+            try:
+                yield part
+            except AcesError as error:
+                failed[who] = str(error)
+            job.progress = (number + 1) / len(jobs)
+        if failed:
+            raise NotStoppedError(failed)
+
+    return Job(clock, f"{name} stop", steps)
+
+
+def wait_stopped(stopping: Job, timeout_s: float = PATIENCE_S) -> None:
+    """Let time pass until it is over: Ctrl-C does not shorten that, and is raised afterwards.
+
+    Raises what the job failed with, `NotStoppedError` also when its clock does not run any more.
+    """
+    clock = stopping.clock
+    end = clock.now() + round(timeout_s * 1e9)
+    interrupted: KeyboardInterrupt | None = None
+    while not stopping.is_over and clock.now() < end:
+        try:
+            clock.wait(lambda: stopping.is_over, end - clock.now())
+        except KeyboardInterrupt as error:
+            interrupted = error
+    failed = stopping.error
+    if not stopping.is_over:
+        failed = DeviceError(f"NOT switched off: {stopping.name} is not over after {timeout_s:g} s")
+    if interrupted is not None:
+        if failed is not None:
+            interrupted.add_note(str(failed))
+        raise interrupted
+    if failed is not None:
+        raise failed
+
+
+class _Stop:
+    """The stop of one device."""
+
+    def __init__(self, device: Device) -> None:
+        self.device, self.clock = device, device.clock
+
+    def begin(self) -> Job:
+        """The first attempt at once, the rest as a job."""
+        end = self.clock.now() + STOP_NS
+        told = self._tell()
+        return Job(self.clock, f"{self.device.name} stop", lambda job: self._steps(told, end))
+
+    def _tell(self) -> Any:
+        try:
+            return self.device.stop_motion()
+        except Exception as error:  # a driver's code: the other devices are stopped all the same
+            return error
+
+    def _steps(self, told: Any, end: int) -> Steps:
+        device = self.device
+        while True:
+            try:
+                yield from self._over(told, "it has not stopped yet")
+                if device.last_heard is not None:
+                    yield from self._over(device.confirm_stopped(), "it does not say whether it has stopped")
+                device.is_driven = False
+                return
+            except AcesError as error:
+                if self.clock.now() + PAUSE_NS >= end:
+                    raise
+                device.tell_event("not stopped", f"{error}; once more")
+            yield PAUSE_NS
+            told = self._tell()
+
+    def _over(self, awaited: Any, otherwise: str) -> Steps:
+        """Until it is over, for at most `ATTEMPT_NS`; raises its error."""
+        if awaited is None:
+            return
+        if isinstance(awaited, Exception):
+            raise DeviceError(f"{type(awaited).__name__}: {awaited}")
+        either = Awaited(self.clock)
+        awaited.then(lambda over: either.fail(over.error) if over.error is not None else either.finish())
+        timer = self.clock.call_in(ATTEMPT_NS, lambda: either.fail(DeviceError(otherwise)))
+        try:
+            yield either
+        finally:
+            timer.cancel()
+
+
+__all__ = ["stop_devices", "wait_stopped"]
