@@ -56,7 +56,7 @@ class CanlogCsvCapture(LineCapture):
             raise Unreadable(f"{printable(wrong.args[0])!r} is neither 0 nor 1") from None
         size = integer(length, 10, "length")
         data = b"" if remote else _decoded(coded)
-        if not remote and not error and len(data) != size:
+        if not remote and len(data) != size:
             raise Unreadable(f"{size} bytes are announced, {len(data)} are there")
         if remote and size > 8:
             raise Unreadable(f"a remote frame asks for at most 8 bytes, not {size}")

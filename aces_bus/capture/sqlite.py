@@ -180,7 +180,8 @@ class SqliteCapture(CanCapture):
         sizes = np.fromiter(map(len, data), np.int64, n)
         is_fd = sizes > 8
         limit = np.where((wide != 0) | (faulty != 0), 0x1FFF_FFFF, 0x7FF)
-        is_odd = (ids < 0) | (ids > limit) | ~_IS_FD_LENGTH[sizes]
+        is_odd = (asks != 0) & (faulty != 0)
+        is_odd |= (ids < 0) | (ids > limit) | ~_IS_FD_LENGTH[sizes]
         is_odd |= np.where(asks != 0, (length < 0) | (length > 8) | (sizes > 0), length != sizes)
         if is_odd.any():
             return self._one_by_one(zip(*columns, strict=True))
