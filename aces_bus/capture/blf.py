@@ -232,7 +232,7 @@ class BlfCapture(CanCapture):
             self._damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
 
     def _can_begin(self, data: bytearray, place: int) -> bool:
-        signature, size, _, long, kind = _BASE.unpack_from(data, place)
+        signature, _, _, long, kind = _BASE.unpack_from(data, place)
         if signature == SIGNATURE:
             return _HEADER // 2 <= int.from_bytes(data[place + 4 : place + 8], "little") <= _LARGEST_HEADER
         return self._can_be(long, kind)
