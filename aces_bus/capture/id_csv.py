@@ -150,8 +150,13 @@ class IdCsvCapture(LineCapture):
         digits = cell("id")
         is_marked = digits[-1:] in b"xX" and digits != b""
         number = self._number(digits[:-1] if is_marked else digits, plan.id_base)
+        missing = {role for role, place in plan.places.items() if place >= len(cells)}
         remote, error = flag("remote"), flag("error")
         size = integer(cell("length"), 10, "length") if cell("length") else None
+        if missing - {"data"} or (missing and not remote and size != 0):
+            raise Unreadable(
+                f"{len(cells)} columns; the header names more, and {', '.join(sorted(missing))} in them"
+            )
         data = b"" if remote else self._data(cells, cell("data"), size)
         if remote and (size or 0) > 8:
             raise Unreadable(f"a remote frame asks for at most 8 bytes, not {size}")

@@ -102,7 +102,9 @@ def compare(form: str, path: Path, messages: list[can.Message]) -> None:
     assert len(ours) == len(theirs) == len(messages)
     for frame, other, message in zip(ours, theirs, messages, strict=True):
         assert frame.timestamp == pytest.approx(other.timestamp, abs=1e-6)
-        excused = {name for of, test, names, _ in WRONG_THERE if of == form and test(message) for name in names}
+        excused = {
+            name for of, test, names, _ in WRONG_THERE if of == form and test(message) for name in names
+        }
         for name in ATTRIBUTES:
             if name not in excused:
                 assert attribute(frame, name) == attribute(other, name), (name, frame, other)

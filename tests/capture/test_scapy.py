@@ -85,7 +85,11 @@ def test_we_read_what_scapy_writes(suffix: str, seed: int, tmp_path: Path) -> No
         kind = can_layer.CANFD if frame.is_fd else can_layer.CAN
         marks = {"fd_flags": marks_of(frame)} if frame.is_fd else {}
         packet = kind(
-            identifier=frame.arbitration_id, flags=flags_of(frame), length=frame.length, data=frame.data, **marks
+            identifier=frame.arbitration_id,
+            flags=flags_of(frame),
+            length=frame.length,
+            data=frame.data,
+            **marks,
         )
         packet.time = frame.timestamp
         packets.append(packet)

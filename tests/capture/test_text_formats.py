@@ -391,6 +391,8 @@ def test_columns_are_told_by_their_names(head: str, line: str, frame: Frame) -> 
         ("time,id,data (dec)", "1.5,123,256", "byte 100 is more than 255"),
         ("time,id,data", "1.5,123," + "00" * 65, "65 bytes are more than a frame holds"),
         ("time,id,dlc,d0,d1,d2", "1.5,123,3,01,02,", "3 bytes are announced, 2 are there"),
+        ("time,id,dlc,data", "1.5,123", "2 columns; the header names more, and data, length in them"),
+        ("time,id,dlc,d0,d1", "1.5,12", "2 columns; the header names more, and length in them"),
         ("time,id,dir,data", "1.5,123,up,01", "direction is 'up', neither received nor sent"),
         ("time,id,fd,brs,data", "1.5,123,0,1,01", "exist only in CAN FD"),
         ("time,id,fd,data", "1.5,123,0," + "00" * 12, "a classic CAN frame cannot carry 12 data bytes"),
