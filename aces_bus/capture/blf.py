@@ -360,10 +360,10 @@ class _Stream:
         steps = 0  # to go before many are looked for at once
         while True:
             if self._lost is not None:
-                begin = place
+                lost = place
                 place, found = _next_object(data, place, size, final)
                 if not found:
-                    self._is_blank = self._is_blank and not data[begin:place].strip(b"\0")
+                    self._is_blank = self._is_blank and not data[lost:place].strip(b"\0")
                     break
                 damages.append((count + len(one), self._found(self._offset + place)))
                 steps = _STEPS  # damage seldom comes alone

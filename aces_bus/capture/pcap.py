@@ -258,14 +258,10 @@ class PcapCapture(PacketCapture):
                 break
             same = same + 1 if size == last else 0
             last = size
-            if same == 8 and size % 4 == 0:  # records of one size mostly come in long runs
+            if same == 8:  # records of one size mostly come in long runs, and are compared by both lengths at once
                 same = 0
                 count = (end - position) // size
-                words = np.frombuffer(buffer, self._order + "u4", count * size // 4, position)
-                words = words.reshape(count, size // 4)
-                many = run_length(words[:, 2])
-                if (cut := words[:many, 3] < captured).any():
-                    many = int(cut.argmax())
+                many = run_length(np.ndarray((count,), "u8", buffer, position + 8, (size,)))
                 starts += [np.array(singles, np.int64), position + np.arange(many, dtype=np.int64) * size]
                 singles = []
                 position += many * size

@@ -233,7 +233,8 @@ class PcapngCapture(PacketCapture):
         view = padded(buffer)
         # The last columns are, in a simple packet, data; they are not used then.
         rows = np.ascontiguousarray(rows_of(view, starts, 28))
-        head = rows.view(self._order + "u4").astype(np.int64)
+        words = rows.view(self._order + "u4")
+        head = words[:, :6].astype(np.int64)
         kind, total = head[:, 0], head[:, 1]
         is_simple, is_old = kind == SIMPLE, kind == OLD_PACKET
         at = starts + np.where(is_simple, 12, 28)
@@ -247,7 +248,7 @@ class PcapngCapture(PacketCapture):
         known = np.where(is_known, number, 0)
         room = total - np.where(is_simple, 16, 32)
         size = np.where(is_simple, np.minimum(np.minimum(head[:, 2], cuts[known]), room), head[:, 5])
-        is_more = ~is_simple & (head[:, 5] > head[:, 6])
+        is_more = ~is_simple & (words[:, 5] > words[:, 6])
         is_bad = ~is_known | (size > room) | is_more
         if is_bad.any():
             return self._flush_without(buffer, starts, is_bad, is_known, is_more)

@@ -408,10 +408,9 @@ def test_zeros_at_the_end_are_padding(zeros: int) -> None:
     one = b"".join(numbered(100))
     for inside, outside in ((0, zeros), (zeros, 0), (zeros, zeros)):
         whole = header(objects=100) + container(one + bytes(inside), method=0) + bytes(outside)
-        frames, capture = read(whole)
-        assert (len(frames), capture.problems) == (100, [])
-    frames, capture = read(whole + header(objects=100) + container(one))  # zeros in front of a header, too
-    assert (len(frames), capture.problems) == (200, [])
+        for times in (1, 2):  # zeros in front of a header, too
+            frames, capture = read(whole * times)
+            assert (len(frames), capture.problems) == (100 * times, [])
     frames, capture = read(header() + container(one) + bytes(zeros) + container(one))
     assert (len(frames), capture.lines_unreadable) == (200, zeros > 4)
 
