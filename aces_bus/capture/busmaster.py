@@ -9,7 +9,8 @@
     11:49:12:9420 Rx 1 0x023 s 1 40                             s, x: 11 and 29 bits; sr, xr: remote; s-fd, x-fd: CAN FD
 
 1. Every line is one of: frame, header (`***`), blank, message of another bus (`others`), unreadable.
-2. In system mode times are from 1970: the day is that of the start, and the next one when the clock goes back by hours.
+2. A line has exactly as many bytes as it announces; a direction, type or number that is not understood makes it unreadable.
+3. In system mode times are from 1970: the day is that of the start, and the next one when the clock goes back by hours.
    In absolute mode they are from the start of the recording, in relative mode they are added up.
 
 *Facts*: logs of BUSMASTER 1.6 to 3.2, and SavvyCAN's help. The last number of a time has four digits, of 100 µs.

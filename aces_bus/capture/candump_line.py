@@ -11,7 +11,9 @@
      (1436509052.249713)  can0  RX - -  123   [2]  41 42   'AB'      screen: -t a|d|z|A, -x, -a, -c, -e, -i, -S, -8
 
 1. A line gives a frame that can exist, or `Unreadable` with the reason; nothing else is raised.
-2. Numbers stay as written: a delta or zero-based time stamp is not made absolute.
+2. The bytes that `[n]` announces are there, no more and no fewer; the log states no length, and a whole number of bytes is
+   all that can be asked of it.
+3. Numbers stay as written: a delta or zero-based time stamp is not made absolute.
 
 *Facts*: lib.h, lib.c and candump.c of can-utils.
 *Choice*: `-t A` prints local time without its zone, so it is read as the local time of this machine.
