@@ -48,9 +48,7 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
         limit = 0x1FFF_FFFF if self.is_extended_id or self.is_error_frame else 0x7FF
         if not 0 <= self.arbitration_id <= limit:
             raise CallerError(f"identifier {self.arbitration_id:#x} is outside 0…{limit:#x}")
-        if self.is_remote_frame and (size or self.is_fd or self.is_error_frame):
-            if self.is_error_frame:
-                raise CallerError("a frame is a remote frame or an error frame, not both")
+        if self.is_remote_frame and (size or self.is_fd):
             raise CallerError("a remote frame carries no data and exists only in classic CAN")
 
     @property

@@ -30,7 +30,7 @@ from binascii import unhexlify
 from ..errors import CallerError
 from ..frame import Frame
 from ..frame_table import NO_TIME, to_ns
-from .base import printable
+from .base import REMOTE_AND_ERROR, printable
 
 _ERROR_FLAG = 0x2000_0000
 #: A name of a channel, at most 64 bytes.
@@ -100,6 +100,8 @@ def _log_frame(found: re.Match[bytes], names: Names) -> Frame:
         data = _hex(body[2:])
     elif body[:1] in (b"R", b"r"):
         remote = True
+        if error:
+            raise Unreadable(REMOTE_AND_ERROR)
         if not (asked := _REMOTE.fullmatch(body)):
             raise Unreadable("after R stands a length of 0 to 8")
         size = int(asked[1] or b"0")
@@ -134,6 +136,8 @@ def _screen_frame(found: re.Match[bytes], names: Names) -> Frame:
         digits = digits.rjust(8 if wide else 3, b"0")
     identifier, extended, error = _identifier(digits)
     remote = rest.strip() == b"remote request"
+    if remote and error:
+        raise Unreadable(REMOTE_AND_ERROR)
     return Frame(
         identifier,
         b"" if remote else _cells(rest, size),

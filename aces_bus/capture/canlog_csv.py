@@ -22,7 +22,7 @@ from ..frame import Frame
 from ..frame_table import EXTENDED, FrameTable
 from ._rows import LineCapture, Row, Unreadable, integer, nanoseconds
 from ._words import Mask
-from .base import printable
+from .base import REMOTE_AND_ERROR, printable
 
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 _BASE64 = re.compile(rb"[A-Za-z0-9+/]*={0,2}")
@@ -55,6 +55,8 @@ class CanlogCsvCapture(LineCapture):
             extended, remote, error = (_FLAG[mark] for mark in marks)
         except KeyError as wrong:
             raise Unreadable(f"{printable(wrong.args[0])!r} is neither 0 nor 1") from None
+        if remote and error:
+            raise Unreadable(REMOTE_AND_ERROR)
         size = integer(length, 10, "length")
         data = b"" if remote else _decoded(coded)
         if not remote and len(data) != size:

@@ -38,7 +38,7 @@ from ._rows import (
     nanoseconds,
 )
 from ._source import MAX_LINE, Source
-from .base import printable
+from .base import REMOTE_AND_ERROR, printable
 
 #: What a column is → its names, without case, blanks and signs.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -152,6 +152,8 @@ class IdCsvCapture(LineCapture):
         number = self._number(digits[:-1] if is_marked else digits, plan.id_base)
         missing = {role for role, place in plan.places.items() if place >= len(cells)}
         remote, error = flag("remote"), flag("error")
+        if remote and error:
+            raise Unreadable(REMOTE_AND_ERROR)
         size = integer(cell("length"), 10, "length") if cell("length") else None
         if missing - {"data"} or (missing and not remote and size != 0):
             raise Unreadable(

@@ -258,7 +258,9 @@ class PcapCapture(PacketCapture):
                 break
             same = same + 1 if size == last else 0
             last = size
-            if same == 8:  # records of one size mostly come in long runs, and are compared by both lengths at once
+            if (
+                same == 8
+            ):  # records of one size mostly come in long runs, and are compared by both lengths at once
                 same = 0
                 count = (end - position) // size
                 many = run_length(np.ndarray((count,), "u8", buffer, position + 8, (size,)))

@@ -29,7 +29,7 @@ from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable
 from ._seconds import ns_of
 from ._source import Source
 from ._spool import on_disk
-from .base import CanCapture
+from .base import REMOTE_AND_ERROR, CanCapture
 
 MAGIC = b"SQLite format 3\x00"
 COLUMNS = ("ts", "arbitration_id", "extended", "remote", "error", "dlc", "data")
@@ -256,6 +256,8 @@ def _frame(row: _Row) -> Frame:
     for name, value in zip(COLUMNS[1:6], (identifier, extended, remote, error, dlc), strict=True):
         if type(value) is not int:
             raise CallerError(f"{name} is not an integer")
+    if remote and error:
+        raise CallerError(REMOTE_AND_ERROR)
     if remote:
         if not 0 <= dlc <= 8:
             raise CallerError(f"dlc {dlc} of a remote frame is outside 0…8")
