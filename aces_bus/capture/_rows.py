@@ -3,7 +3,9 @@
 1. Every line is counted once: frame, comment, blank, another kind, or unreadable with its reason.
 2. The quick way takes the lines that it is sure of; the slow way reads the others, and their frames are put back to their
    places. Both ways give the same for a line that the quick one takes: what is quick is a matter of speed alone.
-3. Lines that change how later ones are read (`_TURN`) are read in order, between the lines before and after them.
+3. Of a last line without its end a frame is believed only if its last byte has two digits: where a file is cut, half a
+   byte is another byte. (A line that was cut between two bytes is known by the length that it states.)
+4. Lines that change how later ones are read (`_TURN`) are read in order, between the lines before and after them.
 
 A format gives `_line`, the slow way, which returns a `Row`, or None when it has counted the line itself. A format whose
 files are large also gives `_quick`, with the columns of `_words`.
@@ -38,6 +40,9 @@ _FEW = 800
 _BLOCK = 1 << 18
 
 
+_HALF_A_BYTE = re.compile(rb"(?:[\s,;]|0x)[0-9A-Fa-f]\Z")
+
+
 class Unreadable(Exception):
     """The reason, in words."""
 
@@ -60,6 +65,7 @@ class LineCapture(CanCapture):
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self._likely = False  # something of the format was seen
+        self._is_last = False  # what comes is a line without its end
 
     @abstractmethod
     def _line(self, text: bytes) -> Row | None:
@@ -104,6 +110,11 @@ class LineCapture(CanCapture):
         kept: list[bytes] = []
         size = 0
         for block in self._source.lines():
+            if self._source.is_open_ended:
+                if kept:
+                    yield b"".join(kept)
+                self._is_last = True
+                kept, size = [], 0
             kept.append(block)
             size += len(block)
             if size >= _BLOCK or self.live:
@@ -115,7 +126,7 @@ class LineCapture(CanCapture):
     def _read(self, block: bytes, tables: list[FrameTable]) -> None:
         """Add the frames of a block of whole lines; counts everything but them."""
         for _ in range(_TRIES):
-            found = self._quick(block) if len(block) > _FEW else None
+            found = self._quick(block) if len(block) > _FEW and not self._is_last else None
             if found is None:
                 break
             block = self._mixed(block, *found, tables)
@@ -170,9 +181,17 @@ class LineCapture(CanCapture):
             self._unreadable(self.lines, f"longer than {MAX_LINE} bytes", line)
         elif not text:
             self.lines_blank += 1
+        elif b"\r" in text:
+            self._unreadable(
+                self.lines,
+                "a carriage return within the line; lines end with a line feed: tr '\\r' '\\n'",
+                line,
+            )
         else:
             try:
                 row = self._line(text)
+                if self._is_last and row is not None and row.frame.data and _HALF_A_BYTE.search(text):
+                    raise Unreadable("the line has no end, and its last byte one digit: it was cut")
                 if row is not None and not NO_TIME <= row.time < -NO_TIME:
                     raise Unreadable("the time is out of range")
                 return row

@@ -1,7 +1,8 @@
 """Linux CAN frames as they stand in packets: many at once, from a buffer into columns.
 
 1. No I/O in this file. Whatever the bytes are, nothing is read behind a packet's end, and nothing raises.
-2. Every packet gets one status: a frame, readable but no CAN frame, or unreadable with its reason.
+2. Every packet gets one status: a frame, readable but no CAN frame, or unreadable with its reason. No other byte order
+   than the link type's is tried: where one would be right, the reader says so.
 
 A packet of link type 227 begins with the frame itself, its identifier in network byte order. A packet of Linux' "cooked"
 capture (113, and 276 with the number of the interface), which Wireshark's `any` interface makes, has a header that says
@@ -25,6 +26,8 @@ from ..frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMO
 
 SOCKETCAN, COOKED, COOKED2 = 227, 113, 276
 LINK_TYPES = (SOCKETCAN, COOKED, COOKED2)
+#: Where in a packet the CAN frame begins.
+FRAME_AT = {SOCKETCAN: 0, COOKED: 16, COOKED2: 20}
 
 EXTENDED_BIT, REMOTE_BIT, ERROR_BIT = 1 << 31, 1 << 30, 1 << 29
 FDF, ESI, BRS = 4, 2, 1
@@ -46,7 +49,7 @@ REASONS = {
     7: "an 11-bit identifier above 0x7FF",
     8: "a remote frame in CAN FD",
 }
-_SHORT, _CUT, _LONG, _NO_FD_LENGTH, _WIDE, _REMOTE_FD = REASONS
+_SHORT, _CUT, _LONG, _NO_FD_LENGTH, WIDE, _REMOTE_FD = REASONS
 
 _IS_FD_LENGTH = np.zeros(256, bool)
 _IS_FD_LENGTH[list(FD_LENGTHS)] = True
@@ -93,7 +96,7 @@ def decode(view: Ints, starts: Ints, sizes: Ints, links: Ints, is_little: bool) 
     is_cooked = links != SOCKETCAN
     if is_cooked.any():
         starts, sizes = starts.copy(), sizes.copy()
-        for link, header in ((COOKED, 16), (COOKED2, 20)):
+        for link, header in ((COOKED, FRAME_AT[COOKED]), (COOKED2, FRAME_AT[COOKED2])):
             rows = np.flatnonzero(links == link)
             status[rows[sizes[rows] < header]] = _SHORT
             rows = rows[sizes[rows] >= header]
@@ -131,7 +134,7 @@ def decode(view: Ints, starts: Ints, sizes: Ints, links: Ints, is_little: bool) 
         (is_remote & is_fd & (length <= 8), _REMOTE_FD),
         (is_remote & (length > 8), _LONG),
         (is_cut, _CUT),
-        (~is_extended & ~is_error & (number > 0x7FF), _WIDE),
+        (~is_extended & ~is_error & (number > 0x7FF), WIDE),
     ):
         if wrong.any():
             status[(status == GOOD) & wrong] = code

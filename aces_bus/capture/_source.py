@@ -55,6 +55,8 @@ class Source:
         self._dry = False  # nothing more is stored; some of it may wait to be unpacked
         self._left: int | None = None  # of a span
         self._inside = False
+        #: The last line that `lines` gave had no end: the file may have been cut within it.
+        self.is_open_ended = False
         if isinstance(source, (str, os.PathLike)):
             path = os.fspath(source)
             self.name = path if name is None else name
@@ -155,6 +157,7 @@ class Source:
         if first:
             kept = kept.removeprefix(b"\xef\xbb\xbf")
         if kept:
+            self.is_open_ended = True
             yield kept + b"\n"
 
     def _next(self, size: int) -> bytes:

@@ -16,7 +16,8 @@
 
 1. Every line is one of: frame, header or comment, blank, an event that is no frame (`others`, by kind), unreadable.
 2. Times are from 1970 when the file has a date, and from the start of the measurement when it has none.
-3. A line that announces more bytes than it holds is unreadable, not a shorter frame.
+3. A line that announces more bytes than it holds is unreadable, not a shorter frame. So is a CANFD line whose length code
+   and length differ, or that ends before its flags, which alone say whether it is a CAN FD frame.
 
 *Facts*: Vector's description of the format ("CAN, Log & Trigger ASC Logging Format", 1.3.5), logs of CANoe 9 to 12 and of
 python-can. On a CANFD line the flags field after the data says what the frame is: bit 4 remote, 12 FD, 13 bit rate
@@ -24,7 +25,8 @@ switch, 14 error state. A CANFD line without bit 12 is a classic frame on an FD 
 *Choice*: channels count from 1 there and from 0 here, as in python-can. The date of the first trigger block goes before that
 of the header, as python-can's header holds the time of writing. A fraction of a date of up to three digits is milliseconds:
 python-can writes 13.5 for 13.005 s. Relative times are added up.
-*Doubt*: a message may stand with its name instead of its number; then "ID =" behind the data must say it.
+*Doubt*: a message may stand with its name instead of its number; then "ID =" behind the data must say it. Where both are
+numbers and contradict each other, the column goes before: it is what all programs write.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from datetime import datetime
 
 import numpy as np
 
-from ..frame import Frame
+from ..frame import FD_LENGTHS, Frame
 from ..frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
 from ._rows import (
     CLASSIC_LENGTHS,
@@ -59,6 +61,7 @@ _TIMED = re.compile(rb"([0-9]{1,12}\.[0-9]{1,9})\s+(.*)", re.DOTALL)
 _CLASSIC = re.compile(
     rb"([0-9]{1,5})\s+(\S{1,128})\s+([RT]x|TxRq)\s+([dr])\b\s*(.*)", re.DOTALL | re.IGNORECASE
 )
+_ERROR_FRAME = re.compile(rb"([0-9]{1,5})\s+ErrorFrame(?:\s|$)", re.IGNORECASE)
 _FD_LINE = re.compile(rb"CANFD\s+([0-9]{1,5})\s+([RT]x|TxRq)\s+(.*)", re.DOTALL | re.IGNORECASE)
 _NUMBER = re.compile(rb"\bID = ([0-9]{1,10})(x?)", re.IGNORECASE)
 _FIELDS = re.compile(rb"\s*(?:Length|BitCount|ID) = ", re.IGNORECASE)
@@ -143,9 +146,8 @@ class AscCapture(LineCapture):
             return self._classic(found, time)
         if found := _FD_LINE.fullmatch(text):
             return self._fd(found, time)
-        words = text.split(None, 2)
-        if len(words) > 1 and words[0].isdigit() and words[1].lower() == b"errorframe":
-            return Row(Frame(0, channel=one_less(int(words[0][:5])), is_error_frame=True), time)
+        if found := _ERROR_FRAME.match(text):
+            return Row(Frame(0, channel=one_less(int(found[1])), is_error_frame=True), time)
         if _START.match(line) and self._next_origin is not None:
             self._origin, self._next_origin = self._next_origin, None
         for pattern, kind in _EVENTS:
@@ -210,15 +212,20 @@ class AscCapture(LineCapture):
         size = integer(cells[4], 10, "length")
         if code not in FD_LENGTHS_BY_CODE:
             raise Unreadable(f"data length code {code} is more than 15")
-        if size > 64:
-            raise Unreadable(f"length {size} is more than 64")
+        if size not in FD_LENGTHS:
+            raise Unreadable(f"a CAN FD frame cannot carry {size} data bytes")
         data = self._data(cells[5:], size)
         if self._base == 16 and any(len(cell) != 2 for cell in cells[5 : 5 + size]):
             raise Unreadable(f"{size} bytes are announced, and not so many of two digits are there")
-        flags = integer(cells[7 + size], 16, "flags") if len(cells) > 7 + size else 0x1000
+        if len(cells) < 8 + size:
+            raise Unreadable("the line ends before its flags, which say whether it is a CAN FD frame")
+        flags = integer(cells[7 + size], 16, "flags")
         remote = bool(flags & 0x10) or (size == 0 and code > 0)
         switched = cells[1] == b"1"
         fd = not remote and (bool(flags & 0x1000) or size > 8 or switched)
+        stated = (FD_LENGTHS_BY_CODE if fd else CLASSIC_LENGTHS)[code]
+        if not remote and size != stated:
+            raise Unreadable(f"length code {code} means {stated} bytes, and {size} are announced")
         return Row(
             Frame(
                 identifier,
@@ -241,11 +248,18 @@ class AscCapture(LineCapture):
         return data_bytes(cells, size, self._base)
 
     def _identifier(self, name: bytes, rest: bytes) -> tuple[int, bool]:
-        if found := _NUMBER.search(rest):
-            return int(found[1]), found[2] != b""
         extended = name[-1:] in b"xX"
         digits = name[:-1] if extended else name
-        return integer(digits, self._base, "identifier"), extended
+        found = _NUMBER.search(rest)
+        try:
+            number = integer(digits, self._base, "identifier")
+        except Unreadable:
+            if found is None:
+                raise
+        else:  # a name may read as a number, but seldom as one that a frame can have
+            if found is None or number <= (0x1FFF_FFFF if extended else 0x7FF):
+                return number, extended
+        return int(found[1]), found[2] != b""
 
     # ---- headers
 

@@ -21,6 +21,7 @@ from ._source import Source
 Link = Literal["can", "serial"]
 Direction = Literal["to device", "from device"]
 
+REMOTE_AND_ERROR = "a frame is a remote frame or an error frame, not both"
 #: Enough to see what is wrong with a file; the counter has the rest.
 PROBLEMS_KEPT = 5
 EXCERPT = 80

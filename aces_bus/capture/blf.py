@@ -1,6 +1,6 @@
 """Vector's binary log (BLF): a header, then containers of compressed objects, of which the CAN ones give frames.
 
-    "LOGG", header size u32, …, at 40 the start of the measurement (SYSTEMTIME, UTC)
+    "LOGG", header size u32, …, at 32 the number of objects u32, at 40 the start of the measurement (SYSTEMTIME, UTC)
     "LOBJ", header size u16, version u16, object size u32, type u32 = 10      a container:
            16  method u16 (0 stored, 2 zlib), …, unpacked size u32 at 24, then the packed bytes at 32
 
@@ -8,18 +8,24 @@
 2. Sizes are claims. Nothing is unpacked or kept that is larger than the limits below, and an object is believed when
    the next one begins where it ends.
 3. After damage reading goes on at the next "LOBJ"; what lies between is one unreadable thing, with its offset.
+4. What the header states is compared with what was read: objects that are missing are one unreadable thing, with their
+   number. A header that states none is of a log that was not closed.
+5. No number stands in for another: an object whose length code and number of bytes differ, or whose identifier has bits
+   that mean nothing, is unreadable.
 
 Objects are counted like lines: `lines` is their number, with one for each damaged stretch. Times are those of the
 objects after the start of the measurement, exact to the nanosecond.
 
 *Facts*: python-can `can/io/blf.py`; Wireshark `wiretap/blf.h` (objects may stand before the containers). Objects are
-padded: the next begins within 8 bytes.
+padded: the next begins within 8 bytes. Vector's programs pad with zeros behind the last one, which is no damage. Logs may
+be joined: another header begins another log, with its own start. The number of objects is without containers.
 *Choice*: the start is taken as UTC, as python-can takes it; Vector's programs write the local time of their machine.
 """
 
 from __future__ import annotations
 
 import datetime
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -30,6 +36,7 @@ from ..errors import CaptureError
 from ..frame_table import FrameTable, Ints
 from ._heap import keep_freed_memory
 from ._in_order import merged
+from ._source import Source
 from ._unpack import up_to_damage
 from .base import CanCapture
 from .blf_objects import LOG_CONTAINER, Decoded, decode, is_can
@@ -38,7 +45,8 @@ SIGNATURE = b"LOGG"
 _OBJECT = b"LOBJ"
 _OBJECT_WORD = int.from_bytes(_OBJECT, "little")
 _BASE = struct.Struct("<4sHHLL")
-_HEADER = 144
+_HEADER, _LARGEST_HEADER = 144, 4096
+_BEGIN = re.compile(rb"LOBJ|LOGG")
 #: Bytes of a packed container and of what it holds, of an object, and of a CAN object.
 _CONTAINER, _LARGEST, _LARGEST_CAN = 1 << 26, 1 << 24, 1 << 12
 #: A container of so many bytes holds at most 1,032 times as many (zlib), which is less than `_CONTAINER`.
@@ -61,12 +69,18 @@ def looks_like_blf(head: bytes) -> bool:
 
 
 class BlfCapture(CanCapture):
-    """Frames of a Vector BLF log, error frames too. A channel is named by its number from 0, as in python-can.
+    """Frames of a Vector BLF log, error frames too. A channel is named by its number from 0, as in python-can; channel 0
+    of the log, which counts from 1, is none.
 
     Reading raises `CaptureError` when not even the header is there.
     """
 
     format = "Vector BLF"
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self._objects = 0  # of the log at hand, and how many its header states
+        self._stated = 0
 
     def _tables(self) -> Iterator[FrameTable]:
         keep_freed_memory()
@@ -87,20 +101,26 @@ class BlfCapture(CanCapture):
                 yield FrameTable.concat(pending)
             raise
         pending += stream.end()
+        self._compare()
         if pending:
             yield FrameTable.concat(pending)
 
     def _contents(self, stream: _Stream) -> Iterator[bytes | None]:
         """The unpacked bytes of all containers; None where some are missing."""
         file = _File(self._source.blocks(lambda: LARGE))
+        if not file.want(_HEADER // 2) or not file.data.startswith(SIGNATURE):
+            raise CaptureError(f"{self.name}: no Vector BLF log, or one that ends within its header")
         stream.start_ns = self._header(file)
         while file.want(_BASE.size + _PADDING) or file.data:
             at = file.data.find(_OBJECT, 0, _PADDING + 3)
             if at < 0 or len(file.data) - at < _BASE.size:
-                if not file.data.strip(b"\0") and not file.want(len(file.data) + 1):
-                    return
                 yield None
-                self._resync(file, 1, "")
+                if file.data.startswith(SIGNATURE) and file.want(_HEADER // 2):
+                    stream.end_lost()
+                    self._compare()
+                    stream.start_ns = self._header(file)
+                else:
+                    self._resync(file, 1, "")
                 continue
             file.drop(at)
             _, _, _, size, kind = _BASE.unpack_from(file.data)
@@ -120,13 +140,24 @@ class BlfCapture(CanCapture):
 
     def _header(self, file: _File) -> int:
         """Passes over the header; gives the start of the measurement in ns, 0 where it has none."""
-        if not file.want(_HEADER // 2) or not file.data.startswith(SIGNATURE):
-            raise CaptureError(f"{self.name}: no Vector BLF log, or one that ends within its header")
         size = int.from_bytes(file.data[4:8], "little")
         start = _system_time(file.data[40:56])
-        file.want(_HEADER)
-        file.drop(size if _HEADER // 2 <= size <= 4096 else _HEADER)
+        self._objects, self._stated = 0, int.from_bytes(file.data[32:36], "little")
+        size = size if _HEADER // 2 <= size <= _LARGEST_HEADER else _HEADER
+        if not file.want(size):
+            self._stated = 0
+            self._damaged(f"the file ends within its header of {size} bytes", file.first(24))
+        file.drop(size)
         return start
+
+    def _compare(self) -> None:
+        """Count what the header states and is not there."""
+        if self._objects < self._stated:
+            missing = self._stated - self._objects
+            self._damaged(
+                f"the header states {self._stated:,} objects, {self._objects:,} are there: {missing:,} are missing",
+                b"",
+            )
 
     def _container(self, container: bytes, offset: int) -> Iterator[bytes | None]:
         method = int.from_bytes(container[16:18], "little")
@@ -177,22 +208,34 @@ class BlfCapture(CanCapture):
         return 32 <= size <= _CONTAINER if kind == LOG_CONTAINER else _BASE.size <= size <= _limit(kind)
 
     def _resync(self, file: _File, step: int, why: str) -> None:
-        """Drop everything up to the next object."""
-        offset, first, place = file.offset, bytes(file.data[:32]), step
+        """Drop everything up to the next object or header; zeros in front of a header and of the end are padding."""
+        offset, first, place, is_blank = file.offset, bytes(file.data[:32]), step, True
         while True:
-            at = file.data.find(_OBJECT, place)
-            if at < 0:
-                file.drop(max(len(file.data) - 3, place))
-                place = 0
-                if not file.want(len(file.data) + 1):
-                    file.drop(len(file.data))
-                    break
-            elif not file.want(at + _BASE.size) or self._can_be(*_BASE.unpack_from(file.data, at)[3:]):
-                file.drop(at)
-                break
+            found = _BEGIN.search(file.data, place)
+            if found is None:
+                end = max(len(file.data) - 3, place)
+            elif not file.want(found.start() + _BASE.size) or self._can_begin(file.data, found.start()):
+                end = found.start()
             else:
-                place = at + 4
-        self._damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
+                place = found.start() + 4
+                continue
+            is_blank = is_blank and not file.first(end).strip(b"\0")
+            file.drop(end)
+            place = 0
+            if found is not None:
+                break
+            if not file.want(len(file.data) + 1):
+                is_blank = is_blank and not file.data.strip(b"\0")
+                file.drop(len(file.data))
+                break
+        if not is_blank or file.data.startswith(_OBJECT):
+            self._damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
+
+    def _can_begin(self, data: bytearray, place: int) -> bool:
+        signature, _, _, long, kind = _BASE.unpack_from(data, place)
+        if signature == SIGNATURE:
+            return _HEADER // 2 <= int.from_bytes(data[place + 4 : place + 8], "little") <= _LARGEST_HEADER
+        return self._can_be(long, kind)
 
     def _damaged(self, reason: str, excerpt: bytes) -> None:
         self.lines += 1
@@ -215,6 +258,7 @@ class BlfCapture(CanCapture):
         for kind, count in found.others.items():
             self._other_kind(kind, count)
         self.lines += len(begins) + before
+        self._objects += len(begins)
         if not found.frames:
             return FrameTable.empty(self.channels)
         table = merged(
@@ -261,6 +305,7 @@ class _Stream:
         self._size = 0
         self._offset = 0  # of the first byte that waits
         self._lost: int | None = None  # offset of the first byte that is no object
+        self._is_blank = False  # all bytes from there on are zeros, which is padding where nothing follows
 
     def feed(self, piece: bytes | None, flush: bool) -> Iterator[FrameTable]:
         """The frames that are complete with this piece, once there is enough to look at."""
@@ -268,10 +313,12 @@ class _Stream:
             self._waiting.append(piece)
             self._size += len(piece)
         if self._size and (piece is None or flush or self._size >= LARGE):
-            yield from self._read()
+            yield from self._read(final=piece is None)
         if piece is None and self._size:  # nothing continues what is left
+            left = b"".join(self._waiting)
             if self._lost is None:
-                self._lost = self._offset
+                self._lose(self._offset)
+            self._is_blank = self._is_blank and not left.strip(b"\0")
             self._offset += self._size
             self._waiting, self._size = [], 0
 
@@ -280,13 +327,24 @@ class _Stream:
         tables = list(self._read(final=True))
         left = b"".join(self._waiting)
         if self._lost is not None:
-            self._capture._damaged(self._found(self._offset + len(left)), b"")
+            self._is_blank = self._is_blank and not left.strip(b"\0")
+            self._offset += len(left)
+            self.end_lost()
         elif left.strip(b"\0"):
             self._capture._damaged(
                 f"the log ends within the object at unpacked offset {self._offset:,}", left
             )
         self._waiting, self._size = [], 0
         return tables
+
+    def end_lost(self) -> None:
+        """Count the bytes at the end that are no object, unless they are padding."""
+        if self._lost is not None and not self._is_blank:
+            self._capture._damaged(self._found(self._offset), b"")
+        self._lost = None
+
+    def _lose(self, offset: int, is_blank: bool = True) -> None:
+        self._lost, self._is_blank = offset, is_blank
 
     def _read(self, final: bool = False) -> Iterator[FrameTable]:
         """The frames of all objects that are whole."""
@@ -302,8 +360,10 @@ class _Stream:
         steps = 0  # to go before many are looked for at once
         while True:
             if self._lost is not None:
+                lost = place
                 place, found = _next_object(data, place, size, final)
                 if not found:
+                    self._is_blank = self._is_blank and not data[lost:place].strip(b"\0")
                     break
                 damages.append((count + len(one), self._found(self._offset + place)))
                 steps = _STEPS  # damage seldom comes alone
@@ -311,24 +371,24 @@ class _Stream:
             if at < 0:
                 if size - place < _PADDING + 3:
                     break
-                wrong = place
+                wrong, is_blank = place, True
                 if one and (inner := data.find(_OBJECT, one[-1] + 4, place)) >= 0:
                     wrong, place = one.pop(), inner  # its size was wrong: it swallowed another object
                     each.pop()
-                self._lost = self._offset + wrong
+                    is_blank = False
+                self._lose(self._offset + wrong, is_blank)
                 continue
             if at + _BASE.size > size:
                 break
             _, _, _, length, kind = _BASE.unpack_from(data, at)
             if not _BASE.size <= length <= _limit(kind):
-                self._lost, place = self._offset + at, at + 4
+                self._lose(self._offset + at, is_blank=False)
+                place = at + 4
             elif at + length > size:
                 if not final or data.find(_OBJECT, at + 4, size) < 0:
                     break
-                self._lost, place = (
-                    self._offset + at,
-                    at + 4,
-                )  # it does not end, but there is another one within it
+                self._lose(self._offset + at, is_blank=False)
+                place = at + 4  # it does not end, but there is another one within it
             elif steps > 0:
                 steps -= 1
                 one.append(at)

@@ -18,7 +18,9 @@
 
 1. Every object gives a frame that can exist, is unreadable with its reason, or is another kind, which is counted.
 2. All fields are little-endian; bit 31 of an id says that it has 29 bits; channels count from 1 and are named from 0,
-   as python-can names them.
+   as python-can names them. Channel 0 is none.
+3. Length code and number of data bytes must agree, and bits 29 and 30 of an id be zero: what means nothing is not left out
+   of account. Only an error frame may have fewer bytes than its code says: it was cut short on the bus.
 
 *Facts*: python-can `can/io/blf.py`; the layouts of CAN_ERROR and CAN_FD_ERROR_64, and the numbers of the types, as
 Wireshark's `wiretap/blf.h` has them.
@@ -50,6 +52,7 @@ from ..frame_table import (
     FrameTable,
     Ints,
 )
+from ._rows import one_less
 
 CAN_MESSAGE, CAN_ERROR, LOG_CONTAINER, CAN_ERROR_EXT, CAN_MESSAGE2 = 1, 2, 10, 73, 86
 CAN_FD_MESSAGE, CAN_FD_MESSAGE_64, CAN_FD_ERROR_64 = 100, 101, 104
@@ -103,7 +106,7 @@ _NAMES = {
     129: "CAN settings",
 }
 
-_EXTENDED_ID, _ID = np.uint32(0x8000_0000), np.uint32(0x1FFF_FFFF)
+_EXTENDED_ID, _NO_MEANING, _ID = np.uint32(0x8000_0000), np.uint32(0x6000_0000), np.uint32(0x1FFF_FFFF)
 _FD_LENGTH = np.isin(np.arange(256), FD_LENGTHS)
 #: Number of bytes → mask that keeps as many of a little-endian word.
 _KEPT = np.array([(1 << 8 * count) - 1 for count in range(9)], np.uint64)
@@ -240,6 +243,9 @@ def _kind(
     objects = _Objects(data, begins, sizes, payload, reach)
     frames = read(objects)
     ids = frames.id & _ID
+    if int(frames.id.max()) > int(_ID):
+        odd = (frames.id & _NO_MEANING != 0) & (frames.flags & ERROR == 0)
+        objects.check(odd, lambda row: f"identifier {int(frames.id[row]):#010x} has bits that mean nothing")
     if int(ids.max()) > 0x7FF:
         wide = (ids > 0x7FF) & ((frames.flags & (EXTENDED | ERROR)) == 0)
         objects.check(wide, lambda row: f"identifier {int(ids[row]):#x} has more than 11 bits")
@@ -392,6 +398,14 @@ def _with_data(
             f"a {'CAN FD' if fd[row] else 'classic'} frame cannot carry {int(length[row])} data bytes"
         ),
     )
+    stated = np.where(fd, _DLC_LENGTH[np.minimum(code, np.uint8(15))], asked)
+    differ = ~remote & (flags & ERROR == 0) & (length != stated)
+    objects.check(
+        differ,
+        lambda row: (
+            f"length code {int(code[row])} means {int(stated[row])} bytes, and {int(length[row])} are announced"
+        ),
+    )
     flags = flags | remote * np.uint8(REMOTE)
     width = 64 if int(length.max()) > 8 else 8
     lengths = np.where(remote | impossible, 0, length).astype(np.int64)
@@ -412,10 +426,10 @@ def _channels(given: Ints, channels: Channels) -> Ints:
     """Numbers in a log, which count from 1, as numbers of the channels that are named from 0."""
     first = int(given[0])
     if (given == first).all():
-        return np.full(len(given), channels.number(str(first - 1)), np.uint16)
+        return np.full(len(given), channels.number(one_less(first)), np.uint16)
     seen = np.flatnonzero(np.bincount(given))
     table = np.zeros(int(seen[-1]) + 1, np.uint16)
-    table[seen] = [channels.number(str(number - 1)) for number in seen.tolist()]
+    table[seen] = [channels.number(one_less(number)) for number in seen.tolist()]
     return table[given]
 
 

@@ -9,11 +9,13 @@
     11:49:12:9420 Rx 1 0x023 s 1 40                             s, x: 11 and 29 bits; sr, xr: remote; s-fd, x-fd: CAN FD
 
 1. Every line is one of: frame, header (`***`), blank, message of another bus (`others`), unreadable.
-2. In system mode times are from 1970: the day is that of the start, and the next one when the clock goes back by hours.
+2. A line has exactly as many bytes as it announces; a direction, type or number that is not understood makes it unreadable.
+3. In system mode times are from 1970: the day is that of the start, and the next one when the clock goes back by hours.
    In absolute mode they are from the start of the recording, in relative mode they are added up.
 
 *Facts*: logs of BUSMASTER 1.6 to 3.2, and SavvyCAN's help. The last number of a time has four digits, of 100 µs.
 *Choice*: a last number of fewer digits is milliseconds, as other programs write it. Channels count from 1, and from 0 here.
+The length of a CAN FD frame may be a code: whichever it is, as many bytes must be there.
 *Doubt*: how an error line reads differs among versions; a line with the word ERR or ErrorFrame behind its time is an error
 frame.
 """
@@ -105,10 +107,12 @@ class BusmasterCapture(LineCapture):
         lengths = FD_LENGTHS_BY_CODE if fd else CLASSIC_LENGTHS
         number = integer(code, 10, "length")
         size = number if fd and number in (12, 16, 20, 24, 32, 48, 64) else lengths.get(number)
-        if fd and 8 < number < 16 and len(data) == number:
-            size = number  # a length and not a code
+        if fd and len(data) == lengths.get(number):
+            size = len(data)  # 12 may be a length and a code
         if size is None:
             raise Unreadable(f"length {number} is more than a frame holds")
+        if not remote and len(data) > size:
+            raise Unreadable(f"{size} bytes are announced, {len(data)} are there")
         is_hex = self._base == 16 or digits[:2] in (b"0x", b"0X")
         return Frame(
             integer(digits, 16 if is_hex else 10, "identifier"),

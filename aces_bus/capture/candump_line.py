@@ -11,7 +11,9 @@
      (1436509052.249713)  can0  RX - -  123   [2]  41 42   'AB'      screen: -t a|d|z|A, -x, -a, -c, -e, -i, -S, -8
 
 1. A line gives a frame that can exist, or `Unreadable` with the reason; nothing else is raised.
-2. Numbers stay as written: a delta or zero-based time stamp is not made absolute.
+2. The bytes that `[n]` announces are there, no more and no fewer; the log states no length, and a whole number of bytes is
+   all that can be asked of it.
+3. Numbers stay as written: a delta or zero-based time stamp is not made absolute.
 
 *Facts*: lib.h, lib.c and candump.c of can-utils.
 *Choice*: `-t A` prints local time without its zone, so it is read as the local time of this machine.
@@ -28,7 +30,7 @@ from binascii import unhexlify
 from ..errors import CallerError
 from ..frame import Frame
 from ..frame_table import NO_TIME, to_ns
-from .base import printable
+from .base import REMOTE_AND_ERROR, printable
 
 _ERROR_FLAG = 0x2000_0000
 #: A name of a channel, at most 64 bytes.
@@ -98,6 +100,8 @@ def _log_frame(found: re.Match[bytes], names: Names) -> Frame:
         data = _hex(body[2:])
     elif body[:1] in (b"R", b"r"):
         remote = True
+        if error:
+            raise Unreadable(REMOTE_AND_ERROR)
         if not (asked := _REMOTE.fullmatch(body)):
             raise Unreadable("after R stands a length of 0 to 8")
         size = int(asked[1] or b"0")
@@ -132,6 +136,8 @@ def _screen_frame(found: re.Match[bytes], names: Names) -> Frame:
         digits = digits.rjust(8 if wide else 3, b"0")
     identifier, extended, error = _identifier(digits)
     remote = rest.strip() == b"remote request"
+    if remote and error:
+        raise Unreadable(REMOTE_AND_ERROR)
     return Frame(
         identifier,
         b"" if remote else _cells(rest, size),

@@ -4,7 +4,8 @@
     1483389946.197,0x00dadada,1,0,0,7,WzQyLCA5XQ==
 
 1. Every line is one of: frame, header, blank, unreadable.
-2. It is told by its header, word for word: data are base64 here, and hexadecimal in any other CSV.
+2. A line whose dlc is not its number of bytes is unreadable, of an error frame too.
+3. It is told by its header, word for word: data are base64 here, and hexadecimal in any other CSV.
 
 *Facts*: python-can's documentation of `CSVWriter`. It has no channel, no direction and no mark for CAN FD.
 *Choice*: a frame of more than 8 bytes is CAN FD. What python-can writes as data of a remote frame is its length alone.
@@ -21,7 +22,7 @@ from ..frame import Frame
 from ..frame_table import EXTENDED, FrameTable
 from ._rows import LineCapture, Row, Unreadable, integer, nanoseconds
 from ._words import Mask
-from .base import printable
+from .base import REMOTE_AND_ERROR, printable
 
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 _BASE64 = re.compile(rb"[A-Za-z0-9+/]*={0,2}")
@@ -54,9 +55,11 @@ class CanlogCsvCapture(LineCapture):
             extended, remote, error = (_FLAG[mark] for mark in marks)
         except KeyError as wrong:
             raise Unreadable(f"{printable(wrong.args[0])!r} is neither 0 nor 1") from None
+        if remote and error:
+            raise Unreadable(REMOTE_AND_ERROR)
         size = integer(length, 10, "length")
         data = b"" if remote else _decoded(coded)
-        if not remote and not error and len(data) != size:
+        if not remote and len(data) != size:
             raise Unreadable(f"{size} bytes are announced, {len(data)} are there")
         if remote and size > 8:
             raise Unreadable(f"a remote frame asks for at most 8 bytes, not {size}")

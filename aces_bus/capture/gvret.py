@@ -5,7 +5,8 @@
     18970900,18DAF110,true,Tx,1,2,02,1A,00,00,00,00,00,00,
 
 1. Every line is one of: frame, header, blank, unreadable.
-2. Times are microseconds of the device's clock, or from 1970 where the program was set so: they stay as written.
+2. What a cell says and is not understood makes its line unreadable, and so do fewer bytes than LEN.
+3. Times are microseconds of the device's clock, or from 1970 where the program was set so: they stay as written.
 
 *Facts*: SavvyCAN's help and the files it writes. Identifiers and data are hexadecimal without 0x. Older versions have no
 Dir; then nothing says which way a frame went. Bytes behind LEN are padding.

@@ -6,6 +6,7 @@
 1. Every line is one of: frame, header, comment (`#`), blank, unreadable.
 2. What a column is, its name says. A file whose names do not say where identifier and data are is refused, with what is
    missing; nothing is guessed from values.
+   What a cell says and is not understood (a direction, a flag) makes its line unreadable; an empty one says nothing.
 3. Times are as written, exact to the last digit: in the unit that the name says, else in seconds; dates are local time
    unless they say their zone.
 
@@ -37,7 +38,7 @@ from ._rows import (
     nanoseconds,
 )
 from ._source import MAX_LINE, Source
-from .base import printable
+from .base import REMOTE_AND_ERROR, printable
 
 #: What a column is → its names, without case, blanks and signs.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -86,7 +87,9 @@ _WORDS = {
     **dict.fromkeys((b"1", b"true", b"yes", b"y", b"x", b"ext", b"extended", b"xtd", b"29"), True),
     **dict.fromkeys((b"", b"0", b"false", b"no", b"n", b"s", b"std", b"standard", b"11", b"-"), False),
 }
-_WAYS = {
+_WAYS: dict[bytes, bool | None] = {
+    b"": None,
+    b"-": None,
     **dict.fromkeys((b"rx", b"r", b"in", b"receive", b"received"), True),
     **dict.fromkeys((b"tx", b"t", b"out", b"transmit", b"transmitted", b"sent"), False),
 }
@@ -147,12 +150,25 @@ class IdCsvCapture(LineCapture):
         digits = cell("id")
         is_marked = digits[-1:] in b"xX" and digits != b""
         number = self._number(digits[:-1] if is_marked else digits, plan.id_base)
+        missing = {role for role, place in plan.places.items() if place >= len(cells)}
         remote, error = flag("remote"), flag("error")
+        if remote and error:
+            raise Unreadable(REMOTE_AND_ERROR)
         size = integer(cell("length"), 10, "length") if cell("length") else None
+        if missing - {"data"} or (missing and not remote and size != 0):
+            raise Unreadable(
+                f"{len(cells)} columns; the header names more, and {', '.join(sorted(missing))} in them"
+            )
         data = b"" if remote else self._data(cells, cell("data"), size)
         if remote and (size or 0) > 8:
             raise Unreadable(f"a remote frame asks for at most 8 bytes, not {size}")
-        fd = flag("fd") or len(data) > 8
+        way = cell("direction").lower()
+        if way not in _WAYS:
+            raise Unreadable(f"direction is {printable(way)!r}, neither received nor sent")
+        switched, passive = flag("brs"), flag("esi")
+        fd = flag("fd") if "fd" in plan.places else len(data) > 8 or switched or passive
+        if not fd and (switched or passive):
+            raise Unreadable("bit rate switch and error state exist only in CAN FD")
         return Row(
             Frame(
                 number,
@@ -164,9 +180,9 @@ class IdCsvCapture(LineCapture):
                 remote,
                 error,
                 fd,
-                fd and flag("brs"),
-                fd and flag("esi"),
-                _WAYS.get(cell("direction").lower()),
+                switched,
+                passive,
+                _WAYS[way],
                 (size or 0) if remote else None,
             ),
             self._time(cell("time")),
@@ -179,6 +195,8 @@ class IdCsvCapture(LineCapture):
             if size is None:
                 while found and not found[-1]:
                     found.pop()
+            elif size > 8 and FD_LENGTHS_BY_CODE.get(size) == sum(map(bool, found)):
+                size = FD_LENGTHS_BY_CODE[size]  # a code, and so many bytes are there
             return self._bytes(found, len(found) if size is None else size)
         parts = [part for part in _GAPS.split(cell) if part]
         if len(parts) == 1 and plan.data_base == 16:

@@ -9,7 +9,8 @@
     505.7052;RX;0x1CFE5FFEx;3;0x01;0x01;0x00;;;;;;
 
 1. Every line is one of: frame, comment (between lines of `//`, these included), blank, unreadable.
-2. Times stay as written, from the start of the recording.
+2. Fewer bytes than the length, or a direction or number that is not understood, make a line unreadable.
+3. Times stay as written, from the start of the recording.
 
 *Facts*: files of the analyser and of SavvyCAN, which describes the columns: time, direction, identifier, length, bytes. An
 integer time is in milliseconds, one with a point in seconds. Bytes behind the length are padding.

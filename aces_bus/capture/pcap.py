@@ -1,9 +1,11 @@
 """What tcpdump and Wireshark write: pcap, and what it shares with pcapng (`pcapng.py`).
 
 1. Every packet is a frame, one of `others` in words, or unreadable with its reason; `lines` counts packets.
-2. A length above `MAX_BLOCK` is damage. Nothing says where the next packet begins then: the rest counts as one
-   unreadable object, with the offset at which it begins.
+2. A captured length above the original one, or above any CAN frame's, is damage: one unreadable object, with its offset.
+   Reading goes on where the next headers are in order (`_next_packet`). pcapng has no such place: there the rest is one.
 3. A buffer is walked from length to length; the packets found are turned into columns together.
+
+4. Files may be joined: each has its own byte order, unit of time and link type.
 
 *Facts*: draft-ietf-opsawg-pcap. The magic number says byte order and µs or ns. The upper half of the link type's word
 says how many check bytes follow, which CAN captures have none of.
@@ -19,12 +21,34 @@ import numpy as np
 
 from ..errors import CaptureError
 from ..frame_table import FrameTable, Ints
-from ._socketcan import GOOD, IS_XL, LINK_TYPES, PADDING, REASONS, Packets, decode, rows_of
+from ._socketcan import (
+    ERROR_BIT,
+    EXTENDED_BIT,
+    FRAME_AT,
+    GOOD,
+    IS_XL,
+    LINK_TYPES,
+    PADDING,
+    REASONS,
+    SOCKETCAN,
+    WIDE,
+    Packets,
+    decode,
+    rows_of,
+)
 from ._source import Source
 from .base import CanCapture
 
-#: Longer packets and blocks are taken for damage; a CAN frame has 72 bytes.
+#: Longer blocks of pcapng are taken for damage.
 MAX_BLOCK = 1 << 24
+#: The largest packet is a CAN XL frame with a cooked header: 2,080 bytes; and its header.
+_LARGEST, _HEAD = 1 << 12, 16
+#: Seconds between packets that are next to each other, at most.
+_FAR = 86_400
+#: Not a fault: another file begins where a packet might.
+_HEADER, _JOINED = 24, "joined"
+#: Packet headers in order, one behind the other, that make one believe the first.
+_WITNESSES = 3
 #: Read at once from a file, so that tables have some ten thousand rows.
 _BATCH = 1 << 20
 #: So many kinds of other things are named apart.
@@ -57,6 +81,8 @@ class PacketCapture(CanCapture):
         #: Bytes before the buffer at hand.
         self._before = 0
         self._is_damaged = False
+        #: Nothing follows the buffer at hand.
+        self._is_final = False
 
     @abstractmethod
     def _walk(self, buffer: bytes) -> tuple[list[FrameTable], int, int]:
@@ -83,10 +109,17 @@ class PacketCapture(CanCapture):
                 parts, size = [buffer[used:]], size - used
                 self._before += used
         buffer = b"".join(parts)
+        self._is_final = True
         tables, used, _ = self._walk(buffer)
         yield from tables
+        self._before += used
         if used < len(buffer) and not self._is_damaged:
             self._end(len(buffer) - used)
+        elif not self._is_damaged:
+            self._check_end(self._before)
+
+    def _check_end(self, size: int) -> None:
+        """The file has ended behind a whole object, after so many bytes."""
 
     def _give_up(self, offset: int, reason: str, excerpt: bytes) -> None:
         """Count the rest of the file as one unreadable object."""
@@ -113,7 +146,10 @@ class PacketCapture(CanCapture):
                 if code in REASONS:
                     start, size = int(starts[row]), int(sizes[row])
                     excerpt = view[start : start + min(size, 16)].tobytes().hex()
-                    self._unreadable(self.lines + row + 1, REASONS[code], excerpt.encode())
+                    reason = REASONS[code]
+                    if code == WIDE:
+                        reason += self._hint(view, start, int(links[row]), is_little)
+                    self._unreadable(self.lines + row + 1, reason, excerpt.encode())
                 elif code == IS_XL:
                     self._other("CAN XL frames")
                 else:
@@ -121,6 +157,18 @@ class PacketCapture(CanCapture):
         self.lines += len(starts)
         self.frames += int(is_good.sum())
         return packets, is_good
+
+    @staticmethod
+    def _hint(view: Ints, start: int, link: int, is_little: bool) -> str:
+        """Whether the identifier of an unreadable packet would be one with its bytes in the other order."""
+        start += FRAME_AT[link]
+        number = int.from_bytes(
+            view[start : start + 4].tobytes(), "big" if link != SOCKETCAN and is_little else "little"
+        )
+        if number & ERROR_BIT or not (0 < number & 0x1FFF_FFFF <= 0x7FF or number & EXTENDED_BIT):
+            return ""
+        number &= 0x1FFF_FFFF
+        return f"; with its bytes in the other order it is {number:#x}: the recorder may have written the wrong one"
 
     def _other(self, kind: str, number: int = 1) -> None:
         if kind not in self.others and len(self.others) >= _KINDS:
@@ -140,6 +188,8 @@ class PcapCapture(PacketCapture):
     def __init__(self, source: Source) -> None:
         super().__init__(source)
         self._order = ""
+        #: Where damage began, its reason, and how it looks.
+        self._damage: tuple[int, str, bytes] | None = None
         self._unit = 1
         self._link = 0
 
@@ -155,31 +205,65 @@ class PcapCapture(PacketCapture):
     def _walk(self, buffer: bytes) -> tuple[list[FrameTable], int, int]:
         position = 0
         if not self._order:
-            if len(buffer) < 24:
-                return [], 0, 24
+            if len(buffer) < _HEADER:
+                return [], 0, _HEADER
             if buffer[:4] not in _MAGIC:
                 raise CaptureError(f"{self.name}: not a pcap file: it begins with {buffer[:4].hex()}")
             self._header(buffer)
-            position = 24
-        length_at = struct.Struct(self._order + "I").unpack_from
+            position = _HEADER
+        tables: list[FrameTable] = []
+        while True:
+            if self._damage is None:
+                starts, position, needed, fault = self._packets(buffer, position)
+                tables += self._table(buffer, starts)
+                if fault == _JOINED:
+                    if len(buffer) - position < _HEADER:
+                        return tables, position, _HEADER
+                    try:
+                        self._header(buffer[position : position + _HEADER])
+                    except CaptureError as reason:
+                        self._give_up(position, f"{reason}: joined to this one", b"")
+                        return tables, position, 0
+                    position += _HEADER
+                    continue
+                if not fault:
+                    return tables, position, needed
+                excerpt = buffer[position : position + _HEAD].hex().encode()
+                self._damage, skip = (self._before + position, fault, excerpt), _HEAD
+            else:
+                skip = 0
+            found, position = self._next_packet(buffer, position + skip)
+            if not found:
+                return tables, position, len(buffer) - position + 1
+            self._end_damage(position)
+
+    def _packets(self, buffer: bytes, position: int) -> tuple[Ints, int, int, str]:
+        """Where packets begin, and where the next would; how many bytes it needs, and what is wrong with its header."""
+        lengths_at = struct.Struct(self._order + "II").unpack_from
         starts: list[Ints] = []
         singles: list[int] = []
-        end, needed, same, last, damaged = len(buffer), 16, 0, -1, 0
-        while position + 16 <= end:
-            size = length_at(buffer, position + 8)[0] + 16
-            if size > MAX_BLOCK:
-                damaged = size
+        end, needed, same, last, fault = len(buffer), _HEAD, 0, -1, ""
+        while position + _HEAD <= end:
+            captured, original = lengths_at(buffer, position + 8)
+            if captured > original or captured > _LARGEST:
+                limit = f"of {original} in all" if captured > original else "captured"
+                fault = f"a packet of {captured} bytes {limit}"
                 break
+            if not original and buffer[position : position + 4] in _MAGIC:
+                fault = _JOINED
+                break
+            size = captured + _HEAD
             if position + size > end:
                 needed = size
                 break
             same = same + 1 if size == last else 0
             last = size
-            if same == 8 and size % 4 == 0:  # records of one size mostly come in long runs
+            if (
+                same == 8
+            ):  # records of one size mostly come in long runs, and are compared by both lengths at once
                 same = 0
                 count = (end - position) // size
-                words = np.frombuffer(buffer, self._order + "u4", count * size // 4, position)
-                many = run_length(words.reshape(count, size // 4)[:, 2])
+                many = run_length(np.ndarray((count,), "u8", buffer, position + 8, (size,)))
                 starts += [np.array(singles, np.int64), position + np.arange(many, dtype=np.int64) * size]
                 singles = []
                 position += many * size
@@ -187,12 +271,46 @@ class PcapCapture(PacketCapture):
             singles.append(position)
             position += size
         starts.append(np.array(singles, np.int64))
-        tables = self._table(buffer, np.concatenate(starts))
-        if damaged:
-            self._give_up(
-                position, f"a packet of {damaged} bytes", buffer[position : position + 16].hex().encode()
-            )
-        return tables, position, needed
+        return np.concatenate(starts), position, needed, fault
+
+    def _next_packet(self, buffer: bytes, position: int) -> tuple[bool, int]:
+        """Whether there is a packet from here on, and where; otherwise from where to look when there is more."""
+        count = len(buffer) - _HEAD + 1 - position
+        if count <= 0:
+            return False, position
+        fraction, captured, original = (
+            np.ndarray((count,), self._order + "u4", buffer, position + at, (1,)) for at in (4, 8, 12)
+        )
+        may_be = (captured >= 8) & (captured <= original) & (original <= _LARGEST)
+        may_be &= fraction < 1_000_000_000 // self._unit
+        for place in (position + np.flatnonzero(may_be)).tolist():
+            believed = self._is_packet(buffer, place)
+            if believed is not False:
+                return believed is True, place
+        return False, position + count
+
+    def _is_packet(self, buffer: bytes, place: int) -> bool | None:
+        """Whether headers follow each other from here on, or one up to the end of the file; None: too little is there."""
+        head_at = struct.Struct(self._order + "IIII").unpack_from
+        limit, at, first = 1_000_000_000 // self._unit, place, -1
+        for _ in range(_WITNESSES):
+            if at + _HEAD > len(buffer):
+                return at == len(buffer) if self._is_final else None
+            seconds, fraction, captured, original = head_at(buffer, at)
+            first = seconds if first < 0 else first
+            if not 8 <= captured <= original <= _LARGEST or fraction >= limit or abs(seconds - first) > _FAR:
+                return False
+            at += _HEAD + captured
+        return at <= len(buffer) or not self._is_final
+
+    def _end_damage(self, position: int) -> None:
+        """Count what lies before this place of the buffer, and is no packet, as one unreadable object."""
+        assert self._damage is not None
+        offset, fault, excerpt = self._damage
+        self._damage = None
+        self.lines += 1
+        lost = self._before + position - offset
+        self._unreadable(self.lines, f"{fault} at offset {offset}; {lost} bytes are no packet", excerpt)
 
     def _table(self, buffer: bytes, starts: Ints) -> list[FrameTable]:
         n = len(starts)
@@ -214,6 +332,8 @@ class PcapCapture(PacketCapture):
     def _end(self, rest: int) -> None:
         if not self._order:
             raise CaptureError(f"{self.name}: not a whole pcap file: it ends within its header")
+        if self._damage is not None:
+            return self._end_damage(rest)
         self._give_up(0, f"the file ends {rest} bytes into a packet", b"")
 
 

@@ -4,6 +4,8 @@
    describe the section, its interfaces and names).
 2. A block whose length cannot be true ends the reading, as in `pcap.py`; what is wrong inside a block costs that block.
 3. A section's byte order, interfaces and their numbers are its own.
+4. What the file states about itself is compared with what was read: both lengths of a block, the captured and the original
+   length of a packet, and the length of a section where it states one.
 
 *Facts*: draft-ietf-opsawg-pcapng: section header 0x0A0D0D0A, interface description 1, packet 2 (old), simple packet 3,
 name resolution 4, interface statistics 5, enhanced packet 6, decryption secrets 10. Simple packets have no time.
@@ -119,6 +121,8 @@ class PcapngCapture(PacketCapture):
         self._order = ""
         self._interfaces: list[_Interface] = []
         self._dropped_before = 0  # in earlier sections, and by old packet blocks
+        #: Where the blocks of the section begin, and how many bytes it says that they have; below 0: it does not.
+        self._section = 0, -1
 
     def _walk(self, buffer: bytes) -> tuple[list[FrameTable], int, int]:
         """Find the blocks; packets are collected until something comes that changes what they mean."""
@@ -164,6 +168,10 @@ class PcapngCapture(PacketCapture):
             if kind in (SECTION, INTERFACE, STATISTICS):
                 tables += self._flush(buffer, packets)
                 packets = []
+            if kind == SECTION:
+                self._check_end(self._before + position)
+                stated = int.from_bytes(buffer[position + 16 : position + 24], self._endian, signed=True)
+                self._section = self._before + position + size, stated
             self._describe(kind, buffer[position + 8 : position + size - 4])
             position += size
         tables += self._flush(buffer, packets)
@@ -223,9 +231,10 @@ class PcapngCapture(PacketCapture):
             return []
         starts = np.concatenate(blocks)
         view = padded(buffer)
-        # The last two columns are, in a simple packet, data; they are not used then.
-        rows = np.ascontiguousarray(rows_of(view, starts, 24))
-        head = rows.view(self._order + "u4").astype(np.int64)
+        # The last columns are, in a simple packet, data; they are not used then.
+        rows = np.ascontiguousarray(rows_of(view, starts, 28))
+        words = rows.view(self._order + "u4")
+        head = words[:, :6].astype(np.int64)
         kind, total = head[:, 0], head[:, 1]
         is_simple, is_old = kind == SIMPLE, kind == OLD_PACKET
         at = starts + np.where(is_simple, 12, 28)
@@ -239,9 +248,10 @@ class PcapngCapture(PacketCapture):
         known = np.where(is_known, number, 0)
         room = total - np.where(is_simple, 16, 32)
         size = np.where(is_simple, np.minimum(np.minimum(head[:, 2], cuts[known]), room), head[:, 5])
-        is_bad = ~is_known | (size > room)
+        is_more = ~is_simple & (words[:, 5] > words[:, 6])
+        is_bad = ~is_known | (size > room) | is_more
         if is_bad.any():
-            return self._flush_without(buffer, starts, is_bad, is_known)
+            return self._flush_without(buffer, starts, is_bad, is_known, is_more)
         if is_old.any():
             drops = rows.view(self._order + "u2")[is_old, 5].astype(np.int64)
             self._dropped_before += int(drops[drops != 0xFFFF].sum())
@@ -264,7 +274,9 @@ class PcapngCapture(PacketCapture):
         np.bitwise_or(packets.flags, np.where(packets.flags & (RX | TX) == 0, ways, 0), out=packets.flags)
         return as_tables(packets, is_good, time, channel[is_good], self)
 
-    def _flush_without(self, buffer: bytes, starts: Ints, is_bad: Ints, is_known: Ints) -> list[FrameTable]:
+    def _flush_without(
+        self, buffer: bytes, starts: Ints, is_bad: Ints, is_known: Ints, is_more: Ints
+    ) -> list[FrameTable]:
         """Packets of which some are unreadable; those before and behind keep their order and their numbers."""
         tables: list[FrameTable] = []
         edges = np.flatnonzero(np.diff(is_bad.astype(np.int8))) + 1
@@ -274,11 +286,12 @@ class PcapngCapture(PacketCapture):
                 continue
             for row in part.tolist():
                 self.lines += 1
-                reason = (
-                    "more data than the block holds"
-                    if is_known[row]
-                    else "of an interface that is not described"
-                )
+                if not is_known[row]:
+                    reason = "of an interface that is not described"
+                elif is_more[row]:
+                    reason = "of which more is captured than there was"
+                else:
+                    reason = "with more data than the block holds"
                 start = int(starts[row])
                 self._unreadable(self.lines, f"a packet {reason}", buffer[start : start + 16].hex().encode())
         return tables
@@ -300,6 +313,14 @@ class PcapngCapture(PacketCapture):
                 if code == _PACKET_FLAGS and len(value) == 4:
                     ways[row] = _WAYS.get(int.from_bytes(value, self._endian) & 3, 0)
         return ways
+
+    def _check_end(self, size: int) -> None:
+        begin, stated = self._section
+        if size - begin < stated:
+            self.lines += 1
+            self._unreadable(
+                self.lines, f"the section states {stated:,} bytes, {size - begin:,} are there", b""
+            )
 
     def _end(self, rest: int) -> None:
         if not self._order:

@@ -29,7 +29,7 @@ from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable
 from ._seconds import ns_of
 from ._source import Source
 from ._spool import on_disk
-from .base import CanCapture
+from .base import REMOTE_AND_ERROR, CanCapture
 
 MAGIC = b"SQLite format 3\x00"
 COLUMNS = ("ts", "arbitration_id", "extended", "remote", "error", "dlc", "data")
@@ -180,7 +180,8 @@ class SqliteCapture(CanCapture):
         sizes = np.fromiter(map(len, data), np.int64, n)
         is_fd = sizes > 8
         limit = np.where((wide != 0) | (faulty != 0), 0x1FFF_FFFF, 0x7FF)
-        is_odd = (ids < 0) | (ids > limit) | ~_IS_FD_LENGTH[sizes]
+        is_odd = (asks != 0) & (faulty != 0)
+        is_odd |= (ids < 0) | (ids > limit) | ~_IS_FD_LENGTH[sizes]
         is_odd |= np.where(asks != 0, (length < 0) | (length > 8) | (sizes > 0), length != sizes)
         if is_odd.any():
             return self._one_by_one(zip(*columns, strict=True))
@@ -255,6 +256,8 @@ def _frame(row: _Row) -> Frame:
     for name, value in zip(COLUMNS[1:6], (identifier, extended, remote, error, dlc), strict=True):
         if type(value) is not int:
             raise CallerError(f"{name} is not an integer")
+    if remote and error:
+        raise CallerError(REMOTE_AND_ERROR)
     if remote:
         if not 0 <= dlc <= 8:
             raise CallerError(f"dlc {dlc} of a remote frame is outside 0…8")

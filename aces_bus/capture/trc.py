@@ -15,12 +15,15 @@
 
 1. Every line is one of: frame, comment or header (`;`), blank, something that is no frame (`others`), unreadable.
 2. Times are from 1970 when the file says when it starts, and from its start when it does not (1.0).
+3. A line whose bus, direction, length or number of bytes is not understood is unreadable: no default stands in. A column
+   that is not there, or is "-", says nothing.
 
 *Facts*: "PEAK CAN TRC File Format" of PEAK-System (2016 to 2023). Identifiers of 4 digits have 11 bits, of 8 digits 29.
 Types are DT (data), FD, FB (with bit rate switch), FE (with error state), BI (with both), RR (remote), ER (error frame), ST
 (hardware status), EC (error counters), EV (text); python-can takes FE and BI for other flags than PEAK states.
 *Choice*: buses count from 1 there and from 0 here; a version without a bus column gives no channel. The data of an error
-frame (kind, position, counters) is not kept: it is not that of an error frame elsewhere.
+frame (kind, position, counters) is not kept: it is not that of an error frame elsewhere; nor is its direction, as an error
+is of the bus.
 *Doubt*: whether the start time is local time or UTC the description does not say; it is taken as UTC, as in python-can.
 """
 
@@ -63,6 +66,7 @@ _DATA = {
     b"FE": FD | ERROR_STATE,
     b"BI": FD | BITRATE_SWITCH | ERROR_STATE,
 }
+_WAYS = {b"Rx": True, b"Tx": False, b"-": None, b"": None}
 _OTHERS = {b"ST": "hardware states", b"EC": "error counters", b"EV": "events"}
 _OLD_TYPES = (b"Rx", b"Tx", b"Warng", b"Error")
 _OLD_LINE = re.compile(rb"[0-9]{1,12}\)\s")
@@ -199,17 +203,21 @@ class TrcCapture(LineCapture):
                 found[column] = cells[number]
         time = self._instant(found.get("O", b""))
         bus = found.get("B", b"")
-        channel = one_less(int(bus)) if bus.isdigit() and len(bus) < 6 else None
+        channel = None if bus in (b"", b"-") else one_less(integer(bus, 10, "bus"))
         if kind == b"ER":
             return Row(Frame(0, channel=channel, is_error_frame=True), time)
+        way = found.get("d", b"")
+        if way not in _WAYS:
+            raise Unreadable(f"direction {printable(way)!r} is neither Rx nor Tx")
         if "I" not in found:
             raise Unreadable("no identifier")
         size = self._size(found, kind)
-        is_rx = {b"Rx": True, b"Tx": False}.get(found.get("d", b""))
         if kind == b"DT" and size > 8:
             self._other("J1939 messages longer than a frame")
             return None
-        return self._frame(found["I"], data, size, channel, is_rx, _DATA.get(kind, 0), kind == b"RR", time)
+        return self._frame(
+            found["I"], data, size, channel, _WAYS[way], _DATA.get(kind, 0), kind == b"RR", time
+        )
 
     def _size(self, found: dict[str, bytes], kind: bytes) -> int:
         if "l" in found:

@@ -95,6 +95,18 @@ LINES = {
         "2  ErrorFrame\tFlags = 0xe\tCodeExt = 0x20a2\tCode = 0x82\tID = 0\tDLC = 0\tPosition = 5\tLength = 11300",
         Frame(0, b"", 1.5, "1", is_error_frame=True),
     ),
+    "ID contradicts": (
+        "1  123  Rx d 1 11  Length = 0 BitCount = 0 ID = 292",
+        Frame(0x123, b"\x11", 1.5, "0", is_rx=True),
+    ),
+    "ID contradicts, 29 bits": (
+        "1  123x  Rx d 1 11  Length = 0 BitCount = 0 ID = 291",
+        Frame(0x123, b"\x11", 1.5, "0", is_extended_id=True, is_rx=True),
+    ),
+    "a name that reads as a number": (
+        "1  Beef  Rx d 1 11  Length = 0 BitCount = 0 ID = 291",
+        Frame(0x123, b"\x11", 1.5, "0", is_rx=True),
+    ),
     "FD": (fd(0x301000, 8), Frame(0x30A, bytes(range(8)), 1.5, "2", is_fd=True, is_rx=True)),
     "FD, long": (fd(0x301000, 64), Frame(0x30A, bytes(range(64)), 1.5, "2", is_fd=True, is_rx=True)),
     "FD, empty": (fd(0x301000, 0), Frame(0x30A, b"", 1.5, "2", is_fd=True, is_rx=True)),
@@ -149,6 +161,10 @@ def test_a_line_gives_its_frame(line: str, frame: Frame) -> None:
         ("CANFD 1 Rx 123 0 0 2 2 11 0 0 1000 0 0 0 0 0", "2 bytes are announced, and not so many"),
         ("CANFD 1 Rx 123 0 0 9 13 " + "00 " * 13, "a CAN FD frame cannot carry 13 data bytes"),
         ("CANFD 1 Rx 123 0 0 8", "a CANFD line needs"),
+        (fd(0x1000, 8).replace(" 8  8 ", " 9  8 "), "length code 9 means 12 bytes, and 8 are announced"),
+        (fd(0, 3).replace(" 3  3 ", " 5  3 "), "length code 5 means 5 bytes, and 3 are announced"),
+        ("CANFD 1 Rx 123 0 0 2 2 11 22", "the line ends before its flags"),
+        ("123456  ErrorFrame", "neither a frame nor an event"),
     ],
 )
 def test_a_faulty_line_is_counted_with_its_reason(line: str, reason: str) -> None:

@@ -16,17 +16,19 @@ from hypothesis import strategies as st
 
 from aces_bus.capture import CanCapture, blf, open_capture
 from aces_bus.capture.blf import BlfCapture
+from aces_bus.capture.write import open_writer
 from aces_bus.errors import CaptureError
 from aces_bus.frame import FD_LENGTHS, Frame
-from aces_bus.frame_table import NO_TIME
+from aces_bus.frame_table import NO_TIME, FrameTable
 
 START = 1436509052_250_000_000  # ns; 2015-07-10 06:17:32.250 UTC
 STAMP = 1_000_001
 
 
-def header(when: tuple[int, ...] = (2015, 7, 5, 10, 6, 17, 32, 250)) -> bytes:
-    """A file header with this start of the measurement."""
-    return (b"LOGG" + struct.pack("<L", 144)).ljust(40, b"\0") + struct.pack("<8H", *when) + bytes(88)
+def header(when: tuple[int, ...] = (2015, 7, 5, 10, 6, 17, 32, 250), objects: int = 0) -> bytes:
+    """A file header with this start of the measurement and number of objects."""
+    head = (b"LOGG" + struct.pack("<L", 144)).ljust(32, b"\0") + struct.pack("<LL", objects, 0)
+    return head + struct.pack("<8H", *when) + bytes(88)
 
 
 def thing(
@@ -196,6 +198,16 @@ def test_every_can_object_gives_its_frame(name: str, count: int) -> None:
             "a classic frame cannot carry 12 data bytes",
         ),
         (thing(101, fd_64(1, b"", 0x1010)), "a remote frame exists only in classic CAN"),
+        (thing(1, message(0x4000_0123)), "identifier 0x40000123 has bits that mean nothing"),
+        (thing(101, fd_64(0xA000_0123, b"", 0x1000)), "identifier 0xa0000123 has bits that mean nothing"),
+        (
+            thing(100, struct.pack("<HBBLLBBB5x64s", 1, 0, 15, 1, 0, 0, 1, 12, b"")),
+            "length code 15 means 64 bytes, and 12 are announced",
+        ),
+        (
+            thing(100, struct.pack("<HBBLLBBB5x64s", 1, 0, 8, 1, 0, 0, 0, 3, b"")),
+            "length code 8 means 8 bytes, and 3 are announced",
+        ),
     ],
 )
 def test_what_no_bus_carries_is_unreadable(one: bytes, reason: str) -> None:
@@ -375,6 +387,66 @@ def test_reading_goes_on_behind_junk(junk: bytes) -> None:
     frames, capture = read(log(*one[:100], junk, *one[100:]))
     assert numbers(frames) == list(range(200))
     assert capture.lines_unreadable == (len(junk) > 3)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3])
+def test_what_the_header_states_is_compared(parts: int) -> None:
+    """Objects that the header states and that are not there are one unreadable thing, wherever the log was cut."""
+    one = numbered(300)
+    pieces = [container(b"".join(one[start : start + 100])) for start in range(0, 100 * parts, 100)]
+    frames, capture = read(header(objects=300) + b"".join(pieces))
+    assert len(frames) == 100 * parts
+    missing = f"the header states 300 objects, {100 * parts} are there: {300 - 100 * parts} are missing"
+    assert [problem.reason for problem in capture.problems] == ([missing] if parts < 3 else [])
+    _, capture = read(header(objects=20) + pieces[0])  # a log that was not closed may state fewer
+    assert capture.problems == []
+
+
+@pytest.mark.parametrize("zeros", [1, 4, 8, 24, 25, 1000, 3 << 20])
+def test_zeros_at_the_end_are_padding(zeros: int) -> None:
+    """In the file, in its last container, and in both: nothing is missing, and nothing unreadable."""
+    one = b"".join(numbered(100))
+    for inside, outside in ((0, zeros), (zeros, 0), (zeros, zeros)):
+        whole = header(objects=100) + container(one + bytes(inside), method=0) + bytes(outside)
+        for times in (1, 2):  # zeros in front of a header, too
+            frames, capture = read(whole * times)
+            assert (len(frames), capture.problems) == (100 * times, [])
+    frames, capture = read(header() + container(one) + bytes(zeros) + container(one))
+    assert (len(frames), capture.lines_unreadable) == (200, zeros > 4)
+
+
+def test_logs_may_be_joined() -> None:
+    """Another header begins another log, with a start and a number of objects of its own."""
+    start = (2015, 7, 5, 10, 6, 17, 33, 250)
+    first = header(objects=12) + container(b"".join(numbered(10)))
+    frames, capture = read(first + header(start, objects=3) + container(b"".join(numbered(3))))
+    assert numbers(frames) == [*range(10), *range(3)]
+    assert [frame.timestamp for frame in frames] == [T] * 10 + [T + 1] * 3
+    assert [problem.reason for problem in capture.problems] == [
+        "the header states 12 objects, 10 are there: 2 are missing"
+    ]
+
+
+def test_a_log_that_ends_within_its_header_is_counted() -> None:
+    """As soon as the header can be told; before, it is refused."""
+    for end in range(72, 144):
+        frames, capture = read(header(objects=3)[:end])
+        assert (frames, len(capture.problems)) == ([], 1)
+        assert capture.problems[0].reason == "the file ends within its header of 144 bytes"
+
+
+def test_channel_0_comes_back() -> None:
+    """It is no channel, and written as channel 0 again, beside the others."""
+    things = [thing(1, struct.pack("<HBBL8s", channel, 0, 1, 1, b"a")) for channel in (0, 1, 2, 0)]
+    frames, _ = read(log(*things))
+    assert [frame.channel for frame in frames] == [None, "0", "1", None]
+    file = io.BytesIO()
+    with open_writer(file, "blf") as writer:
+        writer.write(FrameTable.from_frames(frames))
+    assert writer.lossy == {}
+    assert read(file.getvalue())[0] == frames
+    theirs: Any = can.BLFReader(io.BytesIO(file.getvalue()))
+    assert [message.channel for message in theirs] == [-1, 0, 1, -1]
 
 
 def test_a_cut_log_gives_what_it_holds() -> None:

@@ -158,6 +158,46 @@ def test_line_ends_and_byte_order_marks_do_not_matter(sample: Sample) -> None:
         assert capture.lines == line_count(content)
 
 
+CUT_BYTES = {
+    "asc": "1.0 1 123 Rx d 2 11 2",
+    "trc": ";$FILEVERSION=2.1\n1 1500.0 DT 1 0300 Rx - 2 11 2",
+    "busmaster": "***BUSMASTER Ver 2.4.0***\n***HEX***\n00:00:01:5000 Rx 1 0x023 s 2 11 2",
+    "crtd": "1.5 1R11 7E8 11 2",
+    "gvret": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,5F4,false,Rx,0,2,11,2",
+    "microchip": "1500;RX;0x21A;2;0x11;0x2",
+    "id-csv": "time;id;dlc;d0;d1\n1;123;2;11;2",
+}
+
+
+@pytest.mark.parametrize("form", CUT_BYTES)
+def test_half_a_byte_at_the_end_is_no_byte(form: str) -> None:
+    """A file that was cut within its last byte has no other byte there; with the line's end it is taken as written."""
+    for rest, unreadable in (("", 1), ("\n", 0), ("2", 0)):
+        with open_capture(io.BytesIO((CUT_BYTES[form] + rest).encode()), link="can", format=form) as capture:
+            tables = list(capture.tables()) if unreadable == 0 else whatever_of(capture)
+        assert (capture.lines_unreadable, sum(map(len, tables))) == (unreadable, 1 - unreadable)
+
+
+def whatever_of(capture: CanCapture) -> list[Any]:
+    """The tables of a recording that may hold no frame, and then is none."""
+    try:
+        return list(capture.tables())
+    except CaptureError:
+        return []
+
+
+@every
+def test_lines_that_end_with_a_carriage_return_alone_are_unreadable(sample: Sample) -> None:
+    """They are one line, whose beginning may look like a header: it is not taken for an empty recording."""
+    content = sample.content.replace(b"\r\n", b"\n")
+    if sample.kind != "lines" or sample.format in ("candump", "dxconf", "id-csv"):
+        pytest.skip("has no headers, or is refused")
+    capture = opened(content.replace(b"\n", b"\r"), sample.format)
+    assert isinstance(capture, CanCapture)
+    whatever_of(capture)
+    assert (capture.frames, capture.lines_unreadable) == (0, 1)
+
+
 @every
 def test_a_cut_recording_gives_what_was_whole(sample: Sample) -> None:
     """Cut at any byte: no exception but ours, everything counted, and the frames before the cut as they were."""

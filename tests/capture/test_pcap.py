@@ -347,15 +347,108 @@ def test_no_junk_does_harm(start: bytes, junk: bytes) -> None:
         pass
 
 
-def test_the_rest_of_a_damaged_file_is_one_unreadable() -> None:
-    """A length that cannot be true ends the reading; the offset says where."""
-    good = packet(0x123, b"\x01")
-    content = pcap([good] * 3) + struct.pack("<IIII", 1, 1, 1 << 30, 1 << 30) + pcap([good] * 3)
-    got, capture = read(content)
+BAD = struct.pack("<IIII", 1, 1, 1 << 30, 1 << 30)
+CUT = struct.pack("<IIII", 7, 3, 48, 16) + packet(0x123, b"\x01")
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        (BAD, f"a packet of {1 << 30} bytes captured at offset 120; 16 bytes are no packet"),
+        (CUT, "a packet of 48 bytes of 16 in all at offset 120; 32 bytes are no packet"),
+        (BAD + bytes(5000), f"a packet of {1 << 30} bytes captured at offset 120; 5016 bytes are no packet"),
+    ],
+)
+@pytest.mark.parametrize("before", [0, 30])
+@pytest.mark.parametrize("after", [1, 2, 30])
+@pytest.mark.parametrize("step", [1, 37, 1 << 20])
+def test_a_wrong_length_costs_its_packet(bad: bytes, reason: str, before: int, after: int, step: int) -> None:
+    """A captured length above the original one, or above a frame's, is unreadable; the next packet is found again."""
+    first = [packet(number, bytes([number])) for number in range(1, before + 1)]
+    last = [packet(number, bytes([number])) for number in range(101, 101 + after)]
+    content = pcap(first) + bad + pcap(last)[24:]
+
+    class Slow(io.BytesIO):
+        def read1(self, size: int | None = -1, /) -> bytes:
+            return super().read(step)
+
+    capture = open_capture(Slow(content), link="can")
+    got = list(capture)
+    check(capture, got)
+    assert [frame.arbitration_id for frame in got] == [*range(1, before + 1), *range(101, 101 + after)]
+    assert reasons(capture) == [reason.replace("120", str(24 + 32 * before))]
+    assert capture.problems[0].line == before + 1
+
+
+def test_a_long_run_ends_at_a_wrong_length() -> None:
+    """Also where many packets of one size are looked at together."""
+    content = bytearray(pcap([packet(1, b"\x01")] * 60))
+    struct.pack_into("<I", content, 24 + 32 * 40 + 12, 15)
+    got, capture = read(bytes(content))
+    assert len(got) == 59
+    assert reasons(capture) == [
+        f"a packet of 16 bytes of 15 in all at offset {24 + 32 * 40}; 32 bytes are no packet"
+    ]
+
+
+def test_what_follows_damage_to_the_end_is_one_unreadable() -> None:
+    """Where no packet is found any more, the rest counts once."""
+    got, capture = read(pcap([packet(1, b"")] * 3) + BAD + b"\xff" * 1000)
     assert len(got) == 3
     assert reasons(capture) == [
-        f"a packet of {(1 << 30) + 16} bytes at offset {24 + 3 * 32}; nothing behind it can be read"
+        f"a packet of {1 << 30} bytes captured at offset 120; 1016 bytes are no packet"
     ]
+
+
+def test_files_may_be_joined() -> None:
+    """Each with its own byte order, unit and link type; one that holds no CAN frames is unreadable."""
+    one = pcap([packet(1, b"a")], order="<")
+    two = pcap([packet(2, b"b")], order=">", nano=True, second=8)
+    got, capture = read(one + two + one)
+    assert [(frame.arbitration_id, frame.timestamp) for frame in got] == [(1, 7.0), (2, 8.0), (1, 7.0)]
+    assert capture.lines_unreadable == 0
+    got, capture = read(one + pcap([b"\0" * 60], link=1) + one)
+    assert len(got) == 1
+    assert "link type 1 (Ethernet)" in reasons(capture)[0]
+
+
+@pytest.mark.parametrize(("link", "header"), [(227, b""), (113, bytes(14) + b"\0\x0c")])
+def test_identifiers_in_the_wrong_byte_order_have_a_hint(link: int, header: bytes) -> None:
+    """What is unreadable and would be an identifier the other way round says so; what would not says nothing."""
+    order = "<" if link == 227 else ">"
+    wrong = header + packet(0x102, b"", order=order)
+    never = header + packet(0x04030201, b"", order=order)
+    _, capture = read(pcap([wrong, never], link=link))
+    assert reasons(capture) == [
+        "an 11-bit identifier above 0x7FF; with its bytes in the other order it is 0x102: the recorder may have"
+        " written the wrong one",
+        "an 11-bit identifier above 0x7FF",
+    ]
+
+
+@ORDERS
+def test_more_captured_than_there_was_is_unreadable(order: str) -> None:
+    """A pcapng packet whose captured length is above the original one costs itself."""
+    wrong = bytearray(enhanced(order, 0, 0, packet(1, b"a")))
+    struct.pack_into(order + "I", wrong, 24, 15)
+    good = enhanced(order, 0, 0, packet(2, b"b"))
+    got, capture = read(section(order) + interface(order) + good + bytes(wrong) + good)
+    assert [frame.arbitration_id for frame in got] == [2, 2]
+    assert reasons(capture) == ["a packet of which more is captured than there was"]
+
+
+@ORDERS
+@pytest.mark.parametrize("is_last", [True, False])
+def test_a_section_that_is_shorter_than_it_says_is_counted(order: str, is_last: bool) -> None:
+    """A file that was cut between two blocks is known by the length of its section, where it states one."""
+    blocks = interface(order) + enhanced(order, 0, 0, packet(1, b"a"))
+    for missing in (0, 64):
+        head = block(order, 0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, len(blocks) + missing))
+        got, capture = read(head + blocks + (b"" if is_last else section(order)))
+        assert len(got) == 1
+        assert reasons(capture) == (
+            [f"the section states {len(blocks) + 64} bytes, {len(blocks)} are there"] if missing else []
+        )
 
 
 def test_a_pipe_gives_packets_as_they_come() -> None:

@@ -115,6 +115,7 @@ def test_many_rows_come_in_pieces() -> None:
         ((1.0, 1, 0, 0, 0, 9, bytes(9)), "a CAN FD frame cannot carry 9 data bytes"),
         ((1.0, 1, 0, 0, 0, 9000, bytes(9000)), "a CAN FD frame cannot carry 9000 data bytes"),
         ((1.0, 1, 0, 1, 0, 9, b""), "dlc 9 of a remote frame is outside 0…8"),
+        ((1.0, 1, 0, 1, 1, 0, b""), "a frame is a remote frame or an error frame, not both"),
         ((1.0, 1, 0, 1, 0, 1, b"\x01"), "a remote frame carries no data and exists only in classic CAN"),
         ((1.0, 1, 0, 0, 0, 1, "\x01"), "data is not a blob"),
         ((1.0, 1, None, 0, 0, 0, b""), "extended is not an integer"),

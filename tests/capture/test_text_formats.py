@@ -107,6 +107,11 @@ LINES = {
         f"00:00:01:5000 Rx 1 0x023 x-fd 9 {ELEVEN}",
         Frame(0x23, TWELVE, 1.5, "0", True, is_fd=True, is_rx=True),
     ),
+    "busmaster, FD, a code that is a length, too": (
+        BUSMASTER,
+        f"00:00:01:5000 Rx 1 0x023 s-fd 12 {ELEVEN} {ELEVEN}",
+        Frame(0x23, TWELVE * 2, 1.5, "0", is_fd=True, is_rx=True),
+    ),
     "busmaster, error": (
         BUSMASTER,
         "00:00:01:5000 ERR 1 stuff",
@@ -180,6 +185,8 @@ FAULTS = {
         ("00:00:01:5000 Up 1 0x023 s 1 40", "direction 'Up' is neither"),
         ("00:00:01:5000 Rx 1 0x023 s 99 40", "length 99 is more than a frame holds"),
         ("00:00:01 Rx 1 0x023 s 1 40", "not a line of a BUSMASTER log"),
+        ("00:00:01:5000 Rx 1 0x023 s 1 40 41", "1 bytes are announced, 2 are there"),
+        (f"00:00:01:5000 Rx 1 0x023 s-fd 11 {ELEVEN}", "20 bytes are announced, 12 are there"),
     ],
     "microchip": [
         ("505.7063;RX;0x65;64;;;;;;;;;", "64 bytes are announced, 0 are there"),
@@ -197,6 +204,8 @@ FAULTS = {
         ("None,0x123,0,0,0,0,", "time 'None' is not a number"),
         ("1e99,0x123,0,0,0,0,", "the time is out of range"),
         ("1.5,0x123,0,1,0,9,", "asks for at most 8 bytes"),
+        ("1.5,0x4,0,0,1,8,WzQyLCA5XQ==", "8 bytes are announced, 7 are there"),
+        ("1.5,0x4,0,1,1,0,", "a frame is a remote frame or an error frame, not both"),
     ],
 }
 HEADS = {"gvret": GVRET, "crtd": CRTD, "busmaster": BUSMASTER, "microchip": MICROCHIP, "csv": CSV}
@@ -340,6 +349,16 @@ NAMED = {
         "1.5,123,1,1,0,01",
         Frame(0x123, b"\1", 1.5, is_fd=True, bitrate_switch=True),
     ),
+    "FD by its rate switch": (
+        "time,id,brs,data",
+        "1.5,123,1,01",
+        Frame(0x123, b"\1", 1.5, is_fd=True, bitrate_switch=True),
+    ),
+    "length code, byte columns": (
+        "time,id,dlc," + ",".join(f"d{n}" for n in range(24)),
+        f"1.5,123,12,{','.join(['aa'] * 24)}",
+        Frame(0x123, b"\xaa" * 24, 1.5, is_fd=True),
+    ),
     "of comma.ai": ("time,addr,bus,data", "1.5,0x123,0,0x0102", Frame(0x123, b"\1\2", 1.5, "0")),
     "of another": (
         "Bus,MessageID,Message,MessageLength",
@@ -372,6 +391,11 @@ def test_columns_are_told_by_their_names(head: str, line: str, frame: Frame) -> 
         ("time,id,data (dec)", "1.5,123,256", "byte 100 is more than 255"),
         ("time,id,data", "1.5,123," + "00" * 65, "65 bytes are more than a frame holds"),
         ("time,id,dlc,d0,d1,d2", "1.5,123,3,01,02,", "3 bytes are announced, 2 are there"),
+        ("time,id,dlc,data", "1.5,123", "2 columns; the header names more, and data, length in them"),
+        ("time,id,dlc,d0,d1", "1.5,12", "2 columns; the header names more, and length in them"),
+        ("time,id,dir,data", "1.5,123,up,01", "direction is 'up', neither received nor sent"),
+        ("time,id,fd,brs,data", "1.5,123,0,1,01", "exist only in CAN FD"),
+        ("time,id,fd,data", "1.5,123,0," + "00" * 12, "a classic CAN frame cannot carry 12 data bytes"),
     ],
 )
 def test_a_faulty_line_of_named_columns_is_counted(head: str, line: str, reason: str) -> None:

@@ -212,6 +212,8 @@ def test_what_is_no_frame_is_named_and_counted(version: str, line: str, kind: st
         ("1 1500.0 QQ 1 0300 Rx - 1 00", "message type 'QQ' is not known"),
         ("1 1500.0 DT 1", "no identifier"),
         ("1 1500.0 DT 1 0300", "no length"),
+        ("1 1500.0 DT x 0300 Rx - 1 00", "bus 'x' is not a decimal number"),
+        ("1 1500.0 DT 1 0300 Up - 1 00", "direction 'Up' is neither Rx nor Tx"),
         ("hello", "not a line of a trace of version 2.1"),
     ],
 )

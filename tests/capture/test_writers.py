@@ -52,8 +52,10 @@ def contents(draw: st.DrawFn) -> tuple[int, int, int, bytes]:
     """Identifier, flags, length and data of one possible frame."""
     way = draw(WAYS)
     kind = draw(st.sampled_from(["data", "data", "remote", "error", "fd"]))
-    if kind == "error":  # as Linux makes them: eight bytes
-        return draw(st.integers(0, 0x1FF)), ERROR | way, 8, draw(st.binary(min_size=8, max_size=8))
+    if kind == "error":  # Linux makes them with eight bytes, files may have any
+        flags = ERROR | way | draw(st.sampled_from([0, 0, 0, FD, FD | BITRATE_SWITCH, FD | ERROR_STATE]))
+        size = draw(st.sampled_from(FD_LENGTHS if flags & FD else [0, 8, 8, 3]))
+        return draw(st.integers(0, 0x1FF)), flags, size, draw(st.binary(min_size=size, max_size=size))
     extended = draw(st.booleans())
     identifier, flags = draw(WIDE if extended else STANDARD), way | EXTENDED * extended
     if kind == "remote":
@@ -153,12 +155,14 @@ class Limits:
     numbers: bool = False
     #: Received or sent: a frame of which it is not known comes back as received.
     directions: str = ""
-    #: Error frames come back without class, data and direction.
+    #: Error frames come back without class and data, or without data above 8 bytes.
     errors: str = ""
+    error_bytes: str = ""
     #: Times are in µs.
     microseconds: str = ""
-    #: Error frames come back without a direction.
-    error_directions: bool = False
+    #: Error frames come back without a direction, and without flags of CAN FD.
+    error_directions: str = ""
+    error_fd: str = ""
 
     def keep(self, row: Row) -> Row:
         """What comes back of a row."""
@@ -167,8 +171,12 @@ class Limits:
             channel = channel.removeprefix("can")
         if self.microseconds:
             time = (time + 500) // 1000 * 1000
-        if flags & ERROR and (self.errors or self.error_directions):
+        if flags & ERROR and self.error_directions:
             flags &= ~(RX | TX)
+        if flags & ERROR and self.error_fd:
+            flags &= ~(FD | BITRATE_SWITCH | ERROR_STATE)
+        if flags & ERROR and self.error_bytes:
+            length, data = min(length, 8), data[:8]
         if flags & ERROR and self.errors:
             identifier, length, data = 0, 0, b""
         elif self.directions and not flags & (RX | TX | ERROR):
@@ -178,11 +186,31 @@ class Limits:
 
 UNKNOWN = "unknown directions (written as received)"
 CLASSES = "classes and data of error frames"
+WAYS_OF_ERRORS, FD_ERRORS = "directions of error frames", "CAN FD flags of error frames"
 LIMITS: dict[str, Limits] = {
     "candump": Limits(),
-    "asc": Limits(numbers=True, directions=UNKNOWN, errors=CLASSES),
-    "blf": Limits(numbers=True, directions=UNKNOWN, error_directions=True),
-    "trc": Limits(numbers=True, directions=UNKNOWN, errors=CLASSES, microseconds="times finer than 1 µs"),
+    "asc": Limits(
+        numbers=True,
+        directions=UNKNOWN,
+        errors=CLASSES,
+        error_directions=WAYS_OF_ERRORS,
+        error_fd=FD_ERRORS,
+    ),
+    "blf": Limits(
+        numbers=True,
+        directions=UNKNOWN,
+        error_bytes="error frames with more than 8 bytes",
+        error_directions=WAYS_OF_ERRORS,
+        error_fd=FD_ERRORS,
+    ),
+    "trc": Limits(
+        numbers=True,
+        directions=UNKNOWN,
+        errors=CLASSES,
+        error_directions=WAYS_OF_ERRORS,
+        error_fd=FD_ERRORS,
+        microseconds="times finer than 1 µs",
+    ),
     "pcapng": Limits(),
     "mf4": Limits(),
 }
@@ -195,7 +223,10 @@ def check(form: str, rows: list[Row], *tables: FrameTable) -> None:
     assert read(form, content) == [limits.keep(row) for row in rows]
     lost = {
         limits.directions: sum(not row[3] & (RX | TX | ERROR) for row in rows),
-        limits.errors: sum(bool(row[3] & ERROR) for row in rows),
+        limits.errors: sum(bool(row[3] & ERROR and (row[2] or row[4])) for row in rows),
+        limits.error_bytes: sum(bool(row[3] & ERROR and row[4] > 8) for row in rows),
+        limits.error_directions: sum(bool(row[3] & ERROR and row[3] & (RX | TX)) for row in rows),
+        limits.error_fd: sum(bool(row[3] & ERROR and row[3] & FD) for row in rows),
     }
     expected = {words: count for words, count in lost.items() if words and count}
     assert {words: count for words, count in lossy.items() if words != limits.microseconds} == expected

@@ -64,6 +64,20 @@ def test_there_and_back(aces: Aces, plain: Path, tmp_path: Path, suffix: str) ->
     assert back.read_text(encoding="utf-8") == PLAIN
 
 
+@pytest.mark.parametrize(
+    ("suffix", "status"), [("asc", 1), ("blf", 1), ("trc", 1), ("pcapng", 0), ("mf4", 0)]
+)
+def test_the_direction_of_an_error_frame_is_a_loss(
+    aces: Aces, tmp_path: Path, suffix: str, status: int
+) -> None:
+    """Where the format has none it is said, and --strict knows it."""
+    log = tmp_path / "walk.log"
+    log.write_text("(1.0) can0 20000080#0000000000000000 T\n(1.1) can0 123#00 T\n", encoding="utf-8")
+    result = aces("convert", log, tmp_path / f"walk.{suffix}", "--strict")
+    assert result.status == status
+    assert any("1 directions of error frames" in line for line in result.messages) == bool(status)
+
+
 def test_serial_recordings(aces: Aces, tmp_path: Path) -> None:
     """Raw bytes become a hex dump and come back; the summary counts bytes."""
     raw, dump, back = tmp_path / "a.bin", tmp_path / "a.dxconf.txt", tmp_path / "b.bin"

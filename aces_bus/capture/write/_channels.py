@@ -49,7 +49,7 @@ def _claim(name: str | None) -> int:
 
 
 class ChannelNumbers(_Map):
-    """Names → numbers from 1, the digits at their end plus one.
+    """Names → numbers from 1, the digits at their end plus one; `none` is for frames without a channel, if there is one.
 
     >>> numbers = ChannelNumbers()
     >>> numbers.row(Channels(["can0", "1", "vcan4", None, "can1"]), 4)
@@ -58,13 +58,15 @@ class ChannelNumbers(_Map):
     3
     """
 
-    def __init__(self, limit: int = 0xFFFF) -> None:
+    def __init__(self, limit: int = 0xFFFF, none: int | None = None) -> None:
         super().__init__()
-        self._limit = limit
+        self._limit, self._none = limit, none
         self._taken: set[int] = set()
         self._free = 1
 
     def _of(self, name: str | None) -> int:
+        if name is None and self._none is not None:
+            return self._none
         found = _DIGITS.fullmatch(name) if name is not None else None
         number = int(found[1]) + 1 if found else 0
         if not 0 < number <= self._limit or number in self._taken:

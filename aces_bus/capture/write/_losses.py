@@ -9,10 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...frame_table import ERROR, NO_TIME, REMOTE, RX, TX, FrameTable, Ints
+from ...frame_table import ERROR, FD, NO_TIME, REMOTE, RX, TX, FrameTable, Ints
 
 UNKNOWN_TIMES = "unknown times (written as the start)"
 UNKNOWN_DIRECTIONS = "unknown directions (written as received)"
+ERROR_DIRECTIONS = "directions of error frames"
+ERROR_FD = "CAN FD flags of error frames"
 ERROR_CLASSES = "classes and data of error frames"
 
 
@@ -32,8 +34,16 @@ class Losses:
         return {**self.counts, "channel names": names} if names else dict(self.counts)
 
     def directions(self, table: FrameTable) -> None:
-        """Count frames that do not say which way they went; error frames go neither."""
-        self.add(UNKNOWN_DIRECTIONS, np.count_nonzero(table.flags & (RX | TX | ERROR) == 0))
+        """Count frames that do not say which way they went, and error frames that do: in these formats they go neither."""
+        is_error, has_way = table.flags & ERROR != 0, table.flags & (RX | TX) != 0
+        self.add(UNKNOWN_DIRECTIONS, np.count_nonzero(~(is_error | has_way)))
+        self.add(ERROR_DIRECTIONS, np.count_nonzero(is_error & has_way))
+
+    def error_fd(self, table: FrameTable) -> None:
+        """Count error frames in CAN FD."""
+        is_error = table.flags & ERROR != 0
+        if is_error.any():
+            self.add(ERROR_FD, np.count_nonzero(is_error & (table.flags & FD != 0)))
 
     def error_classes(self, table: FrameTable) -> None:
         """Count error frames that say more than that there was one."""

@@ -79,6 +79,7 @@ class AscWriter:
         self._begin()
         self._losses.directions(table)
         self._losses.error_classes(table)
+        self._losses.error_fd(table)
         for rows in blocks(len(table)):
             self._file.write(self._lines(table.take(rows), offsets[rows]))
 

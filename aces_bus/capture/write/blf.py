@@ -1,7 +1,8 @@
 """Vector's binary log: a header, then containers of objects, packed with zlib.
 
 1. Times are ns from the start that the header states, in whole ms (UTC, as with python-can).
-2. The header has the sizes and the number of objects, and is written at the end once more.
+2. A frame without a channel has channel 0, which is none where channels count from 1, and comes back so.
+3. The header has the sizes and the number of objects, and is written at the end once more.
 
     header 144: LOGG, …, sizes, number of objects, start, end
     object: LOBJ, u16 header size, u16 version, u32 size, u32 type, | u32 flags (2: ns), u16, u16, u64 time, | …
@@ -108,7 +109,7 @@ class BlfWriter:
     def __init__(self, file: BinaryIO, name: str) -> None:
         self._file = file
         self._begin = file.tell()
-        self._numbers = ChannelNumbers()
+        self._numbers = ChannelNumbers(none=0)
         self._losses = Losses()
         self._start = StartTime(self._losses, lambda first: first - first % 1_000_000)
         self._kept = bytearray()
@@ -127,6 +128,7 @@ class BlfWriter:
             return
         offsets = self._start.offsets(table)
         self._losses.directions(table)
+        self._losses.error_fd(table)
         is_long = (table.flags & ERROR != 0) & (table.length > 8)
         self._losses.add("error frames with more than 8 bytes", np.count_nonzero(is_long))
         numbers = self._numbers.numbers(table)

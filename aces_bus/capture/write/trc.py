@@ -86,6 +86,7 @@ class TrcWriter:
         self._begin()
         self._losses.directions(table)
         self._losses.error_classes(table)
+        self._losses.error_fd(table)
         self._losses.add("times finer than 1 µs", np.count_nonzero(offsets % 1000))
         for rows in blocks(len(table)):
             self._file.write(self._lines(table.take(rows), offsets[rows]))
