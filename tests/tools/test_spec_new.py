@@ -40,6 +40,7 @@ def test_what_is_written_passes_at_once(made: Path) -> None:
         "-q",
         "-p",
         "no:cacheprovider",
+        "--hypothesis-seed=1",
         "-c",
         os.devnull,
         "--rootdir",
