@@ -101,7 +101,7 @@ class Terminal:
             text=True,
             encoding="utf-8",
             env={**os.environ, "PYTHONPATH": path},
-            timeout=120,
+            timeout=300,
         )
         return done.stdout + done.stderr, done.returncode
 
