@@ -50,7 +50,8 @@ def _draw_no_constants_of_modules() -> None:
         from hypothesis.internal.conjecture import providers
     except ImportError:  # older releases do not
         return
-    vars(providers)["_get_local_constants"] = lambda: vars(providers)["_local_constants"]
+    module: Any = providers
+    module._get_local_constants = lambda: module._local_constants
 
 
 _draw_no_constants_of_modules()

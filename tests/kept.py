@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -69,7 +69,7 @@ def replay(test: Callable[..., Any], node: str, fixtures: Mapping[str, Any], fol
     files = [
         path for path in sorted(folder.glob("*.txt")) if path.read_text("utf-8").startswith(f"# {node}\n")
     ]
-    for path in files if handle is not None else ():
+    for path in files:
         lines = (line.partition(" = ") for line in path.read_text("utf-8").splitlines() if line[:1] != "#")
         try:
             handle.inner_test(**fixtures, **{name: _read(value) for name, _, value in lines})
@@ -84,7 +84,7 @@ def replay(test: Callable[..., Any], node: str, fixtures: Mapping[str, Any], fol
 @contextmanager
 def keeping(
     test: Callable[..., Any], node: str, fixtures: Mapping[str, Any], folder: Path = FAILURES
-) -> Iterator[None]:
+) -> Generator[None]:
     """Write the arguments of the last failing call of a test of Hypothesis (the smallest) when it fails."""
     handle: Any = getattr(test, "hypothesis", None)
     if handle is None:
