@@ -1,20 +1,30 @@
 # Python 3.11 or later and make are all this needs. `make help` lists the targets.
 #
 # 1. The environment is made once: a stamp in it says what is installed, pyproject.toml makes it stale.
-# 2. `demo` installs the package and what draws; what tests and checks need is fetched when they are asked for.
+# 2. Tests and checks run with the releases that constraints.txt names, the same on every machine; users get the package's own
+#    ranges.
+# 3. `demo` installs the package and what draws; what tests and checks need is fetched when they are asked for.
 
 PYTHON ?= python3
 VENV   ?= .venv
 JOBS   ?= 2
 ARGS   ?=
-# Examples per property in `make test-long`.
+# Examples per property in `make test-long`, and the seed they are drawn from: `make test-long SEED=N` draws them again.
 ACES_EXAMPLES ?= 2000
+SEED   ?= $(shell date +%s)
+# How often `make test-steady` runs the tests.
+RUNS   ?= 20
+
+# Tests start our programs some hundred times: without their bytecode each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
+# What is installed is tested, whatever else the caller's shell puts on the path or says to pytest.
+unexport PYTHONPATH PYTEST_ADDOPTS HYPOTHESIS_PROFILE
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-long test-socketcan soak stops check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-long test-steady constraints test-socketcan soak stops check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -38,9 +48,9 @@ $(VENV)/.demo: $(VENV)/.run
 	@echo "installing matplotlib into $(VENV) (once)"
 	@$(PIP) --editable '.[plot]' && touch $@ || echo "not installed: the demo draws in the terminal alone" >&2
 
-$(VENV)/.dev: $(VENV)/.python pyproject.toml
+$(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "installing aces-bus and its development tools into $(VENV) (once)"
-	@$(PIP) --editable '.[dev]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/.run
 
 $(VENV)/.bench: $(VENV)/.python pyproject.toml
@@ -64,12 +74,16 @@ demo: $(VENV)/.demo ## decode the captures in examples/captures, draw a message;
 	@echo
 	$(BIN)/aces demo
 
-test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
-	$(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q
 
-test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property
-	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) \
-	  $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q $(ARGS)
+test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
+	$(PYTEST) $(ARGS)
+
+test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property, drawn anew; SEED=N draws them again
+	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) $(PYTEST) --hypothesis-seed=$(SEED) $(ARGS)
+
+test-steady: $(VENV)/.dev ## run the tests RUNS (20) times under other hash seeds, every third beside a busy machine
+	$(BIN)/python tests/steady.py --runs $(RUNS) --jobs $(JOBS) -- $(ARGS)
 
 test-socketcan: $(VENV)/.dev ## SocketCAN with a real kernel under QEMU (a minute; needs Debian and qemu-system-x86)
 	$(BIN)/python tests/socketcan/run.py $(ARGS)
@@ -105,6 +119,15 @@ bench-framings: $(VENV)/.bench ## UBX, MAVLink and NMEA beside their usual libra
 
 golden: $(VENV)/.dev ## write the golden files anew; read the diff before you commit it
 	$(BIN)/python -m pytest tests -q --update-golden $(ARGS)
+
+constraints: ## pin anew what tests and checks run with, in an environment of its own
+	rm -rf $(VENV)-pinned
+	$(PYTHON) -m venv $(VENV)-pinned
+	$(VENV)-pinned/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	sed -n '/^#/p' constraints.txt > $(VENV)-pinned/constraints.txt
+	$(VENV)-pinned/bin/python -m pip freeze --exclude-editable >> $(VENV)-pinned/constraints.txt
+	mv $(VENV)-pinned/constraints.txt constraints.txt
+	rm -rf $(VENV)-pinned
 
 clean: ## remove what was made, .venv included
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

@@ -1,34 +1,63 @@
 """What every test may use: Hypothesis profiles, the shared recordings, golden files.
 
-1. A random test says how to repeat it: Hypothesis prints the blob, and keeps failing examples in `.hypothesis`.
+1. The short profile draws the same on every machine. The long one draws anew from the seed that `make test-long` prints,
+   and keeps what fails as files that both replay first (`tests/kept.py`).
 2. A test that lacks its material skips and says which; it never passes by finding nothing.
 """
 
 from __future__ import annotations
 
 import difflib
+import gc
 import os
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests import kept
+
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = ROOT / "tests" / "golden"
 
-# No deadline and no health check of speed: both fail on a busy machine, not on a fault.
+# No deadline and no health check of speed: both fail on a busy machine, not on a fault. Nothing is taken from, or left in,
+# a database: what failed elsewhere, or before, changes no result here. All is said here, for defaults differ under CI.
 settings.register_profile(
-    "short", max_examples=12, deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
+    "short",
+    max_examples=12,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    print_blob=False,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.register_profile(
-    "long", parent=settings.get_profile("short"), max_examples=int(os.environ.get("ACES_EXAMPLES", "2000"))
+    "long",
+    parent=settings.get_profile("short"),
+    max_examples=int(os.environ.get("ACES_EXAMPLES", "2000")),
+    derandomize=False,
 )
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "short")
 settings.load_profile(PROFILE)
 
+
+def _draw_no_constants_of_modules() -> None:
+    """Hypothesis mixes in the constants of the modules that happen to be imported: which ones, the other tests decide."""
+    try:
+        from hypothesis.internal.conjecture import providers
+    except ImportError:  # older releases do not
+        return
+    module: Any = providers
+    module._get_local_constants = lambda: module._local_constants
+
+
+_draw_no_constants_of_modules()
+
 # Programs, and files that tests read; none of them is a test or holds a doctest.
-collect_ignore = ["pristine.py", "bench/framings.py", "bench/soak.py", "socketcan/run.py"]
+collect_ignore = ["pristine.py", "steady.py", "bench/framings.py", "bench/soak.py", "socketcan/run.py"]
 collect_ignore_glob = ["golden/*", "data/*"]
 
 Golden = Callable[[str, str], None]
@@ -42,6 +71,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_configure() -> None:
+    # What a shell starts in the background ignores Ctrl-C, and so would every program that a test starts and interrupts.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if PROFILE != "long":
         skip = pytest.mark.skip(reason="takes minutes: HYPOTHESIS_PROFILE=long, or `make test-long`")
@@ -52,6 +87,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         others = [item for item in items if "golden" not in getattr(item, "fixturenames", ())]
         config.hook.pytest_deselected(items=others)
         items[:] = [item for item in items if "golden" in getattr(item, "fixturenames", ())]
+
+
+def pytest_collection_finish() -> None:
+    # What is imported and collected stays to the end: looking through it again and again for garbage costs much time.
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
+    """A drawn test meets first what once broke it; the long profile keeps what breaks it now."""
+    test: Any = pyfuncitem.obj
+    if not hasattr(test, "hypothesis"):
+        return (yield)
+    fixtures = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
+    kept.replay(test, pyfuncitem.nodeid, fixtures)
+    if PROFILE != "long":
+        return (yield)
+    with kept.keeping(test, pyfuncitem.nodeid, fixtures):
+        return (yield)
 
 
 @pytest.fixture(scope="session")

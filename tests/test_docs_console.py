@@ -87,7 +87,8 @@ class Terminal:
         assert name in ("python", "pytest"), f"a page may type cd, aces, sed, python and pytest, not {name}"
         command = [sys.executable]
         if name == "pytest":
-            command += ["-m", "pytest", "-p", "no:cacheprovider", "-c", os.devnull, "--rootdir", "."]
+            command += ["-m", "pytest", "-p", "no:cacheprovider", "--hypothesis-seed=1"]
+            command += ["-c", os.devnull, "--rootdir", "."]
             # The plug-in is loaded by its entry point where the package is installed; here it may not be.
             if not any("aces_bus" in point.value for point in entry_points(group="pytest11")):
                 command += ["-p", "aces_bus.testing.plugin"]
@@ -101,7 +102,7 @@ class Terminal:
             text=True,
             encoding="utf-8",
             env={**os.environ, "PYTHONPATH": path},
-            timeout=120,
+            timeout=300,
         )
         return done.stdout + done.stderr, done.returncode
 

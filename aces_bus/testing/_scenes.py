@@ -80,6 +80,8 @@ def draw_stream(wire: Wire, direction: Way, source: Source, *, size: int = 400) 
     packets: list[Packet] = []
     while len(data) < size and not source.is_dry:
         how, part = source.integer(0, 31), source.branch()
+        if how == 0 and part.is_dry:
+            continue  # zeros are nothing, so that shrinking drops a part wherever it is
         if how == 31:
             idle_at.append(len(data))
             continue
@@ -249,6 +251,8 @@ def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -
     time: float | None = 0.0 if source.integer(0, 3) else None
     while len(frames) < size and not source.is_dry:
         how, part = source.integer(0, 31), source.branch()
+        if how == 0 and part.is_dry:
+            continue  # zeros are nothing, so that shrinking drops a part wherever it is
         channel = part.choice((None, None, None, "can0", "can1"))
         if time is not None:
             time = round(time + part.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)

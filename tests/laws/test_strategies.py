@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import subprocess
 import sys
 from typing import Any
@@ -44,21 +45,17 @@ def _hear(scanner: Scanner, packet: Packet) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", [*REGISTERED, "ubx", "nmea0183", "opaque_corners", "can_corners"])
-def test_strategies_draw_valid_packets(name: str) -> None:
+@settings(max_examples=30)
+@given(st.data())
+def test_strategies_draw_valid_packets(name: str, data: st.DataObject) -> None:
     """`packets` and `fields` give what `message.struct` builds and reads."""
     variant = PROTOCOLS[name].variant()
-
-    @settings(max_examples=30)
-    @given(st.data())
-    def holds(data: st.DataObject) -> None:
-        packet = data.draw(strategies.packets(variant))
-        request = packet.request.values if packet.request is not None else packet.values
-        read = plain(packet.message.struct.parse(packet.image, raw=True, request=request))
-        assert {k: read[k] for k in packet.values} == plain(packet.values)
-        values = data.draw(strategies.fields(packet.message))
-        assert set(values) <= set(packet.message.fields)
-
-    holds()
+    packet = data.draw(strategies.packets(variant))
+    request = packet.request.values if packet.request is not None else packet.values
+    read = plain(packet.message.struct.parse(packet.image, raw=True, request=request))
+    assert {k: read[k] for k in packet.values} == plain(packet.values)
+    values = data.draw(strategies.fields(packet.message))
+    assert set(values) <= set(packet.message.fields)
 
 
 @pytest.mark.parametrize("name", REGISTERED)
@@ -69,7 +66,7 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
         scanner = make_scanner([variant], direction=direction, everything=True)
         reasons: set[str] = set()
         decoded = total = 0
-        for seed in range(1, 30):
+        for seed in range(1, 20):
             (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed))
             scanner.reset()
             given = laws.play(scanner, scene)
@@ -89,9 +86,15 @@ def test_a_wire_shrinks_to_little() -> None:
     def has_reset(scene: laws.Scene) -> bool:
         return any(p.message.name == "Reset" for p in scene.packets)
 
-    scene = find(strategies.streams(variant, "to device"), has_reset, settings=settings(max_examples=2000))
-    assert len(scene.packets) <= 2
-    assert len(scene.words) <= 40
+    for seed in (1, 2):
+        scene = find(
+            strategies.streams(variant, "to device"),
+            has_reset,
+            settings=settings(max_examples=2000),
+            random=random.Random(seed),
+        )
+        assert len(scene.packets) <= 2
+        assert len(scene.words) <= 40
 
 
 def test_a_dry_source_gives_the_simplest() -> None:

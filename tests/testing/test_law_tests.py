@@ -41,7 +41,17 @@ packet("Level", payload=Struct("tank" / Byte, "level" / Clipped(Int16ul)))
 def _run(folder: Path, test: str, *options: str) -> subprocess.CompletedProcess[str]:
     """Run pytest on a test file, with the plug-in, also where the package is not installed anew."""
     (folder / "test_it.py").write_text(test)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py", *options]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--hypothesis-seed=1",
+        "test_it.py",
+        *options,
+    ]
     if not any(point.name == "aces_bus" for point in entry_points(group="pytest11")):
         command += ["-p", "aces_bus.testing.plugin"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -51,7 +61,7 @@ def test_a_broken_spec_fails_with_a_drawing_and_a_capture(tmp_path: Path) -> Non
     """One law fails, as a test of its own; it shows the scene, and says what repeats it."""
     (tmp_path / "my_spec.py").write_text(SPEC)
     test = 'from aces_bus.testing import law_tests\n\ntest_laws = law_tests("my_spec.py", laws=[1, 8])\n'
-    done = _run(tmp_path, test, "--aces-failures", "found", "--aces-examples", "40", "--hypothesis-seed=1")
+    done = _run(tmp_path, test, "--aces-failures", "found", "--aces-examples", "40")
     assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
     assert "test_laws[1-round-trip-mine-any]" in done.stdout
     assert "0000  AA 03 " in done.stdout  # the smallest packet there is

@@ -14,7 +14,7 @@ import pytest
 
 from aces_tools.bus_arg import ChosenBus
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 _numbers = itertools.count()
 
 

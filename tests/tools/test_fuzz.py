@@ -188,11 +188,11 @@ def test_ctrl_c_ends_with_the_summary(here: Path) -> None:
         "kept",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        limit = time.monotonic() + 30
+        limit = time.monotonic() + 120
         while not (here / "kept").exists() and time.monotonic() < limit:
             time.sleep(0.02)  # until it is at work: it keeps its first scenes at once
         running.send_signal(signal.SIGINT)
-        _, err = running.communicate(timeout=30)
+        _, err = running.communicate(timeout=120)
     assert running.returncode == 130, err
     assert "Traceback" not in err
     assert err.splitlines()[-1].startswith("interrupted: examples=")

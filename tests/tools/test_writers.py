@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aces_bus.frame import Frame
@@ -35,6 +35,8 @@ from tests.specs.catalogue import SPECS
 PROTOCOLS: dict[str, Protocol] = {name: load_protocol(name) for name in list_protocols()} | SPECS
 #: One variant of each, in one direction: writers know neither dialects nor configurations.
 CASES = [next(iter(laws.wires(protocol))) for protocol in PROTOCOLS.values()]
+#: A writer knows no protocols either: the cases share the examples.
+EXAMPLES = max(4, settings().max_examples // 3)
 
 
 def items_of(variant: Variant, way: Any, scene: Any) -> list[Any]:
@@ -59,6 +61,7 @@ def plain(value: Any) -> Any:
 
 
 @pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
+@settings(max_examples=EXAMPLES)
 @given(data=st.data())
 def test_record_lines_say_what_records_hold(variant: Variant, way: Any, data: st.DataObject) -> None:
     """One line an item, and reading the line gives the record's values, whatever came over the wire."""
@@ -85,6 +88,7 @@ def test_record_lines_say_what_records_hold(variant: Variant, way: Any, data: st
 
 
 @pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
+@settings(max_examples=EXAMPLES)
 @given(data=st.data())
 def test_text_is_safe_and_whole(variant: Variant, way: Any, data: st.DataObject) -> None:
     """Without a terminal one item is one line; nothing printed is a control character; a width is kept, word by word."""
@@ -119,6 +123,7 @@ STYLE_MARKS = _marks()
 
 
 @pytest.mark.parametrize(("variant", "way"), CASES, ids=str)
+@settings(max_examples=EXAMPLES)
 @given(data=st.data())
 def test_rows_have_the_columns_of_the_header(variant: Variant, way: Any, data: st.DataObject) -> None:
     """Every row of both forms of CSV has as many cells as the header, whatever the values."""
