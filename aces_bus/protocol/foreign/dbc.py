@@ -19,7 +19,7 @@ from ..spec.protocol import Protocol
 from .build import build
 from .names import unused
 from .problems import Imported, Problem, excerpt
-from .statements import Statement, grouped, joined, resplit, safe, split, usable
+from .statements import MESSAGE, Statement, grouped, joined, resplit, safe, split, usable
 
 #: Bytes of the largest file that is read.
 MOST_BYTES = 64 * 1024 * 1024
@@ -295,31 +295,43 @@ def _searched(path: str, statements: list[Statement]) -> tuple[Any, list[Problem
     return database, problems, essential
 
 
+_PLACED = re.compile(r"\s*SG_\s+(\w+)[^:]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
+#: Characters of the names that cantools may have replaced by longer ones (attributes of the database say which).
+_SHORTENED = 32
+
+
 class _Declared:
     """Where messages and signals of a DBC were declared."""
 
     def __init__(self, statements: Sequence[Statement]) -> None:
-        self._messages: dict[int, list[Statement]] = {}
+        self._messages: dict[int, list[tuple[str, Statement]]] = {}
         for one in statements:
-            found = re.match(r"\s*BO_\s+(\d+)\s", one.text) if one.word == "BO_" else None
+            found = MESSAGE.match(one.text) if one.word == "BO_" else None
             if found is not None:
-                self._messages.setdefault(int(found[1]), []).append(one)
-        self._seen: dict[int, int] = {}
+                self._messages.setdefault(int(found[1]), []).append((found[2], one))
+        #: Of the message asked about last: the lines of its signals by place, with their names.
+        self._signals: tuple[Statement | None, dict[tuple[int, int], list[tuple[str, int]]]] = (None, {})
 
     def __call__(self, message: Any, signal: Any) -> int:
         number = message.frame_id | (1 << 31 if message.is_extended_frame else 0)
         blocks = self._messages.get(number, [])
-        named = [b for b in blocks if re.search(rf"\s{re.escape(message.name)}\s*:", b.text)] or blocks
+        named = [one for name, one in blocks if name == message.name] or [one for _, one in blocks]
         if not named:
             return 0
+        block = named[0]
         if signal is None:
-            return named[0].line
-        for one in named[0].inner:
-            place = rf"\s*SG_\s+(\w+)[^:]*:\s*{signal.start}\s*\|\s*{signal.length}\s*@"
-            found = re.match(place, one.text)
-            if found is not None and (found[1] == signal.name or len(found[1]) >= 32):
-                return one.line
-        return named[0].line
+            return block.line
+        if self._signals[0] is not block:
+            places: dict[tuple[int, int], list[tuple[str, int]]] = {}
+            for one in block.inner:
+                found = _PLACED.match(one.text)
+                if found is not None:
+                    places.setdefault((int(found[2]), int(found[3])), []).append((found[1], one.line))
+            self._signals = block, places
+        for name, line in self._signals[1].get((signal.start, signal.length), ()):
+            if name == signal.name or len(name) >= _SHORTENED:
+                return line
+        return block.line
 
 
 class _Search:

@@ -25,7 +25,7 @@ KEYWORDS = (
 # fmt: on
 _START = re.compile(rf"[ \t]*({'|'.join(KEYWORDS)})(?![A-Za-z0-9_])")
 _QUOTES = re.compile(r'\\"|"')
-_MESSAGE = re.compile(r"\s*BO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
+MESSAGE = re.compile(r"\s*BO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
 _SIGNAL = re.compile(r"\s*SG_\s+(\w+)\s*(?:(\w+)\s*)?:\s*(\d+)\s*\|\s*(\d+)\s*@\s*(\d+)")
 _REFERENCE = re.compile(r"\s*(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+(\w+)")
 _MUX = re.compile(r"\s*SG_MUL_VAL_\s+(\d+)\s+(\w+)\s+(\w+)\s+(.*?);", re.DOTALL)
@@ -142,14 +142,14 @@ def safe(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
                 if reason:
                     statement.inner.remove(signal)
                     problems.append(signal.problem(f"{reason}: left out"))
-            if head := _MESSAGE.match(statement.text):
+            if head := MESSAGE.match(statement.text):
                 known = signals.setdefault(str(int(head[1])), set())
                 known.update(m[1] for one in statement.inner if (m := _SIGNAL.match(one.text)))
         kept.append(statement)
     crowded = _crowded(kept)
     left: list[Statement] = []
     for statement in kept:
-        head = _MESSAGE.match(statement.text) if statement.word == "BO_" else None
+        head = MESSAGE.match(statement.text) if statement.word == "BO_" else None
         reference = _REFERENCE.match(statement.text) if statement.word in ("VAL_", "SIG_VALTYPE_") else None
         if head is not None and str(int(head[1])) in crowded:
             problems.append(
@@ -196,7 +196,7 @@ def usable(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]
 
 
 def _unsafe_message(statement: Statement) -> str:
-    head = _MESSAGE.match(statement.text)
+    head = MESSAGE.match(statement.text)
     if head is None:
         return ""
     if len(head[3]) > 5 or int(head[3]) > MOST_BYTES:
@@ -245,4 +245,4 @@ def _combinations(name: str, by_parent: dict[str, dict[str, int]], depth: int) -
     )
 
 
-__all__ = ["Statement", "grouped", "joined", "resplit", "safe", "split", "usable"]
+__all__ = ["MESSAGE", "Statement", "grouped", "joined", "resplit", "safe", "split", "usable"]

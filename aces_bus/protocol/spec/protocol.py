@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import construct as c
 
 from ...errors import CallerError, SpecError, UnknownNameError
+from . import ambiguity
 from .checks import Check
 from .examples import as_examples
 from .framing import Framing
@@ -83,6 +84,7 @@ class Protocol:
         self.framings: list[Framing] = []
         self.register_map: RegisterMap | None = None
         self._variants: dict[Any, Variant] = {}
+        self._neighbours = ambiguity.Neighbours()
 
     # ------------------------------------------------------------------ declaring
 
@@ -181,13 +183,15 @@ class Protocol:
             source=source,
             examples=as_examples(examples, place, is_can=self.link == "can"),
         )
-        for other in self.declared:
+        for other in self.declared if name in self.messages else ():
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
             if other.name == name and share_dialect(made, other):
                 raise SpecError(f"{place}: message {name!r} is there twice; the other is at {other.place}")
-        from .ambiguity import check_against
-
-        check_against(made, self.declared)
+        if made.framing is None:
+            ambiguity.check_against(made, self._neighbours.of(made.identifier))
+            self._neighbours.add(made)
+        else:
+            ambiguity.check_against(made, self.declared)
         self.declared.append(made)
         self.messages.setdefault(name, made)
         # Scanners that exist keep what they know; the next one knows this message too.

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from aces_bus.protocol import FlagSet, Record, Unknown
-from aces_bus.protocol.codegen.plan import MessagePlan
+from aces_bus.protocol import FlagSet, Unknown
 
-from .shape import Leaf, flag_names, leaves, plain, unit_of
+from .shape import Leaf, OfKind, Plans, flag_names, leaves, plain, unit_of
 
 _SPECIAL = re.compile(r'[",\r\n]').search
 
@@ -30,19 +29,18 @@ class Sheet:
 
     def __init__(
         self,
-        plans: Mapping[type[Record], MessagePlan],
+        plans: Plans,
         direction: str | None,
         *,
         only: str | None,
         links: frozenset[str],
     ) -> None:
         self._direction = direction
-        self._leaves = {kind: leaves(plan) for kind, plan in plans.items()}
+        self._leaves = OfKind(lambda kind: leaves(plans[kind]))
         self._is_wide = only is not None
         columns: dict[str, None] = {}
-        for kind, found in self._leaves.items():
-            if kind.__name__ == only:
-                columns.update(dict.fromkeys(leaf.path for leaf in found))
+        for kind in plans.named(only) if only is not None else ():
+            columns.update(dict.fromkeys(leaf.path for leaf in self._leaves[kind]))
         self._columns = list(columns)
         taken = {"source", "time", "channel", "direction", "id", "offset", "size", "protocol", "message"}
         self._titles = [f"{only}.{name}" if name in taken else name for name in columns]

@@ -16,13 +16,13 @@ from __future__ import annotations
 import datetime
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.protocol import FlagSet, Unknown
 from aces_bus.protocol.codegen import plan as p
 
-from .shape import Leaf, flag_names, getter, plain, unit_of
+from .shape import Leaf, OfKind, Plans, flag_names, getter, plain, unit_of
 
 Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
@@ -98,7 +98,7 @@ class Text:
 
     def __init__(
         self,
-        plans: Mapping[type[Record], p.MessagePlan],
+        plans: Plans,
         direction: str | None,
         *,
         paint: Paint = no_paint,
@@ -106,7 +106,7 @@ class Text:
         is_relative: bool = True,
         encoding: str = "utf-8",
     ) -> None:
-        self._fields = {kind: _Fields(plan) for kind, plan in plans.items()}
+        self._fields = OfKind(lambda kind: _Fields(plans[kind]))
         self._direction = direction
         self._paint = paint
         self._width = width
