@@ -6,8 +6,12 @@
 3. Ranges (minimum, maximum) bind only what is sent. `0|0` means none.
 
 How a message is told: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
-`trailing`. J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and
-`destination` where the group is addressed (PDU format below 240).
+`trailing`. A message of up to 8 bytes is it in both formats, classic and CAN FD: most databases do not say which it is.
+
+J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and `destination`
+where the group is addressed (PDU format below 240). Where a group has several messages, each has its declared identifier's
+source address (and destination, and priority, where that does not tell them apart). Frames of other sources are the first
+message where all are laid out alike, else unknown. A message that is no parameter group goes before one that is.
 
 Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools
 raises; names that a value table has twice are told apart by their number; signals that share bits all decode.
@@ -17,7 +21,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from sys import float_info
 from typing import Any
 
@@ -52,6 +57,20 @@ class _LeftOut(Exception):
     """This signal or message cannot be taken over; the argument says why."""
 
 
+@dataclass
+class _Taken:
+    """A message that is taken over: where it was declared, and what is decided about it."""
+
+    message: Any
+    line: int
+    name: str
+    identifier: Pattern
+    is_j1939: bool
+    fd: bool
+    any_format: bool = False
+    over: tuple[str, ...] = ()
+
+
 class _Builder:
     def __init__(self, database: Any, name: str, path: str, lines: Lines) -> None:
         self.database, self.path, self.lines = database, path, lines
@@ -79,19 +98,25 @@ class _Builder:
     def build(self) -> tuple[Protocol, list[Problem]]:
         # Of several messages with the same identifier and length cantools takes the last.
         last = {_key(message): message for message in self.database.messages}
+        found: list[_Taken] = []
         for message in self.database.messages:
             line = self.lines(message, None)
             same = last[_key(message)]
             if same is not message:
-                reason = (
-                    f"message {clean(message.name)} has the identifier of {clean(same.name)} further down"
-                )
-                self.problems.append(Problem(line, f"{reason}: left out"))
+                text = f"message {clean(message.name)} has the identifier of {clean(same.name)} further down"
+                self.problems.append(Problem(line, f"{text}: left out"))
                 continue
             try:
-                self._message(message, line)
-            except _LeftOut as reason:
-                self.problems.append(Problem(line, f"message {clean(message.name)}: {reason}: left out"))
+                found.append(self._taken(message, line))
+            except _LeftOut as left:
+                self._leave_out(message, line, str(left))
+        self._tell_apart(found)
+        for one in found:
+            message, line = one.message, one.line
+            try:
+                self._message(one)
+            except _LeftOut as left:
+                self._leave_out(message, line, str(left))
             except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
                 # A database that contradicts itself in a way that cantools lets pass.
                 said = (
@@ -100,12 +125,16 @@ class _Builder:
                 self.problems.append(Problem(line, said))
         return self.protocol, self.problems
 
+    def _leave_out(self, message: Any, line: int, reason: str) -> None:
+        self.problems.append(Problem(line, f"message {clean(message.name)}: {reason}: left out"))
+
     def _note(self, line: int, text: str) -> None:
         self.problems.append(Problem(line, text, is_note=True))
 
     # ------------------------------------------------------------------ messages
 
-    def _message(self, message: Any, line: int) -> None:
+    def _taken(self, message: Any, line: int) -> _Taken:
+        """What a message is called and of what kind its frames are."""
         if message.is_container:
             raise _LeftOut("a container of other messages")
         size = message.length
@@ -115,20 +144,47 @@ class _Builder:
         if size > (8 if is_j1939 else 64):
             more = ", sent in several frames" if is_j1939 else ""
             raise _LeftOut(f"{size} bytes are more than a frame has{more}")
-        fd = bool(message.is_fd) or size > 8
-        known = len(self.problems)
-        identifier = _j1939(message.frame_id) if is_j1939 else Pattern(message.frame_id)
-        taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *(cap.name for cap in identifier.captures)}
-        layout = self._layout(message, 64 if fd else 8, taken)
         name = unused(message.name, self.taken)
+        fd = bool(message.is_fd) or size > 8
+        return _Taken(message, line, name, Pattern(message.frame_id), is_j1939=is_j1939, fd=fd)
+
+    def _tell_apart(self, found: Sequence[_Taken]) -> None:
+        """Decide identifiers, formats and order of trial, each message seen beside the others."""
+        alike: dict[tuple[int, bool], list[_Taken]] = {}
+        groups: dict[int, list[_Taken]] = {}
+        for one in found:
+            if one.is_j1939:
+                groups.setdefault(_group(one.message.frame_id), []).append(one)
+            else:
+                alike.setdefault((one.message.frame_id, one.message.is_extended_frame), []).append(one)
+        for (identifier, is_extended), some in alike.items():
+            some[0].any_format = len(some) == 1 and some[0].message.length <= 8
+            for one in some if is_extended else ():
+                one.over = tuple(other.name for other in groups.get(_group(identifier), ()))
+        for group, some in groups.items():
+            for one, pattern in zip(some, _patterns_of([one.message for one in some]), strict=True):
+                one.identifier = pattern
+            if len(some) > 1:
+                names = ", ".join(clean(one.message.name) for one in some)
+                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: told by their source addresses"
+                self._note(some[0].line, text)
+
+    def _message(self, taken: _Taken) -> None:
+        message, line, name, fd = taken.message, taken.line, taken.name, taken.fd
+        size = message.length
+        known = len(self.problems)
+        captured = (capture.name for capture in taken.identifier.captures)
+        layout = self._layout(message, 64 if fd else 8, {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured})
         try:
             made = self.protocol.message(
                 name,
-                id=identifier,
+                id=taken.identifier,
                 payload=layout,
                 extended=bool(message.is_extended_frame),
                 fd=fd,
+                any_format=taken.any_format,
                 length=[n for n in FD_LENGTHS if n >= size] if fd else None,
+                over=taken.over,
                 doc=_doc_of(message),
             )
         except AcesError as error:
@@ -211,13 +267,56 @@ def _without_place(error: Exception) -> str:
     return rest if separator and head.rpartition(":")[2].isdigit() else text
 
 
-def _j1939(identifier: int) -> Pattern:
-    """The identifiers of a parameter group (SAE J1939-21): any priority, any source, any destination."""
-    priority, source = Capture("priority", range(8)), Capture("source", range(256))
-    if identifier >> 16 & 0xFF < 240:
-        group = identifier & 0x3FF_0000
-        return priority << 26 | group | Capture("destination", range(256)) << 8 | source
-    return priority << 26 | identifier & 0x3FF_FF00 | source
+def _group(identifier: int) -> int:
+    """The bits of an identifier that say its parameter group (SAE J1939-21)."""
+    return identifier & (0x3FF_0000 if identifier >> 16 & 0xFF < 240 else 0x3FF_FF00)
+
+
+def _patterns_of(messages: Sequence[Any]) -> list[Pattern]:
+    """The identifiers of the messages of one parameter group: alone any priority, source and destination."""
+    identifiers = [message.frame_id for message in messages]
+    group = _group(identifiers[0])
+    is_addressed = identifiers[0] >> 16 & 0xFF < 240
+    parts = {"source": (0, 8), "destination": (8, 8), "priority": (26, 3)}
+    if not is_addressed:
+        del parts["destination"]
+    masks = {name: ((1 << width) - 1) << shift for name, (shift, width) in parts.items()}
+    # As few parts as tell all of them apart: the rest may be anything.
+    telling: list[str] = []
+    for name in parts:
+        mask = sum(masks[one] for one in telling)
+        if len({identifier & mask for identifier in identifiers}) == len(identifiers):
+            break
+        telling.append(name)
+    is_for_others = telling == ["source"] and len({_shape(message) for message in messages}) == 1
+    sources = {identifier & 0xFF for identifier in identifiers}
+    found = []
+    for number, identifier in enumerate(identifiers):
+        pattern: Pattern | int = group
+        for name in reversed(parts):
+            shift, width = parts[name]
+            values: Collection[int] = range(1 << width)
+            if name in telling:
+                own = identifier >> shift & ((1 << width) - 1)
+                values = (own,)
+                if is_for_others and number == 0:
+                    values = tuple(n for n in range(256) if n == own or n not in sources)
+            pattern = Capture(name, values) << shift | pattern
+        assert isinstance(pattern, Pattern)
+        found.append(pattern)
+    return found
+
+
+def _shape(message: Any) -> tuple[Any, ...]:
+    """How a message is laid out: equal for messages that give the same values of the same bytes."""
+    return message.length, *(
+        (
+            *(one.name, one.start, one.length, one.byte_order, one.is_signed, one.unit),
+            *(one.conversion.is_float, one.conversion.scale, one.conversion.offset),
+            *(one.multiplexer_signal, str(one.multiplexer_ids), str(one.conversion.choices)),
+        )
+        for one in message.signals
+    )
 
 
 def _doc_of(message: Any) -> str:

@@ -36,14 +36,23 @@ SPELT_OUT = 4096
 SPELT_OUT_OF_MANY = 16
 
 
+_KINDS = EXTENDED | REMOTE | FD
+
+
+def _kinds_of(message: Message) -> list[int]:
+    """The flags of the keys of a message's frames."""
+    return [key_of(0, extended=message.extended, remote=message.remote, fd=fd) for fd in message.formats]
+
+
 class _Index:
     """Messages by those bits of their keys that never vary: what a key may be is found without trying them all."""
 
     def __init__(self, messages: Sequence[Message]) -> None:
         self._by_mask: dict[int, dict[int, list[tuple[int, Message]]]] = {}
         for number, message in enumerate(messages):
-            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
-            mask = message.identifier.fixed | EXTENDED | REMOTE | FD
+            flags = _kinds_of(message)[0]
+            mask = message.identifier.fixed | _KINDS
+            mask = mask & ~FD if message.any_format else mask
             key = (message.identifier.constant | flags) & mask
             self._by_mask.setdefault(mask, {}).setdefault(key, []).append((number, message))
 
@@ -55,7 +64,7 @@ class _Index:
             for mask, table in self._by_mask.items()
             for number, message in table.get(key & mask, ())
             if message.identifier.match(identifier) is not None
-            and key_of(identifier, extended=message.extended, remote=message.remote, fd=message.fd) == key
+            and key & _KINDS in _kinds_of(message)
         ]
         if len(found) > 1:
             found.sort(key=lambda one: one[0])
@@ -71,10 +80,10 @@ class _Keys:
         total = sum(len(m.identifier) for m in messages if len(m.identifier) <= SPELT_OUT)
         most = SPELT_OUT if total <= REMEMBERED else SPELT_OUT_OF_MANY
         for message in messages:
-            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
             if len(message.identifier) <= most:
-                for identifier in message.identifier:
-                    by_key.setdefault(identifier | flags, []).append(message)
+                for flags in _kinds_of(message):
+                    for identifier in message.identifier:
+                        by_key.setdefault(identifier | flags, []).append(message)
             else:
                 patterns.append(message)
         self.has_patterns = bool(patterns)
@@ -113,7 +122,7 @@ class _Wire(Decider):
         return [
             m
             for m in messages
-            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key
+            if key & _KINDS in _kinds_of(m)
             and m.identifier.match(identifier) is not None
         ]
 

@@ -247,7 +247,9 @@ def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
 
 
 def _can_conflict(one: Message, other: Message) -> Conflict | None:
-    if (one.extended, one.remote, one.fd) != (other.extended, other.remote, other.fd):
+    if (one.extended, one.remote) != (other.extended, other.remote):
+        return None
+    if not set(one.formats) & set(other.formats):
         return None
     if one.identifier.is_apart(other.identifier):
         return None

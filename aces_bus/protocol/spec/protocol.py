@@ -123,6 +123,7 @@ class Protocol:
         extended: bool = False,
         remote: bool = False,
         fd: bool = False,
+        any_format: bool = False,
         direction: Direction | None = None,
         dialect: str | Collection[str] | None = None,
         when: Condition | Collection[Condition] | None = None,
@@ -139,7 +140,8 @@ class Protocol:
         """Declare a message; raises `SpecError` with file and line when it cannot be right.
 
         `id` is the CAN identifier (a number or a pattern with captures), `match` gives head fields their value or
-        pattern, `length` the data lengths that occur when the fields leave a choice. `direction`, `dialect`, `when`,
+        pattern, `length` the data lengths that occur when the fields leave a choice. With `any_format` frames of up to 8
+        bytes are taken in both formats, classic and CAN FD, and sent as `fd` says. `direction`, `dialect`, `when`,
         `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `over` names
         messages that this one takes precedence over. `examples` are worked ones, `(bytes, {field: value})`: see
         `spec.examples`.
@@ -170,6 +172,7 @@ class Protocol:
             extended=extended,
             remote=remote,
             fd=fd,
+            any_format=any_format,
             direction=direction,
             dialects=dialects,
             when=() if when is None else (when,) if isinstance(when, Condition) else tuple(when),
