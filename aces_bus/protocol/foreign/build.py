@@ -19,6 +19,7 @@ raises; names that a value table has twice are told apart by their number; signa
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -41,6 +42,8 @@ from .problems import Problem, clean
 
 #: The field of the bytes behind the declared ones.
 TRAILING = "trailing"
+#: The attribute of messages whose frames have several lengths (see `printers.dbc`): these, by blanks.
+LENGTHS = "AcesLengths"
 #: A selector of so many bits is searched for the raw values that mean an identifier; a wider one is solved for them.
 SEARCHED = 12
 
@@ -170,11 +173,30 @@ class _Builder:
                 self._note(some[0].line, text)
 
     def _message(self, taken: _Taken) -> None:
-        message, line, name, fd = taken.message, taken.line, taken.name, taken.fd
-        size = message.length
+        message, name = taken.message, taken.name
+        self._declare(taken, name, message.signals, message.length)
+        if name != message.name:
+            self._note(taken.line, f"message {clean(message.name)} is called {name} here")
+        shorter = [n for n in _lengths_of(message) if n < message.length]
+        for size in shorter:
+            known = len(self.problems)
+            short = unused(f"{message.name}_{size}", self.taken)
+            self._declare(taken, short, _fitting(message.signals, size), size)
+            del self.problems[known:]  # said of the whole message
+        if shorter:
+            text = f"message {clean(message.name)} has shorter frames, too, which are messages of their own here"
+            self._note(taken.line, f"{text} ({', '.join(f'{name}_{size}' for size in shorter)})")
+
+    def _declare(self, taken: _Taken, name: str, signals: Sequence[Any], size: int) -> None:
+        message, fd = taken.message, taken.fd
         known = len(self.problems)
+        lengths: list[int] | None = [size] if size < message.length else None
+        if lengths is None and fd:
+            lengths = [n for n in FD_LENGTHS if n >= size]
+        most = (64 if fd else 8) if lengths is None or len(lengths) > 1 else size
         captured = (capture.name for capture in taken.identifier.captures)
-        layout = self._layout(message, 64 if fd else 8, {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured})
+        names = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured}
+        layout = self._layout(message, signals, size, most, names)
         try:
             made = self.protocol.message(
                 name,
@@ -183,30 +205,30 @@ class _Builder:
                 extended=bool(message.is_extended_frame),
                 fd=fd,
                 any_format=taken.any_format,
-                length=[n for n in FD_LENGTHS if n >= size] if fd else None,
+                length=lengths,
                 over=taken.over,
                 doc=_doc_of(message),
             )
         except AcesError as error:
             del self.problems[known:]
             raise _LeftOut(_without_place(error)) from None
-        made.place = Place(self.path, line or 1)
-        if name != message.name:
-            self._note(line, f"message {clean(message.name)} is called {name} here")
+        made.place = Place(self.path, taken.line or 1)
 
-    def _layout(self, message: Any, most: int, taken: set[str]) -> BitLayout:
+    def _layout(
+        self, message: Any, signals: Sequence[Any], size: int, most: int, taken: set[str]
+    ) -> BitLayout:
         names: dict[str, str] = {}
         fields: list[c.Construct] = []
         masks = 0
         overlapping = False
         by_name: dict[str, Any] = {}
-        for signal in message.signals:
+        for signal in signals:
             by_name.setdefault(signal.name, signal)
         raws: dict[str, list[int]] = {}
-        for signal in _selectors_first(message.signals, by_name):
+        for signal in _selectors_first(signals, by_name):
             line = self.lines(message, signal)
             try:
-                at = _place(signal, message.length)
+                at = _place(signal, size)
                 field = _value(signal, at)
                 if signal.multiplexer_signal is not None:
                     field = self._multiplexed(signal, field, by_name, names, raws)
@@ -224,16 +246,16 @@ class _Builder:
             overlapping = overlapping or bool(mask & masks)
             masks |= mask
             fields.append(c.Renamed(field, newname=name, newdocs=clean(signal.comment or "")))
-        trailing = TRAILING if message.length < most else ""
+        trailing = TRAILING if size < most else ""
         if overlapping:
             # Most share bits only with what excludes them.
             try:
-                return BitLayout(message.length, *fields, trailing=trailing)
+                return BitLayout(size, *fields, trailing=trailing)
             except AcesError as error:
                 text = re.sub(r" \([^()]*:\d+\)", "", _without_place(error).partition("; if that")[0])
                 text = f"message {clean(message.name)}: {text}: all are decoded, and what is sent must agree"
                 self._note(self.lines(message, None), text)
-        return BitLayout(message.length, *fields, overlapping=overlapping, trailing=trailing)
+        return BitLayout(size, *fields, overlapping=overlapping, trailing=trailing)
 
     def _multiplexed(
         self,
@@ -336,7 +358,44 @@ def _doc_of(message: Any) -> str:
 # ---------------------------------------------------------------------- signals
 
 
-def _selectors_first(signals: list[Any], by_name: Mapping[str, Any]) -> list[Any]:
+def _lengths_of(message: Any) -> list[int]:
+    """The lengths that the attribute `LENGTHS` gives a message; none where it has none or none that can be read."""
+    attributes = getattr(message.dbc, "attributes", None) or {}
+    words = str(attributes[LENGTHS].value).split() if LENGTHS in attributes else []
+    return sorted({int(word) for word in words if re.fullmatch(r"\d{1,2}", word, re.ASCII)})
+
+
+def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
+    """The signals of frames of `size` bytes: of those that a multiplexer value has, all or none."""
+
+    def fits(signal: Any) -> bool:
+        try:
+            _place(signal, size)
+        except _LeftOut:
+            return False
+        return True
+
+    gone = {
+        (signal.multiplexer_signal, value)
+        for signal in signals
+        if signal.multiplexer_ids and not fits(signal)
+        for value in signal.multiplexer_ids
+    }
+    found: list[Any] = []
+    for signal in signals:
+        if not fits(signal):
+            continue
+        if signal.multiplexer_ids:
+            left = [n for n in signal.multiplexer_ids if (signal.multiplexer_signal, n) not in gone]
+            if not left:
+                continue
+            signal = copy.copy(signal)
+            signal.multiplexer_ids = left
+        found.append(signal)
+    return found
+
+
+def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list[Any]:
     """The signals in their order, but each behind its multiplexer."""
     done: dict[int, Any] = {}
 
