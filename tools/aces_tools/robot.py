@@ -22,6 +22,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
+from aces_bus.plain_text import printable
 
 from .console import Output, say
 
@@ -201,7 +202,7 @@ def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
         facts = [robot.doc, f"source: {robot.source}" if robot.source else None, _facts(robot)]
         if robot.rate_hz is not None:
             facts.append(f"{robot.rate_hz:g} Hz")
-        page.beside(robot.name, [_plain(fact) for fact in facts if fact], "message")
+        page.beside(robot.name, [fact for fact in facts if fact], "message")
         for head, rows in _tables(robot):
             if rows:
                 page.lines([""])
@@ -223,7 +224,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         [
             tuple(
                 map(
-                    _plain,
+                    printable,
                     (
                         d.name,
                         d.driver,
@@ -259,7 +260,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         [
             tuple(
                 map(
-                    _plain,
+                    printable,
                     (
                         j.name,
                         j.device,
@@ -290,7 +291,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         [
             tuple(
                 map(
-                    _plain,
+                    printable,
                     (s.name, s.device, s.kind, " ".join(f"{n:+d}" for n in s.signs or ()), _inactive(s)),
                 )
             )
@@ -305,9 +306,6 @@ def _cell(value: Any) -> str:
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _plain(text: str) -> str:
-    """Nothing of a file reaches the terminal as a control character."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def _inactive(one: Any) -> str:

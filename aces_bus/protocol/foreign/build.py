@@ -31,6 +31,7 @@ import construct as c
 
 from ...errors import AcesError
 from ...frame import FD_LENGTHS
+from ...plain_text import without_controls
 from ..spec.bits import BitLayout, bits, float_bits
 from ..spec.fields import Enumeration, Multiplexed, Quantity
 from ..spec.message import Message
@@ -471,7 +472,7 @@ def _names(signal: Any) -> dict[str, int]:
     names: dict[str, int] = {}
     for value, text in (signal.conversion.choices or {}).items():
         if low <= value <= high:
-            name = str(text)
+            name = without_controls(str(text))
             names[name if name not in names else f"{name}_{value}"] = int(value)
     return names
 

@@ -7,7 +7,9 @@ columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 1. The columns are known before the first record: they depend on the protocols and messages asked for, not on the data.
 2. What is not decoded has no message; its reason stands under `field`, its bytes under `value`. In the form with one
    message there is no place for it.
-3. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
+3. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
+   has an apostrophe in front. Numbers are as they are.
+4. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from aces_bus.plain_text import cell_text
 from aces_bus.protocol import FlagSet, Unknown
 
 from .shape import Leaf, OfKind, Plans, flag_names, leaves, plain, unit_of
@@ -102,7 +105,7 @@ def _written(value: Any) -> str:
     """A cell as it is written (RFC 4180). The csv module leaves a lone carriage return without quotes."""
     if value is None:
         return ""
-    text = str(value)
+    text = cell_text(value) if isinstance(value, str) else str(value)
     return '"' + text.replace('"', '""') + '"' if _SPECIAL(text) else text
 
 
