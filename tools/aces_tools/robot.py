@@ -215,7 +215,9 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
     yield (
         ("bus", "link", "protocol", "speed", "channel"),
         [
-            tuple(map(_plain, (b.name, b.link, _joined(b.protocol, b.dialect), _speed(b), b.channel or "")))
+            tuple(
+                map(printable, (b.name, b.link, _joined(b.protocol, b.dialect), _speed(b), b.channel or ""))
+            )
             for b in robot.buses.values()
         ],
     )
@@ -304,8 +306,6 @@ def _cell(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_cell(one)}" for key, one in value.items())
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
 
 
 def _inactive(one: Any) -> str:

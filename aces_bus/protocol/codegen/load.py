@@ -181,7 +181,7 @@ class _Types(dict[str, dict[str, Any]]):
         label = f"{variant.label}: {name}"
         used = {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any}
         space = load(print_records(label, [flatten(message)]), f"aces records of {label}", used)
-        made = {
+        made: dict[str, Any] = {
             key: value
             for key, value in space.items()
             if isinstance(value, type) and issubclass(value, (Record, Part)) and value not in (Record, Part)

@@ -185,7 +185,9 @@ class _Builder:
             self._declare(taken, short, _fitting(message.signals, size), size)
             del self.problems[known:]  # said of the whole message
         if shorter:
-            text = f"message {clean(message.name)} has shorter frames, too, which are messages of their own here"
+            text = (
+                f"message {clean(message.name)} has shorter frames, too, which are messages of their own here"
+            )
             self._note(taken.line, f"{text} ({', '.join(f'{name}_{size}' for size in shorter)})")
 
     def _declare(self, taken: _Taken, name: str, signals: Sequence[Any], size: int) -> None:

@@ -206,7 +206,9 @@ def _load_dbc(path: str, text: str) -> tuple[Any, list[Problem], int, _Declared]
     if not any(one.word for one in statements):
         raise CallerError(f"{path}: not a DBC file: no line of it begins a statement")
     count = sum(1 + len(one.inner) for one in statements)
-    _check_count(path, sum(one.word == "BO_" for one in statements), sum(len(one.inner) for one in statements))
+    _check_count(
+        path, sum(one.word == "BO_" for one in statements), sum(len(one.inner) for one in statements)
+    )
     kept, problems = safe(statements)
     try:
         return _try(joined(kept), "dbc"), problems, count, _Declared(kept)
@@ -300,9 +302,7 @@ def _parsed_signals(
     return behind
 
 
-def _searched(
-    path: str, statements: list[Statement], problems: list[Problem]
-) -> tuple[Any, list[Statement]]:
+def _searched(path: str, statements: list[Statement], problems: list[Problem]) -> tuple[Any, list[Statement]]:
     """The database of the statements without those that cantools parses and then refuses, found by halving and added to
     the problems."""
     until = time.monotonic() + MOST_SECONDS

@@ -179,7 +179,9 @@ def safe(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
 def _widened(statements: list[Statement]) -> list[Problem]:
     """Set bit 31, which marks an identifier of 29 bits, where it is missing from one of more than 11 bits, there and
     wherever the message is referred to; the notes that say so."""
-    heads = [(int(m[1]), m[2], one) for one in statements if one.word == "BO_" and (m := MESSAGE.match(one.text))]
+    heads = [
+        (int(m[1]), m[2], one) for one in statements if one.word == "BO_" and (m := MESSAGE.match(one.text))
+    ]
     numbers = {number for number, _, _ in heads}
     wide = {number for number in numbers if 0x7FF < number < 1 << 29 and number | 1 << 31 not in numbers}
     if not wide:

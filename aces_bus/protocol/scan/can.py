@@ -63,8 +63,7 @@ class _Index:
             (number, message)
             for mask, table in self._by_mask.items()
             for number, message in table.get(key & mask, ())
-            if message.identifier.match(identifier) is not None
-            and key & _KINDS in _kinds_of(message)
+            if message.identifier.match(identifier) is not None and key & _KINDS in _kinds_of(message)
         ]
         if len(found) > 1:
             found.sort(key=lambda one: one[0])
@@ -120,10 +119,7 @@ class _Wire(Decider):
         """Those of `messages` whose identifier and flags fit."""
         identifier = key & 0x1FFF_FFFF
         return [
-            m
-            for m in messages
-            if key & _KINDS in _kinds_of(m)
-            and m.identifier.match(identifier) is not None
+            m for m in messages if key & _KINDS in _kinds_of(m) and m.identifier.match(identifier) is not None
         ]
 
     def lookup(self, key: int) -> Decode | None:

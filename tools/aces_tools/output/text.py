@@ -16,7 +16,7 @@ from __future__ import annotations
 import datetime
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from aces_bus.plain_text import printable as printable
