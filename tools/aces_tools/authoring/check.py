@@ -293,7 +293,7 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
                 spoken = " ".join(name for label, name in result.labels.items() if f"{label} " in one.text)
                 print(f"    to see it: aces spec explain {spoken or result.name} '{one.witness}'")
         if not result.complaint:
-            print(f"{result.name}: {_summary(result, hidden)}")
+            print(f"{printable(result.name)}: {_summary(result, hidden)}")
 
 
 def _summary(result: Checked, hidden: int) -> str:
