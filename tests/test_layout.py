@@ -31,6 +31,7 @@ FLOORS: dict[str, set[str]] = {
     "errors": set(),
     "frame": set(),
     "frame_table": set(),  # the same frames as columns
+    "plain_text": set(),  # text of others, made harmless for terminals and sheets
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
     "capture": {"protocol"},
@@ -52,7 +53,7 @@ FLOORS: dict[str, set[str]] = {
     },  # floors put together
     "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
 }
-EVERYONE = {"errors", "frame", "frame_table"}
+EVERYONE = {"errors", "frame", "frame_table", "plain_text"}
 
 
 def module_name(path: Path) -> tuple[str, bool]:

@@ -370,7 +370,9 @@ def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Comp
 
 
 def _check_names(robot: Robot, complain: Complain) -> None:
-    """A name or alias means one joint or one sensor."""
+    """The robot's name can be printed; a name or alias means one joint or one sensor."""
+    if not robot.name.isprintable():
+        complain(("name",), "a name has no control characters")
     entries: tuple[tuple[str, Mapping[str, tuple[str, ...]]], ...] = (
         ("joints", {name: joint.aliases for name, joint in robot.joints.items()}),
         ("sensors", {name: sensor.aliases for name, sensor in robot.sensors.items()}),

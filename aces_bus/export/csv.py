@@ -2,7 +2,9 @@
 
 1. A cell says what a record line of `aces decode --format csv` says, but for flags, which are numbers: enumerations by
    name, bytes as hexadecimal, times in seconds with all their digits, nothing where a value is absent.
-2. What CSV cannot say (units, enumerations, docs) stands in `_columns.csv` of the folder.
+2. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
+   has an apostrophe in front.
+3. What CSV cannot say (units, enumerations, docs) stands in `_columns.csv` of the folder.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from ..plain_text import FORMULA, NUMBER, cell_text
 from ..protocol.scan.arrow import ArrowLayout, field_metadata
 from ..protocol.scan.layout import Block
 from ..protocol.spec.protocol import Variant
@@ -71,7 +74,9 @@ class CsvExport(Folder):
                     [None if one is None else one.hex() for one in values.tolist()], pa.string()
                 )
             elif pa.types.is_dictionary(column.type):
-                column = column.cast(pa.string())
+                column = _guarded(column.dictionary.cast(pa.string())).take(column.indices)
+            elif pa.types.is_string(column.type):
+                column = _guarded(column)
             columns.append(column)
         writer.write_batch(pa.RecordBatch.from_arrays(columns, names=batch.schema.names))
 
@@ -89,11 +94,21 @@ class CsvExport(Folder):
                 row = [known.get(name, "") for name in ("unit", "doc", "names", "flags")]
                 if slot.role == "time":
                     row[0] = "s"
-                table.writerow(
-                    [dataset.name, dataset.layout.protocol, dataset.layout.message, slot.name, *row]
-                )
+                head = [dataset.name, dataset.layout.protocol, dataset.layout.message, slot.name]
+                table.writerow([cell_text(cell) for cell in (*head, *row)])
         with open(os.path.join(self.place, f"{COLUMNS}.csv"), "w", encoding="utf-8", newline="") as file:
             file.write(text.getvalue())
+
+
+def _guarded(texts: Any) -> Any:
+    """A column of texts with an apostrophe before what would be taken for a formula."""
+    import pyarrow.compute as pc
+
+    begins = pc.match_substring_regex(texts, FORMULA)
+    if not pc.any(begins).as_py():
+        return texts
+    guarded = pc.and_(begins, pc.invert(pc.match_substring_regex(texts, NUMBER)))
+    return pc.if_else(guarded, pc.binary_join_element_wise("'", texts, ""), texts)
 
 
 def seconds(time: Any) -> list[str]:

@@ -2,7 +2,8 @@
 
 1. cantools is the oracle, for records and for columns: its own reading of the text, not the objects that the text was
    made of.
-2. Values agree by `==`, floats to the last bit; what cantools refuses (a multiplexer value that no signal is for) still
+2. A frame of up to 8 bytes comes in either format, classic or CAN FD: the values are the same.
+3. Values agree by `==`, floats to the last bit; what cantools refuses (a multiplexer value that no signal is for) still
    decodes here, and is not compared.
 """
 
@@ -154,7 +155,10 @@ def agree(path: Path, frames: int, seed: int) -> int:
             if message.length > 8 and size not in (12, 24, 64):
                 continue
             frame = Frame(
-                message.frame_id, data, is_extended_id=message.is_extended_frame, is_fd=message.length > 8
+                message.frame_id,
+                data,
+                is_extended_id=message.is_extended_frame,
+                is_fd=len(data) > 8 or rng.random() < 0.3,
             )
             (shown,), (bare,) = physical.feed([frame]), raw.feed([frame])
             assert not isinstance(shown, Unknown), (shown, message)

@@ -419,7 +419,7 @@ def test_no_message_gets_the_signals_of_another(tmp_path: Path) -> None:
         ("BO_ 1 Huge: 4000000000 ECU\n", "a message of 4000000000 bytes"),
         ('BO_ 1 X: 8 ECU\n SG_ s : 0|4000000000@1+ (1,0) [0|0] "" Gate\n', "a signal of 4000000000 bits"),
         ('BO_ 1 X: 8 ECU\n SG_ s : 4000000000|4@1+ (1,0) [0|0] "" Gate\n', "at bit 4000000000"),
-        ("BO_ 2048 X: 8 ECU\n", "an identifier that no frame has"),
+        ("BO_ 536870912 X: 8 ECU\n", "an identifier that no frame has"),
         ("BO_ 99999999999999999999 X: 8 ECU\n", "an identifier that no frame has"),
         (
             'BO_ 1 X: 8 ECU\n SG_ m M : 0|32@1+ (1,0) [0|0] "" Gate\n SG_ s m0 : 32|4@1+ (1,0) [0|0] "" Gate\n'

@@ -15,14 +15,15 @@ from types import FrameType
 from typing import Any, BinaryIO, TypeVar
 
 from aces_bus.errors import CallerError
+from aces_bus.plain_text import printable_lines
 
 T = TypeVar("T")
 
 
 def say(message: str, *, who: str = "aces: ") -> None:
-    """One line on stderr. Losing it must not lose the work."""
+    """One message on stderr, safe for a terminal whatever file its words came from. Losing it must not lose the work."""
     try:
-        print(f"{who}{message}", file=sys.stderr, flush=True)
+        print(printable_lines(f"{who}{message}"), file=sys.stderr, flush=True)
     except OSError:
         pass
 

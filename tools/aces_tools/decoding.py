@@ -163,7 +163,7 @@ class Decoding(ABC):
         return parse_filter(*texts) if texts else None
 
     def _messages(self, texts: list[str]) -> frozenset[str]:
-        known = {kind.__name__ for kind in self.plans}
+        known = self.plans.names
         wanted = [name.strip() for text in texts for name in text.split(",")]
         for name in wanted:
             if name not in known:

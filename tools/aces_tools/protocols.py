@@ -208,7 +208,11 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
     rows = []
     for message in messages:
         how = _told_by(message)
-        kinds = "".join(f" {k}" for k, given in (("remote", message.remote), ("FD", message.fd)) if given)
+        kinds = "".join(
+            f" {k}"
+            for k, given in (("remote", message.remote), ("FD", message.fd and not message.any_format))
+            if given
+        )
         dialects = ", ".join(sorted(message.dialects)) if message.dialects is not None else ""
         rows.append(
             (

@@ -22,6 +22,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
+from aces_bus.plain_text import printable
 
 from .console import Output, check_suffix, say
 
@@ -201,7 +202,7 @@ def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
         facts = [robot.doc, f"source: {robot.source}" if robot.source else None, _facts(robot)]
         if robot.rate_hz is not None:
             facts.append(f"{robot.rate_hz:g} Hz")
-        page.beside(robot.name, [_plain(fact) for fact in facts if fact], "message")
+        page.beside(robot.name, [fact for fact in facts if fact], "message")
         for head, rows in _tables(robot):
             if rows:
                 page.lines([""])
@@ -214,7 +215,9 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
     yield (
         ("bus", "link", "protocol", "speed", "channel"),
         [
-            tuple(map(_plain, (b.name, b.link, _joined(b.protocol, b.dialect), _speed(b), b.channel or "")))
+            tuple(
+                map(printable, (b.name, b.link, _joined(b.protocol, b.dialect), _speed(b), b.channel or ""))
+            )
             for b in robot.buses.values()
         ],
     )
@@ -223,7 +226,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         [
             tuple(
                 map(
-                    _plain,
+                    printable,
                     (
                         d.name,
                         d.driver,
@@ -259,7 +262,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         [
             tuple(
                 map(
-                    _plain,
+                    printable,
                     (
                         j.name,
                         j.device,
@@ -290,7 +293,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         [
             tuple(
                 map(
-                    _plain,
+                    printable,
                     (s.name, s.device, s.kind, " ".join(f"{n:+d}" for n in s.signs or ()), _inactive(s)),
                 )
             )
@@ -303,11 +306,6 @@ def _cell(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_cell(one)}" for key, one in value.items())
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _plain(text: str) -> str:
-    """Nothing of a file reaches the terminal as a control character."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def _inactive(one: Any) -> str:

@@ -32,7 +32,7 @@ from aces_bus.protocol import FlagSet, Meta, Record
 from aces_bus.protocol.codegen import plan as p
 from aces_bus.protocol.scan.gather import physical
 
-from .output.shape import getter
+from .output.shape import OfKind, Plans, getter
 
 Test = Callable[[Any], bool]
 
@@ -95,13 +95,11 @@ def _bytes(text: str) -> bytes | None:
 class Where:
     """Conditions that must all hold. Raises `CallerError` when one can hold for no message of these plans."""
 
-    def __init__(self, texts: Sequence[str], plans: Mapping[type[Record], p.MessagePlan]) -> None:
-        self._tests: dict[type, Test] = {}
+    def __init__(self, texts: Sequence[str], plans: Plans) -> None:
         conditions = [parse_condition(text) for text in texts]
         for condition in conditions:
             _check(condition, plans)
-        for kind, plan in plans.items():
-            self._tests[kind] = _all([_test(condition, plan) for condition in conditions])
+        self._tests = OfKind(lambda kind: _all([_test(condition, plans[kind]) for condition in conditions]))
 
     def holds(self, record: Any) -> bool:
         """Whether a record fulfils all conditions."""

@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from aces_bus.frame_table import NO_TIME, to_ns
-from aces_bus.protocol import FlagSet, Record
-from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol import FlagSet
 from aces_bus.protocol.keys import EXTENDED as KEY_EXTENDED
 from aces_bus.protocol.keys import FD as KEY_FD
 from aces_bus.protocol.keys import REMOTE as KEY_REMOTE
 from aces_bus.protocol.scan.message_table import Column, ColumnKind, MessageTable
 
+from .output.shape import Plans
 from .where import Condition, Where, comparison, parse_condition, values_of
 
 Rows = npt.NDArray[np.bool_]
@@ -32,7 +32,7 @@ NARROW = 2
 class WhereColumns:
     """Conditions that must all hold; raises what `Where` raises."""
 
-    def __init__(self, texts: Sequence[str], plans: Mapping[type[Record], p.MessagePlan]) -> None:
+    def __init__(self, texts: Sequence[str], plans: Plans) -> None:
         Where(texts, plans)
         self.conditions = [parse_condition(text) for text in texts]
 

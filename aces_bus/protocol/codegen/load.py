@@ -9,7 +9,7 @@ import keyword
 import linecache
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any
 
@@ -88,8 +88,18 @@ class _Parts(dict[tuple[str, tuple[str, ...]], type]):
         return made
 
 
+#: What generated decoders use, beside the record types of their message.
+_USED: dict[str, Any] = {
+    "Struct": struct.Struct,
+    "from_bytes": int.from_bytes,
+    "re": re,
+    "degrees": degrees,
+    "flags": _flags,
+}
+
+
 class Codec:
-    """Record types and decode functions of a variant, in physical units or raw.
+    """The decode functions of a variant, in physical units or raw.
 
     Without `guard` a function may raise `struct.error` for data of the wrong length, where it would give None.
     """
@@ -97,24 +107,15 @@ class Codec:
     def __init__(self, variant: Variant, *, raw: bool, guard: bool) -> None:
         self.variant = variant
         self.raw = raw
-        self.types: dict[str, type[Record]] = records_of(variant)
         kind = f"{'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
         self._guard, self._name = guard, f"aces {variant.label} {kind}"
-        self._names: dict[str, Any] = {
-            "Struct": struct.Struct,
-            "from_bytes": int.from_bytes,
-            "re": re,
-            "degrees": degrees,
-            "flags": _flags,
-            **_all_types(variant),
-        }
         #: By message. Each is printed and compiled when it is first asked for.
         self.decoders: Mapping[str, Decode] = _Decoders(self._made)
 
     def _made(self, name: str) -> Decode:
         message = self.variant.messages[name]
         plan = flatten(message)
-        names = dict(self._names)
+        names: dict[str, Any] = {**_USED, **_types(self.variant)[name]}
         if not plan.is_flat:
             names[f"opaque_{name}"] = _opaque(message, self.variant, raw=self.raw)
         if plan.is_checked:
@@ -168,30 +169,56 @@ def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -
     return "\n".join(parts) + "\n"
 
 
+class _Types(dict[str, dict[str, Any]]):
+    """By message, its record type and those of its nested records, by their names; made when first asked for."""
+
+    def __init__(self, variant: Variant) -> None:
+        super().__init__()
+        self._variant = variant
+
+    def __missing__(self, name: str) -> dict[str, Any]:
+        variant, message = self._variant, self._variant.messages[name]
+        label = f"{variant.label}: {name}"
+        used = {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any}
+        space = load(print_records(label, [flatten(message)]), f"aces records of {label}", used)
+        made: dict[str, Any] = {
+            key: value
+            for key, value in space.items()
+            if isinstance(value, type) and issubclass(value, (Record, Part)) and value not in (Record, Part)
+        }
+        made[name]._protocol = variant.name
+        made[name]._direction = message.direction
+        made[name]._is_stream = message.framing is not None
+        made[name]._declared = message
+        self[name] = made
+        return made
+
+
 @cache
-def _all_types(variant: Variant) -> dict[str, Any]:
-    plans = [flatten(message) for message in variant.messages.values()]
-    source = print_records(variant.label, plans)
-    space = load(
-        source,
-        f"aces {variant.label} records",
-        {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any},
-    )
-    found: dict[str, Any] = {
-        k: v
-        for k, v in space.items()
-        if isinstance(v, type) and issubclass(v, (Record, Part)) and v not in (Record, Part)
-    }
-    for name, message in variant.messages.items():
-        found[name]._protocol = variant.name
-        found[name]._direction = message.direction
-        found[name]._is_stream = message.framing is not None
-    return found
+def _types(variant: Variant) -> _Types:
+    return _Types(variant)
 
 
-def records_of(variant: Variant) -> dict[str, type[Record]]:
-    """The record types of a variant, by message."""
-    return {name: _all_types(variant)[name] for name in variant.messages}
+class _Records(Mapping[str, type[Record]]):
+    def __init__(self, variant: Variant) -> None:
+        self._variant = variant
+
+    def __getitem__(self, name: str) -> type[Record]:
+        if name not in self._variant.messages:
+            raise KeyError(name)
+        found: type[Record] = _types(self._variant)[name][name]
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._variant.messages)
+
+    def __len__(self) -> int:
+        return len(self._variant.messages)
+
+
+def records_of(variant: Variant) -> Mapping[str, type[Record]]:
+    """The record types of a variant, by message; each is made when it is first asked for."""
+    return _Records(variant)
 
 
 @cache
@@ -202,7 +229,7 @@ def codec(variant: Variant, raw: bool = False, guard: bool = True) -> Codec:
 
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     """A decode function that goes through construct."""
-    types = _all_types(variant)
+    types = _types(variant)[message.name]
     plan = flatten(message)
     parts = _Parts({shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)})
     record = types[message.name]

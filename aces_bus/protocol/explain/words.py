@@ -33,23 +33,21 @@ def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tupl
     if place == "id":
         if message.identifier.match(frame.arbitration_id) is None:
             return "identifier", message.identifier.describe(8 if message.extended else 3)
-        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
-        if not any(flags) and (message.extended, message.remote, message.fd) != flags:
-            return "kind of frame", _kind(message)
-        return None
+        is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)
+        return ("kind of frame", _kind(message)) if is_plain and not _is_kind(message, frame) else None
     if place == "kind":
-        flags = (bool(frame.is_extended_id), bool(frame.is_remote_frame), bool(frame.is_fd))
-        return (
-            ("kind of frame", _kind(message))
-            if (message.extended, message.remote, message.fd) != flags
-            else None
-        )
+        return None if _is_kind(message, frame) else ("kind of frame", _kind(message))
     if place == "length":
         if message.lengths is not None and len(data) not in message.lengths:
             return "length", message.describe_lengths
         return None
     assert offset is not None
     return template.death(data[: offset + 1], None, None)
+
+
+def _is_kind(message: Message, frame: Any) -> bool:
+    kind = (bool(frame.is_extended_id), bool(frame.is_remote_frame))
+    return kind == (message.extended, message.remote) and bool(frame.is_fd) in message.formats
 
 
 def _kind(message: Message) -> str:

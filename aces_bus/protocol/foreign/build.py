@@ -6,8 +6,12 @@
 3. Ranges (minimum, maximum) bind only what is sent. `0|0` means none.
 
 How a message is told: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
-`trailing`. J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and
-`destination` where the group is addressed (PDU format below 240).
+`trailing`. A message of up to 8 bytes is it in both formats, classic and CAN FD: most databases do not say which it is.
+
+J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and `destination`
+where the group is addressed (PDU format below 240). Where a group has several messages, each has its declared identifier's
+source address (and destination, and priority, where that does not tell them apart). Frames of other sources are the first
+message where all are laid out alike, else unknown. A message that is no parameter group goes before one that is.
 
 Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools
 raises; names that a value table has twice are told apart by their number; signals that share bits all decode.
@@ -15,9 +19,11 @@ raises; names that a value table has twice are told apart by their number; signa
 
 from __future__ import annotations
 
+import copy
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from sys import float_info
 from typing import Any
 
@@ -25,6 +31,7 @@ import construct as c
 
 from ...errors import AcesError
 from ...frame import FD_LENGTHS
+from ...plain_text import without_controls
 from ..spec.bits import BitLayout, bits, float_bits
 from ..spec.fields import Enumeration, Multiplexed, Quantity
 from ..spec.message import Message
@@ -36,6 +43,8 @@ from .problems import Problem, clean
 
 #: The field of the bytes behind the declared ones.
 TRAILING = "trailing"
+#: The attribute of messages whose frames have several lengths (see `printers.dbc`): these, by blanks.
+LENGTHS = "AcesLengths"
 #: A selector of so many bits is searched for the raw values that mean an identifier; a wider one is solved for them.
 SEARCHED = 12
 
@@ -50,6 +59,20 @@ def build(database: Any, name: str, path: str, lines: Lines) -> tuple[Protocol, 
 
 class _LeftOut(Exception):
     """This signal or message cannot be taken over; the argument says why."""
+
+
+@dataclass
+class _Taken:
+    """A message that is taken over: where it was declared, and what is decided about it."""
+
+    message: Any
+    line: int
+    name: str
+    identifier: Pattern
+    is_j1939: bool
+    fd: bool
+    any_format: bool = False
+    over: tuple[str, ...] = ()
 
 
 class _Builder:
@@ -79,19 +102,25 @@ class _Builder:
     def build(self) -> tuple[Protocol, list[Problem]]:
         # Of several messages with the same identifier and length cantools takes the last.
         last = {_key(message): message for message in self.database.messages}
+        found: list[_Taken] = []
         for message in self.database.messages:
             line = self.lines(message, None)
             same = last[_key(message)]
             if same is not message:
-                reason = (
-                    f"message {clean(message.name)} has the identifier of {clean(same.name)} further down"
-                )
-                self.problems.append(Problem(line, f"{reason}: left out"))
+                text = f"message {clean(message.name)} has the identifier of {clean(same.name)} further down"
+                self.problems.append(Problem(line, f"{text}: left out"))
                 continue
             try:
-                self._message(message, line)
-            except _LeftOut as reason:
-                self.problems.append(Problem(line, f"message {clean(message.name)}: {reason}: left out"))
+                found.append(self._taken(message, line))
+            except _LeftOut as left:
+                self._leave_out(message, line, str(left))
+        self._tell_apart(found)
+        for one in found:
+            message, line = one.message, one.line
+            try:
+                self._message(one)
+            except _LeftOut as left:
+                self._leave_out(message, line, str(left))
             except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
                 # A database that contradicts itself in a way that cantools lets pass.
                 said = (
@@ -100,12 +129,16 @@ class _Builder:
                 self.problems.append(Problem(line, said))
         return self.protocol, self.problems
 
+    def _leave_out(self, message: Any, line: int, reason: str) -> None:
+        self.problems.append(Problem(line, f"message {clean(message.name)}: {reason}: left out"))
+
     def _note(self, line: int, text: str) -> None:
         self.problems.append(Problem(line, text, is_note=True))
 
     # ------------------------------------------------------------------ messages
 
-    def _message(self, message: Any, line: int) -> None:
+    def _taken(self, message: Any, line: int) -> _Taken:
+        """What a message is called and of what kind its frames are."""
         if message.is_container:
             raise _LeftOut("a container of other messages")
         size = message.length
@@ -115,42 +148,90 @@ class _Builder:
         if size > (8 if is_j1939 else 64):
             more = ", sent in several frames" if is_j1939 else ""
             raise _LeftOut(f"{size} bytes are more than a frame has{more}")
-        fd = bool(message.is_fd) or size > 8
-        known = len(self.problems)
-        identifier = _j1939(message.frame_id) if is_j1939 else Pattern(message.frame_id)
-        taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *(cap.name for cap in identifier.captures)}
-        layout = self._layout(message, 64 if fd else 8, taken)
         name = unused(message.name, self.taken)
+        fd = bool(message.is_fd) or size > 8
+        return _Taken(message, line, name, Pattern(message.frame_id), is_j1939=is_j1939, fd=fd)
+
+    def _tell_apart(self, found: Sequence[_Taken]) -> None:
+        """Decide identifiers, formats and order of trial, each message seen beside the others."""
+        alike: dict[tuple[int, bool], list[_Taken]] = {}
+        groups: dict[int, list[_Taken]] = {}
+        for one in found:
+            if one.is_j1939:
+                groups.setdefault(_group(one.message.frame_id), []).append(one)
+            else:
+                alike.setdefault((one.message.frame_id, one.message.is_extended_frame), []).append(one)
+        for (identifier, is_extended), some in alike.items():
+            some[0].any_format = len(some) == 1 and some[0].message.length <= 8
+            for one in some if is_extended else ():
+                one.over = tuple(other.name for other in groups.get(_group(identifier), ()))
+        for group, some in groups.items():
+            for one, pattern in zip(some, _patterns_of([one.message for one in some]), strict=True):
+                one.identifier = pattern
+            if len(some) > 1:
+                names = ", ".join(clean(one.message.name) for one in some)
+                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: told by their source addresses"
+                self._note(some[0].line, text)
+
+    def _message(self, taken: _Taken) -> None:
+        message, name = taken.message, taken.name
+        self._declare(taken, name, message.signals, message.length)
+        if name != message.name:
+            self._note(taken.line, f"message {clean(message.name)} is called {name} here")
+        shorter = [n for n in _lengths_of(message) if n < message.length]
+        for size in shorter:
+            known = len(self.problems)
+            short = unused(f"{message.name}_{size}", self.taken)
+            self._declare(taken, short, _fitting(message.signals, size), size)
+            del self.problems[known:]  # said of the whole message
+        if shorter:
+            text = (
+                f"message {clean(message.name)} has shorter frames, too, which are messages of their own here"
+            )
+            self._note(taken.line, f"{text} ({', '.join(f'{name}_{size}' for size in shorter)})")
+
+    def _declare(self, taken: _Taken, name: str, signals: Sequence[Any], size: int) -> None:
+        message, fd = taken.message, taken.fd
+        known = len(self.problems)
+        lengths: list[int] | None = [size] if size < message.length else None
+        if lengths is None and fd:
+            lengths = [n for n in FD_LENGTHS if n >= size]
+        most = (64 if fd else 8) if lengths is None or len(lengths) > 1 else size
+        captured = (capture.name for capture in taken.identifier.captures)
+        names = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured}
+        layout = self._layout(message, signals, size, most, names)
         try:
             made = self.protocol.message(
                 name,
-                id=identifier,
+                id=taken.identifier,
                 payload=layout,
                 extended=bool(message.is_extended_frame),
                 fd=fd,
-                length=[n for n in FD_LENGTHS if n >= size] if fd else None,
+                any_format=taken.any_format,
+                length=lengths,
+                over=taken.over,
                 doc=_doc_of(message),
             )
         except AcesError as error:
             del self.problems[known:]
             raise _LeftOut(_without_place(error)) from None
-        made.place = Place(self.path, line or 1)
-        if name != message.name:
-            self._note(line, f"message {clean(message.name)} is called {name} here")
+        made.place = Place(self.path, taken.line or 1)
 
-    def _layout(self, message: Any, most: int, taken: set[str]) -> BitLayout:
+    def _layout(
+        self, message: Any, signals: Sequence[Any], size: int, most: int, taken: set[str]
+    ) -> BitLayout:
         names: dict[str, str] = {}
         fields: list[c.Construct] = []
         masks = 0
         overlapping = False
         by_name: dict[str, Any] = {}
-        for signal in message.signals:
+        for signal in signals:
             by_name.setdefault(signal.name, signal)
         raws: dict[str, list[int]] = {}
-        for signal in _selectors_first(message.signals, by_name):
+        for signal in _selectors_first(signals, by_name):
             line = self.lines(message, signal)
             try:
-                at = _place(signal, message.length)
+                at = _place(signal, size)
                 field = _value(signal, at)
                 if signal.multiplexer_signal is not None:
                     field = self._multiplexed(signal, field, by_name, names, raws)
@@ -168,16 +249,16 @@ class _Builder:
             overlapping = overlapping or bool(mask & masks)
             masks |= mask
             fields.append(c.Renamed(field, newname=name, newdocs=clean(signal.comment or "")))
-        trailing = TRAILING if message.length < most else ""
+        trailing = TRAILING if size < most else ""
         if overlapping:
             # Most share bits only with what excludes them.
             try:
-                return BitLayout(message.length, *fields, trailing=trailing)
+                return BitLayout(size, *fields, trailing=trailing)
             except AcesError as error:
                 text = re.sub(r" \([^()]*:\d+\)", "", _without_place(error).partition("; if that")[0])
                 text = f"message {clean(message.name)}: {text}: all are decoded, and what is sent must agree"
                 self._note(self.lines(message, None), text)
-        return BitLayout(message.length, *fields, overlapping=overlapping, trailing=trailing)
+        return BitLayout(size, *fields, overlapping=overlapping, trailing=trailing)
 
     def _multiplexed(
         self,
@@ -211,13 +292,56 @@ def _without_place(error: Exception) -> str:
     return rest if separator and head.rpartition(":")[2].isdigit() else text
 
 
-def _j1939(identifier: int) -> Pattern:
-    """The identifiers of a parameter group (SAE J1939-21): any priority, any source, any destination."""
-    priority, source = Capture("priority", range(8)), Capture("source", range(256))
-    if identifier >> 16 & 0xFF < 240:
-        group = identifier & 0x3FF_0000
-        return priority << 26 | group | Capture("destination", range(256)) << 8 | source
-    return priority << 26 | identifier & 0x3FF_FF00 | source
+def _group(identifier: int) -> int:
+    """The bits of an identifier that say its parameter group (SAE J1939-21)."""
+    return identifier & (0x3FF_0000 if identifier >> 16 & 0xFF < 240 else 0x3FF_FF00)
+
+
+def _patterns_of(messages: Sequence[Any]) -> list[Pattern]:
+    """The identifiers of the messages of one parameter group: alone any priority, source and destination."""
+    identifiers = [message.frame_id for message in messages]
+    group = _group(identifiers[0])
+    is_addressed = identifiers[0] >> 16 & 0xFF < 240
+    parts = {"source": (0, 8), "destination": (8, 8), "priority": (26, 3)}
+    if not is_addressed:
+        del parts["destination"]
+    masks = {name: ((1 << width) - 1) << shift for name, (shift, width) in parts.items()}
+    # As few parts as tell all of them apart: the rest may be anything.
+    telling: list[str] = []
+    for name in parts:
+        mask = sum(masks[one] for one in telling)
+        if len({identifier & mask for identifier in identifiers}) == len(identifiers):
+            break
+        telling.append(name)
+    is_for_others = telling == ["source"] and len({_shape(message) for message in messages}) == 1
+    sources = {identifier & 0xFF for identifier in identifiers}
+    found = []
+    for number, identifier in enumerate(identifiers):
+        pattern: Pattern | int = group
+        for name in reversed(parts):
+            shift, width = parts[name]
+            values: Collection[int] = range(1 << width)
+            if name in telling:
+                own = identifier >> shift & ((1 << width) - 1)
+                values = (own,)
+                if is_for_others and number == 0:
+                    values = tuple(n for n in range(256) if n == own or n not in sources)
+            pattern = Capture(name, values) << shift | pattern
+        assert isinstance(pattern, Pattern)
+        found.append(pattern)
+    return found
+
+
+def _shape(message: Any) -> tuple[Any, ...]:
+    """How a message is laid out: equal for messages that give the same values of the same bytes."""
+    return message.length, *(
+        (
+            *(one.name, one.start, one.length, one.byte_order, one.is_signed, one.unit),
+            *(one.conversion.is_float, one.conversion.scale, one.conversion.offset),
+            *(one.multiplexer_signal, str(one.multiplexer_ids), str(one.conversion.choices)),
+        )
+        for one in message.signals
+    )
 
 
 def _doc_of(message: Any) -> str:
@@ -237,7 +361,44 @@ def _doc_of(message: Any) -> str:
 # ---------------------------------------------------------------------- signals
 
 
-def _selectors_first(signals: list[Any], by_name: Mapping[str, Any]) -> list[Any]:
+def _lengths_of(message: Any) -> list[int]:
+    """The lengths that the attribute `LENGTHS` gives a message; none where it has none or none that can be read."""
+    attributes = getattr(message.dbc, "attributes", None) or {}
+    words = str(attributes[LENGTHS].value).split() if LENGTHS in attributes else []
+    return sorted({int(word) for word in words if re.fullmatch(r"\d{1,2}", word, re.ASCII)})
+
+
+def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
+    """The signals of frames of `size` bytes: of those that a multiplexer value has, all or none."""
+
+    def fits(signal: Any) -> bool:
+        try:
+            _place(signal, size)
+        except _LeftOut:
+            return False
+        return True
+
+    gone = {
+        (signal.multiplexer_signal, value)
+        for signal in signals
+        if signal.multiplexer_ids and not fits(signal)
+        for value in signal.multiplexer_ids
+    }
+    found: list[Any] = []
+    for signal in signals:
+        if not fits(signal):
+            continue
+        if signal.multiplexer_ids:
+            left = [n for n in signal.multiplexer_ids if (signal.multiplexer_signal, n) not in gone]
+            if not left:
+                continue
+            signal = copy.copy(signal)
+            signal.multiplexer_ids = left
+        found.append(signal)
+    return found
+
+
+def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list[Any]:
     """The signals in their order, but each behind its multiplexer."""
     done: dict[int, Any] = {}
 
@@ -313,7 +474,7 @@ def _names(signal: Any) -> dict[str, int]:
     names: dict[str, int] = {}
     for value, text in (signal.conversion.choices or {}).items():
         if low <= value <= high:
-            name = str(text)
+            name = without_controls(str(text))
             names[name if name not in names else f"{name}_{value}"] = int(value)
     return names
 

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import re
 import time
@@ -15,14 +16,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import CallerError
-from ..spec.protocol import Protocol
 from .build import build
 from .names import unused
 from .problems import Imported, Problem, excerpt
-from .statements import Statement, grouped, joined, resplit, safe, split, usable
+from .statements import MESSAGE, Statement, grouped, joined, resplit, safe, split, usable
 
 #: Bytes of the largest file that is read.
 MOST_BYTES = 64 * 1024 * 1024
+#: Messages and signals of the largest database that is read: a car has a few thousand messages.
+MOST_MESSAGES, MOST_SIGNALS = 32_768, 524_288
 #: Statements that cantools can parse but not use are searched for so often, and so many seconds; statements that it cannot
 #: parse, so many seconds.
 MOST_SEARCHES, MOST_SECONDS, MOST_PARSING = 50, 30.0, 120.0
@@ -32,6 +34,24 @@ FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}
 
 def load(path: str, kind: str) -> Imported:
     """The database file `path` of the format `kind` as a protocol. Raises `CallerError` when nothing can be read."""
+    with _no_collector():
+        return _load(path, kind)
+
+
+@contextmanager
+def _no_collector() -> Generator[None, None, None]:
+    """A database is hundreds of thousands of objects that stay: to look through them for cycles takes longer than to make
+    them."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+def _load(path: str, kind: str) -> Imported:
     text = read_text(path, kind)
     problems: list[Problem] = []
     lines: Callable[[Any, Any], int]
@@ -42,7 +62,7 @@ def load(path: str, kind: str) -> Imported:
         count = len(database.messages)
         lines = _Search(text)
     protocol, more = build(database, protocol_name(path), path, lines)
-    _check_any(path, protocol, [*problems, *more])
+    _check_any(path, protocol.declared, [*problems, *more])
     return Imported(protocol, tuple(sorted([*problems, *more])), count, path)
 
 
@@ -116,7 +136,9 @@ MOST_IDENTIFIERS = 2048
 
 
 def _check_size(path: str, text: str, kind: str) -> None:
-    """Raise `CallerError` for places and lengths that would cost memory or time beyond measure."""
+    """Raise `CallerError` for numbers, places and lengths that would cost memory or time beyond measure."""
+    messages, signals = (sum(1 for _ in re.finditer(begin, text)) for begin in _BEGINS[kind])
+    _check_count(path, messages, signals)
     for found in re.finditer(_NUMBERS[kind], text):
         line = text.count("\n", 0, found.start(1)) + 1
         raise CallerError(f"{path}:{line}: {found[1][:20]} is no place and no length in a message")
@@ -124,6 +146,14 @@ def _check_size(path: str, text: str, kind: str) -> None:
         if int(found[2], 16) - int(found[1], 16) >= MOST_IDENTIFIERS:
             line = text.count("\n", 0, found.start(1)) + 1
             raise CallerError(f"{path}:{line}: a message of more than {MOST_IDENTIFIERS:,} identifiers")
+
+
+#: What begins a message and a signal in the formats that are read as a whole.
+_BEGINS = {
+    "kcd": (r"<(?:\w+:)?Message\b", r"<(?:\w+:)?Signal\b"),
+    "sym": (r"(?m)^\s*ID\s*=", r"(?m)^\s*(?:Sig|Var)\s*="),
+    "arxml": (r"<(?:\w+:)?CAN-FRAME>", r"<(?:\w+:)?I-SIGNAL>"),
+}
 
 
 def _load_whole(path: str, text: str, kind: str) -> Any:
@@ -152,8 +182,15 @@ def _reason(error: BaseException) -> str:
     return excerpt(text) or type(cause).__name__
 
 
-def _check_any(path: str, protocol: Protocol, problems: Sequence[Problem]) -> None:
-    if not protocol.messages:
+def _check_count(path: str, messages: int, signals: int) -> None:
+    """Raise `CallerError` for a file of more than is read."""
+    for number, most, what in ((messages, MOST_MESSAGES, "messages"), (signals, MOST_SIGNALS, "signals")):
+        if number > most:
+            raise CallerError(f"{path}: {number:,} {what}; at most {most:,} are read from one file")
+
+
+def _check_any(path: str, messages: Sequence[Any], problems: Sequence[Problem]) -> None:
+    if not messages:
         first = f"; first: {min(problems)}" if problems else ""
         raise CallerError(f"{path}: no message in it can be used{first}")
 
@@ -169,6 +206,9 @@ def _load_dbc(path: str, text: str) -> tuple[Any, list[Problem], int, _Declared]
     if not any(one.word for one in statements):
         raise CallerError(f"{path}: not a DBC file: no line of it begins a statement")
     count = sum(1 + len(one.inner) for one in statements)
+    _check_count(
+        path, sum(one.word == "BO_" for one in statements), sum(len(one.inner) for one in statements)
+    )
     kept, problems = safe(statements)
     try:
         return _try(joined(kept), "dbc"), problems, count, _Declared(kept)
@@ -179,8 +219,7 @@ def _load_dbc(path: str, text: str) -> tuple[Any, list[Problem], int, _Declared]
     for check in (safe, usable, safe):
         kept, more = check(kept)
         problems += more
-    database, more, kept = _searched(path, kept)
-    problems += more
+    database, kept = _searched(path, kept, problems)
     count = max(count, len(problems) + sum(1 + len(one.inner) for one in kept))
     return database, problems, count, _Declared(kept)
 
@@ -263,13 +302,14 @@ def _parsed_signals(
     return behind
 
 
-def _searched(path: str, statements: list[Statement]) -> tuple[Any, list[Problem], list[Statement]]:
-    """The database of the statements without those that cantools parses and then refuses, found by halving."""
-    problems: list[Problem] = []
+def _searched(path: str, statements: list[Statement], problems: list[Problem]) -> tuple[Any, list[Statement]]:
+    """The database of the statements without those that cantools parses and then refuses, found by halving and added to
+    the problems."""
     until = time.monotonic() + MOST_SECONDS
     for _ in range(MOST_SEARCHES):
+        _check_any(path, [one for one in statements if one.word == "BO_"], problems)
         try:
-            return _try(joined(statements), "dbc"), problems, statements
+            return _try(joined(statements), "dbc"), statements
         except Exception as error:  # as above
             reason = _reason(error)
         good, bad = 0, len(statements)  # the first `good` load, the first `bad` do not
@@ -292,34 +332,46 @@ def _searched(path: str, statements: list[Statement]) -> tuple[Any, list[Problem
         raise CallerError(f"{path}: not a DBC file that can be read: {_reason(error)}") from error
     dropped = [one for one in statements if one not in essential and one.word]
     problems += [one.problem("left out: too much of this file cannot be read") for one in dropped]
-    return database, problems, essential
+    return database, essential
+
+
+_PLACED = re.compile(r"\s*SG_\s+(\w+)[^:]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
+#: Characters of the names that cantools may have replaced by longer ones (attributes of the database say which).
+_SHORTENED = 32
 
 
 class _Declared:
     """Where messages and signals of a DBC were declared."""
 
     def __init__(self, statements: Sequence[Statement]) -> None:
-        self._messages: dict[int, list[Statement]] = {}
+        self._messages: dict[int, list[tuple[str, Statement]]] = {}
         for one in statements:
-            found = re.match(r"\s*BO_\s+(\d+)\s", one.text) if one.word == "BO_" else None
+            found = MESSAGE.match(one.text) if one.word == "BO_" else None
             if found is not None:
-                self._messages.setdefault(int(found[1]), []).append(one)
-        self._seen: dict[int, int] = {}
+                self._messages.setdefault(int(found[1]), []).append((found[2], one))
+        #: Of the message asked about last: the lines of its signals by place, with their names.
+        self._signals: tuple[Statement | None, dict[tuple[int, int], list[tuple[str, int]]]] = (None, {})
 
     def __call__(self, message: Any, signal: Any) -> int:
         number = message.frame_id | (1 << 31 if message.is_extended_frame else 0)
         blocks = self._messages.get(number, [])
-        named = [b for b in blocks if re.search(rf"\s{re.escape(message.name)}\s*:", b.text)] or blocks
+        named = [one for name, one in blocks if name == message.name] or [one for _, one in blocks]
         if not named:
             return 0
+        block = named[0]
         if signal is None:
-            return named[0].line
-        for one in named[0].inner:
-            place = rf"\s*SG_\s+(\w+)[^:]*:\s*{signal.start}\s*\|\s*{signal.length}\s*@"
-            found = re.match(place, one.text)
-            if found is not None and (found[1] == signal.name or len(found[1]) >= 32):
-                return one.line
-        return named[0].line
+            return block.line
+        if self._signals[0] is not block:
+            places: dict[tuple[int, int], list[tuple[str, int]]] = {}
+            for one in block.inner:
+                found = _PLACED.match(one.text)
+                if found is not None:
+                    places.setdefault((int(found[2]), int(found[3])), []).append((found[1], one.line))
+            self._signals = block, places
+        for name, line in self._signals[1].get((signal.start, signal.length), ()):
+            if name == signal.name or len(name) >= _SHORTENED:
+                return line
+        return block.line
 
 
 class _Search:

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from .problems import Problem, excerpt
+from .problems import Problem, clean, excerpt
 
 #: Words that begin a statement, at a line's start.
 # fmt: off
@@ -25,9 +25,16 @@ KEYWORDS = (
 # fmt: on
 _START = re.compile(rf"[ \t]*({'|'.join(KEYWORDS)})(?![A-Za-z0-9_])")
 _QUOTES = re.compile(r'\\"|"')
-_MESSAGE = re.compile(r"\s*BO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
+MESSAGE = re.compile(r"\s*BO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
 _SIGNAL = re.compile(r"\s*SG_\s+(\w+)\s*(?:(\w+)\s*)?:\s*(\d+)\s*\|\s*(\d+)\s*@\s*(\d+)")
 _REFERENCE = re.compile(r"\s*(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+(\w+)")
+#: What a statement is of, by its identifier.
+_REFERRED = re.compile(
+    r"""(\s*(?:BO_|BO_TX_BU_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|SIG_TYPE_REF_
+    |CM_\s+(?:BO_|SG_)|BA_\s+"[^"]*"\s+(?:BO_|SG_)
+    |BA_REL_\s+"[^"]*"\s+(?:BU_BO_REL_\s+\w+|BU_SG_REL_\s+\w+\s+SG_))\s+)(\d{1,11})\b""",
+    re.VERBOSE,
+)
 _MUX = re.compile(r"\s*SG_MUL_VAL_\s+(\d+)\s+(\w+)\s+(\w+)\s+(.*?);", re.DOTALL)
 _DEFINITION = re.compile(r'\s*BA_DEF_(?:REL_)?\s+(?:\w+\s+)?"([^"]*)"')
 _ATTRIBUTE = re.compile(r'\s*(?:BA_|BA_REL_|BA_DEF_DEF_|BA_DEF_DEF_REL_)\s+"([^"]*)"')
@@ -128,7 +135,7 @@ def joined(statements: Iterable[Statement]) -> str:
 
 def safe(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
     """Without the statements that must not be loaded, and why not each of them."""
-    problems: list[Problem] = []
+    problems = _widened(statements)
     kept: list[Statement] = []
     signals: dict[str, set[str]] = {}
     for statement in statements:
@@ -142,14 +149,14 @@ def safe(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
                 if reason:
                     statement.inner.remove(signal)
                     problems.append(signal.problem(f"{reason}: left out"))
-            if head := _MESSAGE.match(statement.text):
+            if head := MESSAGE.match(statement.text):
                 known = signals.setdefault(str(int(head[1])), set())
                 known.update(m[1] for one in statement.inner if (m := _SIGNAL.match(one.text)))
         kept.append(statement)
     crowded = _crowded(kept)
     left: list[Statement] = []
     for statement in kept:
-        head = _MESSAGE.match(statement.text) if statement.word == "BO_" else None
+        head = MESSAGE.match(statement.text) if statement.word == "BO_" else None
         reference = _REFERENCE.match(statement.text) if statement.word in ("VAL_", "SIG_VALTYPE_") else None
         if head is not None and str(int(head[1])) in crowded:
             problems.append(
@@ -167,6 +174,35 @@ def safe(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
         else:
             left.append(statement)
     return left, problems
+
+
+def _widened(statements: list[Statement]) -> list[Problem]:
+    """Set bit 31, which marks an identifier of 29 bits, where it is missing from one of more than 11 bits, there and
+    wherever the message is referred to; the notes that say so."""
+    heads = [
+        (int(m[1]), m[2], one) for one in statements if one.word == "BO_" and (m := MESSAGE.match(one.text))
+    ]
+    numbers = {number for number, _, _ in heads}
+    wide = {number for number in numbers if 0x7FF < number < 1 << 29 and number | 1 << 31 not in numbers}
+    if not wide:
+        return []
+
+    def marked(found: re.Match[str]) -> str:
+        number = int(found[2])
+        return f"{found[1]}{number | 1 << 31}" if number in wide else found[0]
+
+    for one in statements:
+        one.text = _REFERRED.sub(marked, one.text, count=1)
+    return [
+        Problem(
+            one.line,
+            f"message {clean(name)}: identifier {number:X}h has more than 11 bits: taken for one of 29 bits,"
+            " though bit 31 does not say so",
+            is_note=True,
+        )
+        for number, name, one in heads
+        if number in wide
+    ]
 
 
 def usable(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]:
@@ -196,14 +232,16 @@ def usable(statements: list[Statement]) -> tuple[list[Statement], list[Problem]]
 
 
 def _unsafe_message(statement: Statement) -> str:
-    head = _MESSAGE.match(statement.text)
+    head = MESSAGE.match(statement.text)
     if head is None:
         return ""
     if len(head[3]) > 5 or int(head[3]) > MOST_BYTES:
         return f"a message of {head[3][:20]} bytes"
     number = int(head[1]) if len(head[1]) < 12 else 1 << 32
-    if number >= 1 << 32 or (not number >> 31 and number > 0x7FF) or number & 0x7FFF_FFFF >= 1 << 29:
-        return "an identifier that no frame has (extended ones have bit 31 set)"
+    if number >= 1 << 32 or number & 0x7FFF_FFFF >= 1 << 29:
+        return "an identifier that no frame has (of 29 bits, with bit 31 set)"
+    if 0x7FF < number < 1 << 31:  # not widened
+        return "an identifier of more than 11 bits without bit 31, that another message has with it"
     return ""
 
 
@@ -245,4 +283,4 @@ def _combinations(name: str, by_parent: dict[str, dict[str, int]], depth: int) -
     )
 
 
-__all__ = ["Statement", "grouped", "joined", "resplit", "safe", "split", "usable"]
+__all__ = ["MESSAGE", "Statement", "grouped", "joined", "resplit", "safe", "split", "usable"]

@@ -248,7 +248,9 @@ def _covers(first: Message, other: Message) -> bool:
     plan = flatten(first)
     if plan.opaque or plan.split is not None or first.check is not None or first.framing is not other.framing:
         return False
-    if (first.extended, first.remote, first.fd) != (other.extended, other.remote, other.fd):
+    if (first.extended, first.remote) != (other.extended, other.remote):
+        return False
+    if not set(other.formats) <= set(first.formats):
         return False
     if first.framing is None:
         if len(other.identifier) > WALKED or any(first.identifier.match(n) is None for n in other.identifier):

@@ -1,7 +1,9 @@
 """A variant as a DBC file, through cantools' database objects.
 
 1. What a DBC cannot say is returned, field by field, and stands in the comments of the messages, or of the node `Host`.
-2. Text is made fit for the format here: names are C names, no quote or backslash ends a string.
+2. Frames of one identifier may differ in length, a message of a DBC has one: the attribute `LENGTHS` lists them, and the
+   importer takes the shorter frames, too.
+3. Text is made fit for the format here: names are C names, no quote or backslash ends a string.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from ...errors import CallerError
+from ..foreign.build import LENGTHS
 from ..foreign.problems import clean
 from ..spec.protocol import Variant
 from .leaves import Loss
@@ -50,7 +53,11 @@ def print_dbc(
             "VFrameFormat", default_value=_FORMATS[0], kind="BO_", type_name="ENUM", choices=_FORMATS
         )
         specifics.attribute_definitions["VFrameFormat"] = definition
-    made = [_message(one, losses, definition) for one in messages]
+    lengths: Any = None
+    if any(one.lengths for one in messages):
+        lengths = DbcAttributeDefinition(LENGTHS, default_value="", kind="BO_", type_name="STRING")
+        specifics.attribute_definitions[LENGTHS] = lengths
+    made = [_message(one, losses, definition, lengths) for one in messages]
     there = {name for one in messages for name in one.members}
     about = [f"Made from {variant.label}.", *_not_said(loss for loss in losses if loss.message not in there)]
     bitrate = variant.protocol.bitrate
@@ -65,7 +72,7 @@ def print_dbc(
     return str(database.as_dbc_string()).replace("\r\n", "\n"), losses
 
 
-def _message(one: Identified, losses: Sequence[Loss], definition: Any) -> Any:
+def _message(one: Identified, losses: Sequence[Loss], definition: Any, lengths: Any) -> Any:
     from cantools.database.can import Message
     from cantools.database.can.formats.dbc import DbcAttribute, DbcSpecifics
 
@@ -73,6 +80,8 @@ def _message(one: Identified, losses: Sequence[Loss], definition: Any) -> Any:
     kind = 3 if one.is_j1939 else _FORMAT[one.is_extended, one.is_fd]
     if definition is not None:
         specifics.attributes["VFrameFormat"] = DbcAttribute(kind, definition)
+    if one.lengths:
+        specifics.attributes[LENGTHS] = DbcAttribute(" ".join(map(str, one.lengths)), lengths)
     mine = [loss for loss in losses if loss.message in one.members]
     if len(one.members) == 1:
         mine = [Loss("", loss.field, loss.reason) for loss in mine]

@@ -19,8 +19,8 @@ local function candidates(id, is_extended, is_remote, is_fd)
   if not by_key[key] then
     by_key[key] = {}
     for _, message in ipairs(P.messages) do
-      if message.extended == is_extended and message.remote == is_remote and message.fd == is_fd
-          and captured(message.id, id, {}) then
+      if message.extended == is_extended and message.remote == is_remote
+          and (message.fd == is_fd or message.any_format) and captured(message.id, id, {}) then
         table.insert(by_key[key], message)
       end
     end

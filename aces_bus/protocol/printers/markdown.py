@@ -76,7 +76,14 @@ class _Page:
         rows: list[Sequence[str]] = []
         if self.is_can:
             for message in sorted(self.messages, key=lambda m: m.identifier.constant):
-                kinds = [kind for kind, given in (("remote", message.remote), ("FD", message.fd)) if given]
+                kinds = [
+                    kind
+                    for kind, given in (
+                        ("remote", message.remote),
+                        ("FD", message.fd and not message.any_format),
+                    )
+                    if given
+                ]
                 name = self._link(message)
                 rows.append(
                     (

@@ -78,6 +78,8 @@ class Identified:
     comment: str
     #: Names of the messages that it stands for.
     members: tuple[str, ...]
+    #: The lengths of its frames, where the messages that it stands for differ in theirs.
+    lengths: tuple[int, ...] = ()
 
 
 def identified(
@@ -156,7 +158,14 @@ class _Decider:
             sender,
             "\n".join(filter(None, facts)),
             tuple(message.name for message in messages),
+            _lengths(messages),
         )
+
+
+def _lengths(messages: Sequence[Message]) -> tuple[int, ...]:
+    """The lengths that occur, where they differ between messages."""
+    each = {tuple(message.lengths or ()) for message in messages}
+    return tuple(sorted({n for lengths in each for n in lengths})) if len(each) > 1 else ()
 
 
 def _said(message: Message, *, is_named: bool) -> str:

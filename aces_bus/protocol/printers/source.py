@@ -95,7 +95,7 @@ class _Printer:
 
     def _message(self, message: Message, own: str) -> Expression:
         keywords: list[tuple[str, Expression]] = [("id", self._identifier(message))]
-        for name in ("extended", "fd", "remote"):
+        for name in ("extended", "fd", "any_format", "remote"):
             if getattr(message, name):
                 keywords.append((name, Code("True")))
         if message.direction is not None:

@@ -121,6 +121,8 @@ class _Printer:
         if self.is_can:
             table["id"] = _pattern(message.identifier)
             table |= {"extended": message.extended, "remote": message.remote, "fd": message.fd}
+            if message.any_format:
+                table["any_format"] = True
         else:
             assert message.framing is not None
             table["framing"] = self.framings.index(message.framing) + 1

@@ -1,8 +1,8 @@
 """The CAN scanner: frames in, records out.
 
 1. No I/O, no clock, no thread: `feed` is given frames and returns records.
-2. The usual frame costs one table look-up and one generated call. Everything unusual (large identifier patterns, requests
-   and replies, losses) is beside that path.
+2. The usual frame costs one table look-up and one generated call. Everything unusual (the first frame of an identifier,
+   frames with flags, requests and replies, losses) is beside that path.
 3. Each frame ends in exactly one bin of `counts`.
 """
 
@@ -36,14 +36,23 @@ SPELT_OUT = 4096
 SPELT_OUT_OF_MANY = 16
 
 
+_KINDS = EXTENDED | REMOTE | FD
+
+
+def _kinds_of(message: Message) -> list[int]:
+    """The flags of the keys of a message's frames."""
+    return [key_of(0, extended=message.extended, remote=message.remote, fd=fd) for fd in message.formats]
+
+
 class _Index:
     """Messages by those bits of their keys that never vary: what a key may be is found without trying them all."""
 
     def __init__(self, messages: Sequence[Message]) -> None:
         self._by_mask: dict[int, dict[int, list[tuple[int, Message]]]] = {}
         for number, message in enumerate(messages):
-            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
-            mask = message.identifier.fixed | EXTENDED | REMOTE | FD
+            flags = _kinds_of(message)[0]
+            mask = message.identifier.fixed | _KINDS
+            mask = mask & ~FD if message.any_format else mask
             key = (message.identifier.constant | flags) & mask
             self._by_mask.setdefault(mask, {}).setdefault(key, []).append((number, message))
 
@@ -54,8 +63,7 @@ class _Index:
             (number, message)
             for mask, table in self._by_mask.items()
             for number, message in table.get(key & mask, ())
-            if message.identifier.match(identifier) is not None
-            and key_of(identifier, extended=message.extended, remote=message.remote, fd=message.fd) == key
+            if message.identifier.match(identifier) is not None and key & _KINDS in _kinds_of(message)
         ]
         if len(found) > 1:
             found.sort(key=lambda one: one[0])
@@ -71,10 +79,10 @@ class _Keys:
         total = sum(len(m.identifier) for m in messages if len(m.identifier) <= SPELT_OUT)
         most = SPELT_OUT if total <= REMEMBERED else SPELT_OUT_OF_MANY
         for message in messages:
-            flags = key_of(0, extended=message.extended, remote=message.remote, fd=message.fd)
             if len(message.identifier) <= most:
-                for identifier in message.identifier:
-                    by_key.setdefault(identifier | flags, []).append(message)
+                for flags in _kinds_of(message):
+                    for identifier in message.identifier:
+                        by_key.setdefault(identifier | flags, []).append(message)
             else:
                 patterns.append(message)
         self.has_patterns = bool(patterns)
@@ -97,16 +105,10 @@ class _Wire(Decider):
 
     def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
         super().__init__(variant, direction, raw=raw)
-        self.table: dict[int, Decode] = {}
         keys = _keys(tuple(self.messages))
-        self._has_patterns = keys.has_patterns
-        self._patterns, self._all = keys.patterns, keys.all
-        # Many keys have the same candidates: these are decided about once.
-        decided: dict[tuple[Message, ...], Decode] = {}
-        for key, found in keys.spelt_out.items():
-            if found not in decided:
-                decided[found] = self.decide(found, alone=True)
-            self.table[key] = decided[found]
+        #: The candidates of each key that is spelt out.
+        self.spelt_out = keys.spelt_out
+        self._patterns, self._all = keys.patterns if keys.has_patterns else None, keys.all
 
     def candidates(self, key: int) -> list[Message]:
         """The messages whose identifier and flags fit, in order."""
@@ -117,21 +119,15 @@ class _Wire(Decider):
         """Those of `messages` whose identifier and flags fit."""
         identifier = key & 0x1FFF_FFFF
         return [
-            m
-            for m in messages
-            if key_of(identifier, extended=m.extended, remote=m.remote, fd=m.fd) == key
-            and m.identifier.match(identifier) is not None
+            m for m in messages if key & _KINDS in _kinds_of(m) and m.identifier.match(identifier) is not None
         ]
 
     def lookup(self, key: int) -> Decode | None:
-        """The decode function of a key that is not in the table; remembers it."""
-        found = self._patterns.of(key) if self._has_patterns else []
-        if not found:
-            return None
-        decode = self.decide(found, alone=True)
-        if len(self.table) < REMEMBERED:
-            self.table[key] = decode
-        return decode
+        """The function that decodes a key; None for one that no message has."""
+        found: Sequence[Message] = self.spelt_out.get(key, ())
+        if not found and self._patterns is not None:
+            found = self._patterns.of(key)
+        return self.decide(found, alone=True) if found else None
 
     def reason(self, key: int, data: bytes) -> str:
         """Why a frame is none of the messages."""
@@ -176,33 +172,36 @@ class CanScanner:
         self.direction = direction
         self.everything = everything
         self.wires = [_Wire(variant, direction, raw=raw) for variant in variants]
-        self._table = dict(self.wires[0].table) if self.wires else {}
-        self._merged = len(self.wires) > 1
+        #: By key, what decodes it; made when the first frame with that key comes.
+        self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
         self._asked: dict[int, list[tuple[_Wire, Message]]] = {}
         self._counts = Counts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
-        if self._merged:
+        if len(self.wires) > 1:
             owners: dict[int, str] = {}
             for wire in self.wires:
-                for key in wire.table:
+                for key in wire.spelt_out:
                     owner = owners.setdefault(key, wire.variant.label)
                     if owner != wire.variant.label:
                         self.contested.setdefault(key, (owner, wire.variant.label))
-            keys = {key for wire in self.wires for key in wire.table}
-            self._table = {key: self._chain(key) for key in keys}
         #: Records given out, and how many of them were `Unknown`.
         self._given = [0, 0]
         # The method's place is taken by the closure: no look-up of `self` in the hot loop.
         self.__dict__["feed"] = self._make_feed()
 
-    def _chain(self, key: int) -> Decode:
-        """The protocols that claim a key, in order."""
-        found = [d for wire in self.wires if (d := wire.table.get(key) or wire.lookup(key)) is not None]
-        if len(found) == 1:
-            return found[0]
+    def _lookup(self, key: int) -> Decode | None:
+        """The function that decodes a key, which is remembered: the protocols that claim it, in order."""
+        found = [decode for wire in self.wires if (decode := wire.lookup(key)) is not None]
+        if not found:
+            return None
+        decode = found[0] if len(found) == 1 else self._chain(found)
+        if len(self._table) < REMEMBERED:
+            self._table[key] = decode
+        return decode
 
+    def _chain(self, found: Sequence[Decode]) -> Decode:
         def decode(*frame: Any) -> Any:
             for one in found:
                 try:
@@ -314,22 +313,17 @@ class CanScanner:
         return self._lost(frame, next((r for r in reasons if r != "unknown"), "unknown"))
 
     def _rare(self, frame: Any, key: int, data: bytes) -> Any:
-        """The record of a frame with flags, or with an identifier of a pattern too large to spell out."""
-        for wire in self.wires:
-            decode = self._table.get(key) if not self._merged or key in self._table else None
-            decode = decode or wire.lookup(key)
-            if decode is None:
-                continue
-            if not self._merged and len(self._table) < REMEMBERED:
-                self._table[key] = decode
-            try:
-                record = decode(data, key, frame.timestamp, frame.channel, data, frame.is_rx)
-            except struct.error:
-                record = None
-            if record is not None:
-                self._forget_needs()
-                return record
-        return None
+        """The record of a frame with flags, or with a key that comes for the first time."""
+        decode = self._table.get(key) or self._lookup(key)
+        if decode is None:
+            return None
+        try:
+            record = decode(data, key, frame.timestamp, frame.channel, data, frame.is_rx)
+        except (KeyError, struct.error):
+            return None
+        if record is not None:
+            self._forget_needs()
+        return record
 
     def _lost(self, frame: Any, reason: str) -> Unknown | None:
         self._counts.lose(1, reason)

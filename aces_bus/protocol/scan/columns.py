@@ -14,7 +14,6 @@ import numpy as np
 
 from ...frame_table import Channels, FrameTable
 from ..codegen.flatten import flatten
-from ..codegen.load import records_of
 from ..spec.message import Direction
 from ..spec.protocol import Variant
 from .counts import Counts
@@ -118,11 +117,9 @@ class RecordColumns:
         self.link = self.scanner.link
         self.channels = Channels()
         self._rows = 0
-        self._gatherers: dict[type[Record], Gatherer] = {
-            kind: Gatherer(kind, flatten(variant.messages[name]), raw=raw)
-            for variant in variants
-            for name, kind in records_of(variant).items()
-        }
+        self._raw = raw
+        #: By record type, made when its first record comes.
+        self._gatherers: dict[type[Record], Gatherer] = {}
 
     @property
     def counts(self) -> Counts:
@@ -147,6 +144,12 @@ class RecordColumns:
         tables = self.tables(self.scanner.feed(table.frames()), rows)
         return [replace(one, time=table.time[np.searchsorted(rows, one.row)]) for one in tables]
 
+    def _gatherer(self, kind: type[Record]) -> Gatherer:
+        found = self._gatherers.get(kind)
+        if found is None:
+            found = self._gatherers[kind] = Gatherer(kind, flatten(kind._declared), raw=self._raw)
+        return found
+
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
         """Records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
         by_kind: dict[Any, list[int]] = {}
@@ -155,7 +158,7 @@ class RecordColumns:
         tables = []
         for kind, indices in by_kind.items():
             some = [items[index] for index in indices]
-            gatherer = self._gatherers.get(kind)  # None: what is no record
+            gatherer = None if kind is Unknown else self._gatherer(kind)
             if gatherer is None and not self.everything:
                 continue
             if rows is not None:

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from decimal import Decimal
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
 from ..keys import EXTENDED, FD, REMOTE
 from ..spec.fields import FlagSet
+
+if TYPE_CHECKING:
+    from ..spec.message import Message
 
 
 class Meta(msgspec.Struct, frozen=True, gc=False):
@@ -53,6 +56,8 @@ class Record(msgspec.Struct, frozen=True, gc=False):
     _protocol: ClassVar[str] = ""
     _direction: ClassVar[str | None] = None
     _is_stream: ClassVar[bool] = False
+    #: The message it is a record of.
+    _declared: ClassVar[Message]
 
     @property
     def meta(self) -> Meta:

@@ -20,7 +20,7 @@ from construct import ConstructError
 from ...errors import AcesError, SpecError
 from .framing import Framing
 from .message import Message, Request
-from .pattern import meet
+from .pattern import Pattern, meet
 from .stuffing import Insert, Stuffing
 
 
@@ -42,11 +42,43 @@ class Conflict:
         return f"both accept {self.identifier:03X}#{self.witness.hex().upper()}"
 
 
-def check_against(made: Message, declared: Sequence[Message]) -> None:
+class Neighbours:
+    """The messages on CAN that are declared so far, by those bits of their identifiers that never vary: with whom a new
+    one may share an identifier is found without trying them all."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        #: By the bits that never vary in a message, and those of them that never vary in another one.
+        self._tables: dict[int, dict[int, dict[int, list[tuple[int, Message]]]]] = {}
+
+    def add(self, message: Message) -> None:
+        """Know one more message."""
+        mask, constant = message.identifier.fixed & _BITS, message.identifier.constant
+        numbered = (self._count, message)
+        self._count += 1
+        for shared, table in self._tables.setdefault(mask, {mask: {}}).items():
+            table.setdefault(constant & shared, []).append(numbered)
+
+    def of(self, pattern: Pattern) -> list[Message]:
+        """The messages that a glance does not show to be apart from `pattern`, as declared."""
+        found: list[tuple[int, Message]] = []
+        for mask, tables in self._tables.items():
+            shared = mask & pattern.fixed
+            if shared not in tables:
+                table: dict[int, list[tuple[int, Message]]] = {}
+                for numbered in (one for some in tables[mask].values() for one in some):
+                    table.setdefault(numbered[1].identifier.constant & shared, []).append(numbered)
+                tables[shared] = table
+            found += tables[shared].get(pattern.constant & shared, ())
+        return [message for _, message in sorted(found, key=lambda one: one[0])]
+
+
+_BITS = 0x1FFF_FFFF
+
+
+def check_against(made: Message, declared: Iterable[Message]) -> None:
     """Raise `SpecError` when a new message cannot be told from one declared before."""
     for other in declared:
-        if made.framing is None and made.identifier.is_apart(other.identifier):
-            continue
         found = unresolved(made, other)
         if found is not None:
             raise SpecError(
@@ -92,12 +124,11 @@ def conflict(one: Message, other: Message) -> Conflict | None:
 
 def opposite_conflict(messages: Iterable[Message]) -> tuple[Message, Message] | None:
     """Two messages of opposite direction that bytes alone cannot tell apart."""
-    listed = list(messages)
+    listed = [message for message in messages if message.direction is not None]
     for index, one in enumerate(listed):
         for other in listed[:index]:
-            if one.direction is not None and other.direction is not None and one.direction != other.direction:
-                if conflict(one, other) is not None:
-                    return one, other
+            if one.direction != other.direction and conflict(one, other) is not None:
+                return one, other
     return None
 
 
@@ -216,7 +247,9 @@ def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
 
 
 def _can_conflict(one: Message, other: Message) -> Conflict | None:
-    if (one.extended, one.remote, one.fd) != (other.extended, other.remote, other.fd):
+    if (one.extended, one.remote) != (other.extended, other.remote):
+        return None
+    if not set(one.formats) & set(other.formats):
         return None
     if one.identifier.is_apart(other.identifier):
         return None

@@ -93,6 +93,7 @@ class Message:
         extended: bool,
         remote: bool,
         fd: bool,
+        any_format: bool,
         direction: Direction | None,
         dialects: frozenset[str] | None,
         when: tuple[Condition, ...],
@@ -112,6 +113,8 @@ class Message:
         self.framing = framing
         self.identifier = identifier if identifier is not None else Pattern(0)
         self.extended, self.remote, self.fd = extended, remote, fd
+        #: Whether frames of up to 8 bytes are it in both formats, classic and CAN FD; `fd` is then how it is sent.
+        self.any_format = any_format
         self.direction: Direction | None = direction
         self.dialects = dialects
         self.when = when
@@ -239,6 +242,10 @@ class Message:
         for name in self._payload_names():
             claim(name, "payload")
         self.identifier.check()
+        if self.any_format and (self.remote or self.framing is not None or self.identifier.captures):
+            raise SpecError(
+                f"{self.place}: any_format is for data frames of one identifier, which {self.name} has not"
+            )
         limit = 0x1FFF_FFFF if self.extended else 0x7FF
         if self.identifier.largest > limit:
             raise SpecError(
@@ -394,6 +401,11 @@ class Message:
         return found
 
     # ------------------------------------------------------------------ relations
+
+    @property
+    def formats(self) -> tuple[bool, ...]:
+        """The formats of its frames, as `is_fd` has them; first that in which it is sent."""
+        return (self.fd, not self.fd) if self.any_format else (self.fd,)
 
     def where(self, **values: Any) -> Request:
         """This message with these field values, for `reply_to` and `after`: numbers, sets of numbers or names."""

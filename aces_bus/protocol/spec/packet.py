@@ -74,7 +74,8 @@ class Packet(Construct):
             identifier = int.from_bytes(packet[:4], "big") & 0x1FFF_FFFF
             flags = (bool(packet[0] & 0x80), bool(packet[0] & 0x40), bool(packet[4] & FD_FLAG))
             captures = message.identifier.match(identifier)
-            if captures is None or flags != (message.extended, message.remote, message.fd):
+            is_kind = flags[:2] == (message.extended, message.remote) and flags[2] in message.formats
+            if captures is None or not is_kind:
                 raise NotThisError("another identifier", path=path)
             for capture in message.identifier.captures:
                 raw = captures[capture.name]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import construct as c
 
 from ...errors import CallerError, SpecError, UnknownNameError
+from . import ambiguity
 from .checks import Check
 from .examples import as_examples
 from .framing import Framing
@@ -83,6 +84,7 @@ class Protocol:
         self.framings: list[Framing] = []
         self.register_map: RegisterMap | None = None
         self._variants: dict[Any, Variant] = {}
+        self._neighbours = ambiguity.Neighbours()
 
     # ------------------------------------------------------------------ declaring
 
@@ -121,6 +123,7 @@ class Protocol:
         extended: bool = False,
         remote: bool = False,
         fd: bool = False,
+        any_format: bool = False,
         direction: Direction | None = None,
         dialect: str | Collection[str] | None = None,
         when: Condition | Collection[Condition] | None = None,
@@ -137,7 +140,8 @@ class Protocol:
         """Declare a message; raises `SpecError` with file and line when it cannot be right.
 
         `id` is the CAN identifier (a number or a pattern with captures), `match` gives head fields their value or
-        pattern, `length` the data lengths that occur when the fields leave a choice. `direction`, `dialect`, `when`,
+        pattern, `length` the data lengths that occur when the fields leave a choice. With `any_format` frames of up to 8
+        bytes are taken in both formats, classic and CAN FD, and sent as `fd` says. `direction`, `dialect`, `when`,
         `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `over` names
         messages that this one takes precedence over. `examples` are worked ones, `(bytes, {field: value})`: see
         `spec.examples`.
@@ -168,6 +172,7 @@ class Protocol:
             extended=extended,
             remote=remote,
             fd=fd,
+            any_format=any_format,
             direction=direction,
             dialects=dialects,
             when=() if when is None else (when,) if isinstance(when, Condition) else tuple(when),
@@ -181,13 +186,15 @@ class Protocol:
             source=source,
             examples=as_examples(examples, place, is_can=self.link == "can"),
         )
-        for other in self.declared:
+        for other in self.declared if name in self.messages else ():
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
             if other.name == name and share_dialect(made, other):
                 raise SpecError(f"{place}: message {name!r} is there twice; the other is at {other.place}")
-        from .ambiguity import check_against
-
-        check_against(made, self.declared)
+        if made.framing is None:
+            ambiguity.check_against(made, self._neighbours.of(made.identifier))
+            self._neighbours.add(made)
+        else:
+            ambiguity.check_against(made, self.declared)
         self.declared.append(made)
         self.messages.setdefault(name, made)
         # Scanners that exist keep what they know; the next one knows this message too.

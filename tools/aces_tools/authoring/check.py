@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
+from aces_bus.plain_text import printable, printable_lines
 from aces_bus.protocol import Protocol, Variant, list_protocols
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 from aces_bus.protocol.spec.place import Place
@@ -335,14 +336,15 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
                 hidden += 1
                 continue
             level = paint(_STYLES[one.level], f"{one.level}:")
-            print(f"{one.place}: {level} {one.text} {paint('place', f'[{one.rule}]')}")
+            place, text = printable(str(one.place)), printable(one.text)
+            print(f"{place}: {level} {text} {paint('place', f'[{one.rule}]')}")
             if one in result.drawings:
-                print(textwrap.indent(result.drawings[one], "    "))
+                print(textwrap.indent(printable_lines(result.drawings[one]), "    "))
             if one.witness is not None and one.rule == "collision":
                 spoken = " ".join(name for label, name in result.labels.items() if f"{label} " in one.text)
                 print(f"    to see it: aces spec explain {spoken or result.name} '{one.witness}'")
         if not result.complaint:
-            print(f"{result.name}: {_summary(result, hidden)}")
+            print(f"{printable(result.name)}: {_summary(result, hidden)}")
 
 
 def _summary(result: Checked, hidden: int) -> str:

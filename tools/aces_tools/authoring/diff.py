@@ -106,7 +106,7 @@ def _template_key(message: Message) -> Any:
     plan = flatten(message)
     return (
         message.identifier.describe(),
-        (message.extended, message.remote, message.fd),
+        (message.extended, message.remote, message.formats),
         plan.constants,
         plan.one_of,
         message.direction,

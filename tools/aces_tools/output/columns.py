@@ -1,13 +1,16 @@
 """Tables and indented paragraphs for a terminal of any width.
 
 1. Nothing is cut off. Where the last column has no room beside the others, it goes below them, indented.
-2. `width` None is no limit: one row, one line.
+2. Cells and paragraphs are of others: nothing in them reaches the terminal as a control character.
+3. `width` None is no limit: one row, one line.
 """
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+
+from aces_bus.plain_text import printable, printable_lines
 
 from .text import Paint
 
@@ -19,6 +22,7 @@ INDENT = 4
 
 def columns(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None, paint: Paint) -> list[str]:
     """Rows below a head; columns that are empty throughout are left out."""
+    rows = [[printable_lines(cell) for cell in row] for row in rows]
     used = [index for index in range(len(head)) if any(row[index] for row in rows)]
     if not used:
         return []
@@ -49,6 +53,7 @@ def columns(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | Non
 
 def beside(name: str, texts: Sequence[str], width: int | None, style: str, paint: Paint) -> list[str]:
     """A name, and beside it paragraphs."""
+    name, texts = printable(name), [printable_lines(text) for text in texts]
     start = len(name) + len(GAP)
     parts = [part for text in texts for part in _wrapped(text, None if width is None else width - start)]
     lines = [paint(style, name) + GAP + (parts[0] if parts else "")]

@@ -21,7 +21,7 @@ from aces_bus.protocol import Record, Unknown
 from aces_bus.protocol.codegen.plan import MessagePlan
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 
-from .shape import is_plain, plain
+from .shape import OfKind, Plans, is_plain, plain
 
 
 class CanLine(msgspec.Struct, gc=False):
@@ -64,17 +64,16 @@ Convert = Callable[[Any], CanLine | StreamLine]
 class JsonLines:
     """`direction` is what the user stated of raw bytes; on CAN, what a frame is not known to be it is not."""
 
-    def __init__(self, plans: Mapping[type[Record], MessagePlan], direction: str | None) -> None:
+    def __init__(self, plans: Plans, direction: str | None) -> None:
         self._plans = plans
         self._direction = direction
         self._encode = msgspec.json.Encoder(enc_hook=plain).encode
-        self._lines: dict[type, Convert] = {}
+        self._lines: OfKind[Convert]
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
         is_can = link == "can"
-        self._lines = {
-            kind: self._line(kind, plan, source, is_can=is_can) for kind, plan in self._plans.items()
-        }
+        plans = self._plans
+        self._lines = OfKind(lambda kind: self._line(kind, plans[kind], source, is_can=is_can))
         self._lines[Unknown] = self._unknown(source, is_can=is_can)
         return b""
 

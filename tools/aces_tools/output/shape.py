@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -19,15 +19,51 @@ from aces_bus.protocol.scan.gather import getter as getter
 from aces_bus.protocol.scan.gather import leaves_of
 
 Convert = Callable[[Any], Any]
+T = TypeVar("T")
 
 
-def plans_of(variants: Sequence[Variant]) -> dict[type[Record], p.MessagePlan]:
+class Plans(Mapping[type[Record], p.MessagePlan]):
+    """The plan of each record type that scanners of these variants give. To ask for one costs one: a database has
+    thousands, of which a recording has a few. To go through them all makes them all."""
+
+    def __init__(self, variants: Sequence[Variant]) -> None:
+        self._records = [records_of(variant) for variant in variants]
+
+    def __getitem__(self, kind: type[Record]) -> p.MessagePlan:
+        return flatten(kind._declared)
+
+    def __iter__(self) -> Iterator[type[Record]]:
+        for records in self._records:
+            yield from records.values()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._records))
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The names of the messages."""
+        return frozenset(name for records in self._records for name in records)
+
+    def named(self, name: str) -> list[type[Record]]:
+        """The record types of a message's name, one of each protocol that has it."""
+        return [records[name] for records in self._records if name in records]
+
+
+def plans_of(variants: Sequence[Variant]) -> Plans:
     """The plan of each record type that scanners of these variants give."""
-    return {
-        kind: flatten(variant.messages[name])
-        for variant in variants
-        for name, kind in records_of(variant).items()
-    }
+    return Plans(variants)
+
+
+class OfKind(dict[type[Any], T]):
+    """What belongs to a record type, made by `make` when the first of its records comes."""
+
+    def __init__(self, make: Callable[[Any], T]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, kind: type[Any]) -> T:
+        made = self[kind] = self._make(kind)
+        return made
 
 
 # ---------------------------------------------------------------------- plain values

@@ -7,20 +7,22 @@ columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 1. The columns are known before the first record: they depend on the protocols and messages asked for, not on the data.
 2. What is not decoded has no message; its reason stands under `field`, its bytes under `value`. In the form with one
    message there is no place for it.
-3. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
+3. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
+   has an apostrophe in front. Numbers are as they are.
+4. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from aces_bus.protocol import FlagSet, Record, Unknown
-from aces_bus.protocol.codegen.plan import MessagePlan
+from aces_bus.plain_text import cell_text
+from aces_bus.protocol import FlagSet, Unknown
 
-from .shape import Leaf, flag_names, leaves, plain, unit_of
+from .shape import Leaf, OfKind, Plans, flag_names, leaves, plain, unit_of
 
 _SPECIAL = re.compile(r'[",\r\n]').search
 
@@ -30,19 +32,18 @@ class Sheet:
 
     def __init__(
         self,
-        plans: Mapping[type[Record], MessagePlan],
+        plans: Plans,
         direction: str | None,
         *,
         only: str | None,
         links: frozenset[str],
     ) -> None:
         self._direction = direction
-        self._leaves = {kind: leaves(plan) for kind, plan in plans.items()}
+        self._leaves = OfKind(lambda kind: leaves(plans[kind]))
         self._is_wide = only is not None
         columns: dict[str, None] = {}
-        for kind, found in self._leaves.items():
-            if kind.__name__ == only:
-                columns.update(dict.fromkeys(leaf.path for leaf in found))
+        for kind in plans.named(only) if only is not None else ():
+            columns.update(dict.fromkeys(leaf.path for leaf in self._leaves[kind]))
         self._columns = list(columns)
         taken = {"source", "time", "channel", "direction", "id", "offset", "size", "protocol", "message"}
         self._titles = [f"{only}.{name}" if name in taken else name for name in columns]
@@ -104,7 +105,7 @@ def _written(value: Any) -> str:
     """A cell as it is written (RFC 4180). The csv module leaves a lone carriage return without quotes."""
     if value is None:
         return ""
-    text = str(value)
+    text = cell_text(value) if isinstance(value, str) else str(value)
     return '"' + text.replace('"', '""') + '"' if _SPECIAL(text) else text
 
 

@@ -19,10 +19,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.plain_text import printable as printable
+from aces_bus.protocol import FlagSet, Unknown
 from aces_bus.protocol.codegen import plan as p
 
-from .shape import Leaf, flag_names, getter, plain, unit_of
+from .shape import Leaf, OfKind, Plans, flag_names, getter, plain, unit_of
 
 Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
@@ -98,7 +99,7 @@ class Text:
 
     def __init__(
         self,
-        plans: Mapping[type[Record], p.MessagePlan],
+        plans: Plans,
         direction: str | None,
         *,
         paint: Paint = no_paint,
@@ -106,7 +107,7 @@ class Text:
         is_relative: bool = True,
         encoding: str = "utf-8",
     ) -> None:
-        self._fields = {kind: _Fields(plan) for kind, plan in plans.items()}
+        self._fields = OfKind(lambda kind: _Fields(plans[kind]))
         self._direction = direction
         self._paint = paint
         self._width = width
@@ -354,11 +355,23 @@ def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
         if isinstance(step, p.FlagBits):
             return lambda value: "{" + ", ".join(flag_names(value)) + "}"
         if isinstance(step, p.Names):
-            return str
+            return _name
     if isinstance(node, p.Scalar) and node.kind == "float":
         digits = {2: 4, 4: 7}.get(node.size or 0, 15)
         return lambda value: f"{value:.{digits}g}"
     scales = [step for step in node.steps if isinstance(step, p.Scale)]
+    if any(step.names for step in scales):
+        number = _show_scaled(scales)
+        return lambda value: printable(value) if isinstance(value, str) else number(value)
+    return _show_scaled(scales)
+
+
+def _name(value: Any) -> str:
+    """A name, or a number that has none."""
+    return printable(str(value))
+
+
+def _show_scaled(scales: Sequence[p.Scale]) -> Show:
     if scales and not all(float(s.scale).is_integer() and float(s.offset).is_integer() for s in scales):
         digits = max(decimals(s.scale, s.offset) for s in scales)
         return lambda value: f"{value:.{digits}f}" if isinstance(value, float) else str(value)
@@ -390,15 +403,6 @@ def can_write(text: str, encoding: str) -> bool:
     except (UnicodeEncodeError, LookupError):
         return False
     return True
-
-
-def printable(text: str) -> str:
-    """Safe to print on a terminal."""
-    if text.isprintable():
-        return text
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text
-    )
 
 
 def quoted(text: str) -> str:

@@ -23,7 +23,6 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
 from aces_bus.protocol.codegen import plan as p
 from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.codegen.load import records_of
 from aces_bus.protocol.scan.gather import kinds_of, leaves_of
 from aces_bus.protocol.scan.message_table import ColumnKind
 
@@ -84,9 +83,8 @@ def declared(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
     """All that these protocols declare, by protocol and message."""
     found: dict[tuple[str, str], Declared] = {}
     for variant in variants:
-        for name, record in records_of(variant).items():
-            plan = flatten(variant.messages[name])
-            found[record._protocol, record.__name__] = _declared(record._protocol, record.__name__, plan)
+        for name, message in variant.messages.items():
+            found[variant.name, name] = _declared(variant.name, name, flatten(message))
     return found
 
 

@@ -31,8 +31,9 @@ from aces_bus.hardware.frame_time import INTERMISSION, frame_bits
 from aces_bus.protocol import Scanner, Unknown
 from aces_bus.protocol.keys import key_of
 
+from ..output.shape import OfKind
 from .meter import Meter
-from .values import Fields
+from .values import Fields, FieldsOfKinds
 
 #: Rows, channels and events that are kept, at most.
 LIMIT, CHANNELS, EVENTS = 2000, 32, 200
@@ -260,10 +261,10 @@ class Model:
         self.name, self.limit = name, limit
         self.bitrate, self.data_bitrate = bitrate, data_bitrate
         self._data_share = 1.0 if not (bitrate and data_bitrate) else bitrate / data_bitrate
-        self.fields: dict[type, Fields] = Fields.of_all(getattr(scanner, "variants", ()))
-        self._pages: dict[type, Callable[[Any], Hashable]] = {
-            kind: attrgetter(*one.page) for kind, one in self.fields.items() if one.page
-        }
+        self.fields = fields = FieldsOfKinds(getattr(scanner, "variants", ()))
+        self._pages: OfKind[Callable[[Any], Hashable] | None] = OfKind(
+            lambda kind: attrgetter(*one.page) if (one := fields[kind]) is not None and one.page else None
+        )
         if self.scanner is not None and not getattr(scanner, "everything", True):
             raise CallerError("the screen's scanner has to be made with everything=True")
         self.events: deque[BusEvent] = deque(maxlen=EVENTS)
@@ -311,7 +312,7 @@ class Model:
         record: Any
         for item, frame, record in zip(items, frames, records, strict=True):
             kind: Any = type(record)
-            page = pages.get(kind)
+            page = pages[kind]
             if page is not None:
                 place: Place = frame.channel, record._key, kind, page(record)
             elif kind is Unknown:
@@ -369,7 +370,7 @@ class Model:
                 place: Place = (record.kind,)
                 data, stamp = record.meta.raw, record.meta.time
             else:
-                page = self._pages.get(kind)
+                page = self._pages[kind]
                 place = (kind,) if page is None else (kind, page(record))  # type: ignore[assignment]
                 data, stamp = record._raw, record._time
             row = self.rows.get(place)
@@ -396,7 +397,7 @@ class Model:
     def _row(self, place: Place, channel: str | None, record: Any, host_ns: int) -> Row:
         self._numbers += 1
         self.generation += 1
-        fields = self.fields.get(type(record))
+        fields = self.fields[type(record)]
         shown = channel or self.name
         is_lost = type(record) is Unknown
         if is_lost:
@@ -474,7 +475,7 @@ class Model:
 
     def fields_of(self, row: Row) -> Fields | None:
         """How the row's message is told; None where it is none."""
-        return self.fields.get(type(row.record))
+        return self.fields[type(row.record)]
 
     @property
     def is_can(self) -> bool:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from aces_bus.protocol import Record, Variant, draw
@@ -60,15 +60,6 @@ class Fields:
         self._leaves: list[tuple[Leaf, Callable[[Any], str], str]] | None = None
         self._rows: dict[str, draw.FieldRow] = {}
         self._picture: list[str] | None = None
-
-    @classmethod
-    def of_all(cls, variants: Iterable[Variant]) -> dict[type, Fields]:
-        """By the type of the records."""
-        return {
-            kind: cls(variant, variant.messages[name])
-            for variant in variants
-            for name, kind in records_of(variant).items()
-        }
 
     def page_of(self, record: Any) -> list[tuple[str, Any]]:
         """The page's names and values."""
@@ -144,4 +135,20 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and -1e300 < value < 1e300
 
 
-__all__ = ["Fields", "Token", "Value", "sparkline"]
+class FieldsOfKinds(dict[type, Fields | None]):
+    """By the type of an item; None for what is no record. Each is made when the first of its items comes."""
+
+    def __init__(self, variants: Sequence[Variant]) -> None:
+        super().__init__()
+        self._variants = variants
+
+    def __missing__(self, kind: type) -> Fields | None:
+        made = None
+        for variant in self._variants:
+            if kind.__name__ in variant.messages and records_of(variant)[kind.__name__] is kind:
+                made = Fields(variant, variant.messages[kind.__name__])
+        self[kind] = made
+        return made
+
+
+__all__ = ["Fields", "FieldsOfKinds", "Token", "Value", "sparkline"]

@@ -1,0 +1,45 @@
+"""Text of others made harmless where it goes: to a terminal, into a cell of a spreadsheet.
+
+1. Nothing is dropped: what cannot go as it is, is spelt out.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+#: What a spreadsheet takes for the beginning of a formula; a number with its sign is none.
+FORMULA = r"^[=+\-@\t\r]"
+NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_FORMULA, _NUMBER = re.compile(FORMULA), re.compile(NUMBER, re.ASCII)
+
+
+def printable(text: str) -> str:
+    """Safe to print on a terminal: control characters, escape sequences with them, are spelt out (`\\x1b`)."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else _spelt_out(c) for c in text)
+
+
+def printable_lines(text: str) -> str:
+    """The same for a text of several lines, which stay lines."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def without_controls(text: str) -> str:
+    """The same for texts that are compared: spaces of every kind stay, and whatever else is no control character."""
+    if text.isprintable():
+        return text
+    return "".join(_spelt_out(c) if unicodedata.category(c)[0] == "C" else c for c in text)
+
+
+def _spelt_out(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode()
+
+
+def cell_text(text: str) -> str:
+    """A text as a cell of a spreadsheet: with an apostrophe in front where it would be taken for a formula."""
+    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.match(text) else text
+
+
+__all__ = ["FORMULA", "NUMBER", "cell_text", "printable", "printable_lines", "without_controls"]
