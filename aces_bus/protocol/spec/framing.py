@@ -81,6 +81,7 @@ class Framing:
         *,
         sync: bytes = b"",
         not_next: bytes = b"",
+        not_inside: bytes = b"",
         header: Struct | None = None,
         size: int | Callable[[Any], Any] | None = None,
         end: bytes | str | None = None,
@@ -95,6 +96,8 @@ class Framing:
         self.name = name or protocol.name
         self.sync = sync
         self.not_next = frozenset(not_next)
+        #: Bytes that no packet has between sync and end.
+        self.not_inside = bytes(sorted(set(not_inside)))
         if isinstance(check, type) or isinstance(stuffing, type):
             raise SpecError(f"{self.place}: check and stuffing are made by calling: Sum(), Crc('…'), Slip()")
         self.check = check
@@ -109,6 +112,12 @@ class Framing:
         self.end: bytes = end if isinstance(end, bytes) else b""
         if (size is not None) + bool(self.end) + self.is_silent != 1:
             raise SpecError(f"{self.place}: a framing ends by one of size=…, end=b'…', end='silence'")
+        if not_inside and (not self.end or stuffing is not None):
+            raise SpecError(
+                f"{self.place}: not_inside is for packets that an end=b'…' closes, without stuffing"
+            )
+        if set(not_inside) & set(self.end[:-1]):
+            raise SpecError(f"{self.place}: not_inside has a byte with which the end {self.end!r} may begin")
         self.fixed_size = size if isinstance(size, int) else None
         self.affine = self._affine(size) if callable(size) else None
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
@@ -189,6 +198,8 @@ class Framing:
             return self._checked(data[start:], extras) if silent else MORE
         if self.end:
             at = data.find(self.end, start + len(self.sync), start + self.max_size)
+            if self.strays(data, start + len(self.sync), at if at >= 0 else start + self.max_size):
+                return BAD("a byte that no packet has")
             if at < 0:
                 return MORE if left < self.max_size else BAD("no end")
             packet = data[start : at + len(self.end)]
@@ -230,7 +241,7 @@ class Framing:
                     return BAD(f"no message {key} to check by")
                 extra = extras[key]
             want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
-            if covered[end : end + self.check_size] != want:
+            if not self.check.same(covered[end : end + self.check_size], want):
                 return BAD("checksum")
         if inserted:
             try:
@@ -238,6 +249,10 @@ class Framing:
             except ValueError as error:
                 return BAD(str(error))
         return Judgement(Verdict.WHOLE, len(packet))
+
+    def strays(self, data: bytes, start: int, stop: int) -> bool:
+        """Whether a byte of `not_inside` stands in [start, stop)."""
+        return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
 
     def logical(self, packet: bytes) -> bytes:
         """The packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""

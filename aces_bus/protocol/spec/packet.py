@@ -244,6 +244,9 @@ class Packet(Construct):
                 packet = framing.sync + framing.stuffing.stuff(packet[len(framing.sync) :])
             if framing.end in packet[len(framing.sync) :]:
                 raise FieldError(f"{self.message.name}: the bytes that end a packet occur inside it")
+            if framing.strays(packet, len(framing.sync), len(packet)):
+                never = framing.not_inside.hex(" ").upper()
+                raise FieldError(f"{self.message.name}: no packet may have one of the bytes {never} inside it")
             packet += framing.end
         if framing.not_next and packet[len(framing.sync)] in framing.not_next:
             followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"
