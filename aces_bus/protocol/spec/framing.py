@@ -65,11 +65,10 @@ class Affine:
     factor: int
     constant: int
 
-    def invert(self, size: int) -> int:
+    def invert(self, size: int) -> int | None:
+        """The length field of a packet of `size` bytes; None when it has no number for that."""
         number, rest = divmod(size - self.constant, self.factor)
-        if rest:
-            raise SpecError(f"no {self.length.name} gives a packet of {size} bytes")
-        return number
+        return number if not rest and 0 <= number < 1 << 8 * self.length.size else None
 
 
 class Framing:

@@ -132,6 +132,13 @@ class Message:
         self.payload_start = start + sum(h.size for h in own)
         derived = framing.affine.length.name if framing is not None and framing.affine is not None else None
         self.heads = tuple(h for h in self.heads_written if h.name is None or h.name != derived)
+        length_head = next((h for h in self.heads_written if derived is not None and h.name == derived), None)
+        #: What `match` says of the framing's length field, which records do not have.
+        self.length_pattern = length_head.pattern if length_head is not None else None
+        if length_head is not None and not length_head.is_own and not length_head.is_constant:
+            raise SpecError(
+                f"{place}: {derived} of {name} is the length of the packet; match it with numbers, not with captures"
+            )
         self.request_fields = self._request_fields()
         self.lengths = self._lengths(length)
         self._check_fields()

@@ -20,7 +20,7 @@ from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
 from .head import Head
-from .pattern import describe_values
+from .pattern import Pattern, describe_values
 
 if TYPE_CHECKING:
     from .message import Message
@@ -90,7 +90,7 @@ class Packet(Construct):
             values[name] = (request or {}).get(name)
         heads = message.heads
         short = heads[-1].offset + heads[-1].size > end if heads else False
-        for head in heads:
+        for head in message.heads_written:
             if (
                 head.offset + head.size <= end
                 and head.pattern is not None
@@ -206,10 +206,7 @@ class Packet(Construct):
             and head.pattern.match(int.from_bytes(written, "big" if head.order == "big" else "little"))
             is None
         ):
-            pattern = head.pattern
-            wanted = pattern.describe(2)
-            if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
-                wanted = describe_values(pattern.captures[0].values)
+            wanted = _described(head.pattern)
             raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
         return written
 
@@ -222,10 +219,18 @@ class Packet(Construct):
         size = len(packet) + framing.check_size
         if framing.affine is not None:
             length = framing.affine.length
-            number = framing.affine.invert(size)
-            if size > framing.max_size or number >= 1 << 8 * length.size:
+            if size > framing.max_size:
                 raise FieldError(
                     f"{self.message.name}: a packet of {size} bytes is longer than {framing.max_size}"
+                )
+            number = framing.affine.invert(size)
+            if number is None:
+                raise FieldError(f"{self.message.name}: no {length.name} gives a packet of {size} bytes")
+            wanted = self.message.length_pattern
+            if wanted is not None and wanted.match(number) is None:
+                raise FieldError(
+                    f"{self.message.name}: a packet of {size} bytes has {length.name} {number};"
+                    f" this message has {_described(wanted)}"
                 )
             packet = packet[: length.offset] + length.bytes(number) + packet[length.offset + length.size :]
         elif framing.fixed_size is not None and size != framing.fixed_size:
@@ -269,6 +274,13 @@ class Packet(Construct):
         from construct import SizeofError
 
         raise SizeofError("a packet's size depends on its message", path=path)
+
+
+def _described(pattern: Pattern) -> str:
+    """The numbers of a pattern where they are a plain set, else as the sheet would write it."""
+    if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
+        return describe_values(pattern.captures[0].values)
+    return pattern.describe(2)
 
 
 def _given(obj: Any, name: str, path: str) -> Any:
