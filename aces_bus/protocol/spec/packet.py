@@ -11,6 +11,7 @@ bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for C
 from __future__ import annotations
 
 import io
+from operator import index
 from typing import TYPE_CHECKING, Any
 
 from construct import Construct, ConstructError, Container, StreamError, stream_read_entire
@@ -168,7 +169,7 @@ class Packet(Construct):
         captures = {}
         for capture in message.identifier.captures:
             given = _given(obj, capture.name, path)
-            captures[capture.name] = int(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+            captures[capture.name] = index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
         identifier = message.identifier.number(captures)
         if message.identifier.match(identifier) is None:
             raise FieldError(f"{path}: no identifier for {captures}")
@@ -192,7 +193,7 @@ class Packet(Construct):
             for capture in head.pattern.captures:
                 given = _given(obj, capture.name, path)
                 captures[capture.name] = (
-                    int(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+                    index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
                 )
             return head.bytes(head.pattern.number(captures))
         if head.name is None:
