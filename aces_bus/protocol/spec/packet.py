@@ -118,7 +118,7 @@ class Packet(Construct):
             payload = message.payload._parsereport(body, inner, path)
         except StreamError as error:
             raise LengthError(str(error), path=path) from None
-        except (ConstructError, FieldError, ValueError, LookupError, TypeError, ArithmeticError) as error:
+        except Exception as error:  # whatever a construct raises, its own or somebody else's
             raise ContentError(str(error), path=path) from error
         if body.read(1):
             raise LengthError("bytes left over", path=path)
