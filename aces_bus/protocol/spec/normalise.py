@@ -228,7 +228,7 @@ class _Walk:
             return c.Array(con.count, inner)
         if most == 0:
             raise SpecError(
-                f"{self.place}: {path}: the items of {type(con).__name__} have no bytes, so it would never end"
+                f"{self.place}: {path}: the items of {type(con).__name__} have no bytes, so nothing bounds them"
             )
         if not least:
             inner = _Moving(inner, 0 if not isinstance(con, c.Array) else MOST_EMPTY)

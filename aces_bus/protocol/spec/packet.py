@@ -14,7 +14,7 @@ import io
 from operator import index
 from typing import TYPE_CHECKING, Any
 
-from construct import Construct, ConstructError, Container, StreamError, stream_read_entire
+from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
 
 from ...errors import FieldError
 from .checks import Check
@@ -43,7 +43,16 @@ class WrongCheckError(ConstructError):
 
 
 class ContentError(ConstructError):
-    """The packet is this message by its template, but a field cannot be read."""
+    """The packet is this message by its template, but a field cannot be read.
+
+    `what` says which and why, without values; it is empty where a constant in the payload is another one.
+    """
+
+    def __init__(self, message: Message, error: Exception, path: str) -> None:
+        where = (getattr(error, "path", "") or "").partition(" -> ")[2].replace(" -> ", ".")
+        super().__init__(str(error) or type(error).__name__, path=path)
+        name = f"{message.name}.{where}" if where else message.name
+        self.what = "" if isinstance(error, ConstError) else f"{name} cannot be read ({type(error).__name__})"
 
 
 def can_image(
@@ -64,6 +73,14 @@ class Packet(Construct):
     # ------------------------------------------------------------------ parsing
 
     def _parse(self, stream: Any, context: Any, path: str) -> Container:
+        try:
+            return self._read(stream, context, path)
+        except (NotThisError, LengthError, WrongCheckError, ContentError):
+            raise
+        except Exception as error:  # whatever a construct raises, its own or somebody else's
+            raise ContentError(self.message, error, path) from error
+
+    def _read(self, stream: Any, context: Any, path: str) -> Container:
         packet: bytes = stream_read_entire(stream, path)
         message = self.message
         values = Container()
@@ -71,7 +88,7 @@ class Packet(Construct):
         identifier = 0
         if message.framing is None:
             if len(packet) < 5:
-                raise StreamError("an image of a frame begins with 5 bytes", path=path)
+                raise NotThisError("an image of a frame begins with 5 bytes", path=path)
             identifier = int.from_bytes(packet[:4], "big") & 0x1FFF_FFFF
             flags = (bool(packet[0] & 0x80), bool(packet[0] & 0x40), bool(packet[4] & FD_FLAG))
             captures = message.identifier.match(identifier)
@@ -109,22 +126,18 @@ class Packet(Construct):
         for head in heads:
             self._read_head(head, data, context, values, f"{path} -> {head.name}")
         inner.update(values)
-        if message.framing is not None:
-            for head in message.framing.heads:
-                if head.name:
-                    inner[head.name] = head.number(data)
+        for head in message.heads_written:
+            if head.name and (head.is_constant or (message.framing and head.offset < message.framing.head_end)):
+                inner[head.name] = head.number(data)
         body = io.BytesIO(data[message.payload_start : end])
         try:
             payload = message.payload._parsereport(body, inner, path)
         except StreamError as error:
             raise LengthError(str(error), path=path) from None
-        except Exception as error:  # whatever a construct raises, its own or somebody else's
-            raise ContentError(str(error), path=path) from error
         if body.read(1):
             raise LengthError("bytes left over", path=path)
-        for name, value in payload.items():
-            if not name.startswith("_"):
-                values[name] = value
+        for name in message.payload_names:
+            values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
         check = message.check
         if check is not None and check.field is not None:
             found = values.pop(check.field)
@@ -152,6 +165,7 @@ class Packet(Construct):
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
         )
+        inner.update({h.name: h.pattern.constant for h in message.heads_written if h.name and h.pattern and h.is_constant})
         inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
         head = b"".join(
             self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written
