@@ -105,6 +105,13 @@ class Quantity(Field):
         self.values = names_by_value(self.names, self.place)
         if self.names and self.is_float:
             raise SpecError(f"{self.place}: names are for integers, not for floats")
+        for name, value in self.names.items():
+            for beside in (value - 1, value + 1):
+                if (scale != 1 or offset) and beside * scale + offset == value * scale + offset:
+                    raise SpecError(
+                        f"{self.place}: {name!r} ({value}) cannot be told from {beside}:"
+                        " with this scale and offset both are the same number"
+                    )
         #: How far from a bound a decoded edge may lie, as floats are not exact.
         self._slack = 0.0
         if self.range is not None and (scale != 1 or offset):

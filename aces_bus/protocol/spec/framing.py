@@ -93,6 +93,9 @@ class Framing:
         self.place: Place = caller()
         self.protocol = protocol
         self.name = name or protocol.name
+        for what, given in (("sync", sync), ("not_next", not_next), ("not_inside", not_inside)):
+            if not isinstance(given, bytes):
+                raise SpecError(f"{self.place}: {what} is bytes, as in b'\\xaa', not {given!r}")
         self.sync = sync
         self.not_next = frozenset(not_next)
         #: Bytes that no packet has between sync and end.

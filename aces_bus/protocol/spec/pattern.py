@@ -241,11 +241,15 @@ def as_pattern(value: int | Capture | Pattern | Collection[int], name: str = "")
     if isinstance(value, bool):
         value = int(value)
     if isinstance(value, int):
+        if value < 0:
+            raise SpecError(f"{caller()}: {value} is negative; identifiers and head fields are matched as unsigned numbers")
         return Pattern(value)
     if isinstance(value, Arithmetic):
         pattern = value._pattern()
         pattern.check()
         return pattern
+    if not isinstance(value, Collection) or not value or not all(isinstance(one, int) for one in value):
+        raise SpecError(f"{caller()}: {value!r} is no number, set of numbers or pattern of captures")
     return Pattern(0, (Capture(name, tuple(sorted(value))),))
 
 
