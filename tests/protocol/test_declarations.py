@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import construct as c
@@ -28,9 +29,11 @@ from construct import (
     this,
 )
 
-from aces_bus.errors import FieldError, SpecError
+import aces_bus.protocol as protocol_words
+from aces_bus.errors import CallerError, FieldError, SpecError
 from aces_bus.frame import Frame
 from aces_bus.protocol import (
+    AsciiNumber,
     BitLayout,
     Capture,
     Check,
@@ -95,7 +98,9 @@ def test_every_word_of_construct_is_decided() -> None:
 def test_a_word_that_is_not_known_is_refused() -> None:
     """A class of construct's that nobody has decided about does not pass for one of the user's own."""
     unheard = type("Unheard", (c.Adapter,), {"__module__": "construct.core"})
-    with pytest.raises(SpecError, match="payload.n: Unheard is a word of construct that aces-bus does not know"):
+    with pytest.raises(
+        SpecError, match=r"payload.n: Unheard is a word of construct that aces-bus does not know"
+    ):
         can(Struct("n" / unheard(Byte)))
 
 
@@ -157,7 +162,11 @@ def test_words_that_cannot_be_kept_are_refused(field: c.Construct, reason: str) 
         (c.ExprAdapter(Byte, lambda raw, _: 12 // raw, lambda value, _: 12 // value), b"\x03", b"\0"),
         (c.GreedyRange(If(this.a == 9, Byte)), None, b"\x01"),
         (c.Error, None, b"\x01"),
-        (c.LazyBound(lambda: c.Prefixed(Byte, c.GreedyRange(Int16ul))), b"\x04\x01\x02\x03\x04", b"\x03\x01\x02\x03"),
+        (
+            c.LazyBound(lambda: c.Prefixed(Byte, c.GreedyRange(Int16ul))),
+            b"\x04\x01\x02\x03\x04",
+            b"\x03\x01\x02\x03",
+        ),
     ],
 )
 def test_words_that_are_kept_are_the_same_everywhere(
@@ -174,7 +183,7 @@ def test_words_that_are_kept_are_the_same_everywhere(
 def test_what_a_construct_raises_is_malformed() -> None:
     """Any exception of somebody's own construct has a bin and a reason, in the head, too; `feed` raises nothing."""
 
-    class Broken(c.Construct):
+    class Broken(c.Construct):  # type: ignore[misc]  # construct has no types
         def _parse(self, stream: Any, context: Any, path: str) -> Any:
             raise SystemError("broken")
 
@@ -196,7 +205,9 @@ def test_fields_behind_a_stop_are_none() -> None:
 KIND = {"accel": 4, "time": 7}
 
 
-@pytest.mark.parametrize("case", ["nested", "outside", "prefix", "capture", "condition", "number", "computed"])
+@pytest.mark.parametrize(
+    "case", ["nested", "outside", "prefix", "capture", "condition", "number", "computed"]
+)
 def test_choices_are_the_same_in_raw_mode(case: str) -> None:
     """A choice by name or by number comes out alike in both modes, wherever the enumeration stands."""
     accel, time = Int16ul, Int32ul
@@ -253,22 +264,28 @@ def test_a_match_of_the_length_holds_when_reading_and_writing() -> None:
     assert [one.message for one in Reference([wire.variant()]).stream(data)] == wanted
     assert {name: len(table) for name, table in wire.decode(data).items()} == {"A": 2, "B": 1}
     assert wire.encode("A", kind=1, d=bytes(8)) == made(1, 8)
-    with pytest.raises(FieldError, match="A: a packet of 7 bytes has length 3; this message has 4, 8"):
+    with pytest.raises(FieldError, match=r"A: a packet of 7 bytes has length 3; this message has 4, 8"):
         wire.encode("A", kind=1, d=bytes(3))
-    with pytest.raises(SpecError, match="length of C is the length of the packet; match it with numbers"):
-        packet("C", match={"kind": 3, "length": 1 + Capture("n", range(3))}, payload=Struct("d" / GreedyBytes))
+    with pytest.raises(SpecError, match=r"length of C is the length of the packet; match it with numbers"):
+        packet(
+            "C", match={"kind": 3, "length": 1 + Capture("n", range(3))}, payload=Struct("d" / GreedyBytes)
+        )
 
 
 def test_a_packet_whose_length_has_no_number_is_refused() -> None:
     """A size that the length field cannot say is a FieldError, also where two framings are compared at import."""
     wire = Protocol("short", link="serial")
-    first = wire.framing(sync=b"\xaa", header=Struct("length" / Byte), size=this.length + 10, max_size=40, name="one")
+    first = wire.framing(
+        sync=b"\xaa", header=Struct("length" / Byte), size=this.length + 10, max_size=40, name="one"
+    )
     first("M", payload=Struct("d" / GreedyBytes))
-    with pytest.raises(FieldError, match="M: no length gives a packet of 3 bytes"):
+    with pytest.raises(FieldError, match=r"M: no length gives a packet of 3 bytes"):
         wire.encode("M", d=b"x")
     assert len(wire.encode("M", d=bytes(9))) == 11
-    second = wire.framing(sync=b"\xaa", header=Struct("length" / Byte), size=2 * this.length + 10, max_size=40)
-    with pytest.raises(SpecError, match="'N' is ambiguous with 'M'"):
+    second = wire.framing(
+        sync=b"\xaa", header=Struct("length" / Byte), size=2 * this.length + 10, max_size=40
+    )
+    with pytest.raises(SpecError, match=r"'N' is ambiguous with 'M'"):
         second("N", payload=Struct("d" / GreedyBytes))
 
 
@@ -293,7 +310,10 @@ def test_the_letters_around_a_check_are_not_its_digits() -> None:
     check: Check = Xor(text="x={:02X}h")
     wanted = check.encode(b"\xaf")
     assert wanted == b"x=AFh"
-    same = {stored: check.same(stored, wanted) for stored in (b"x=af" + b"h", b"x=aFh", b"X=AFh", b"x=AFH", b"x=AEh")}
+    same = {
+        stored: check.same(stored, wanted)
+        for stored in (b"x=af" + b"h", b"x=aFh", b"X=AFh", b"x=AFH", b"x=AEh")
+    }
     assert list(same.values()) == [True, True, False, False, False]
     assert Xor(text="{:03d}").digits is None
 
@@ -334,7 +354,8 @@ def test_a_number_is_never_sent_as_unknown(path: str, value: float | None, sent:
 
 @pytest.mark.parametrize("path", ["generated", "construct", "bits"])
 @pytest.mark.parametrize(
-    ("value", "sent"), [(25.3, 253), ("error", 254), (25.4, "means 'error'; give the name"), (25.5, "means unknown")]
+    ("value", "sent"),
+    [(25.3, 253), ("error", 254), (25.4, "means 'error'; give the name"), (25.5, "means unknown")],
 )
 def test_a_number_is_never_sent_as_a_name(path: str, value: Any, sent: int | str) -> None:
     """A number that would be read as a name is refused; the name is sent."""
@@ -350,7 +371,12 @@ def test_a_float_is_never_sent_as_unknown() -> None:
 
 def test_decoded_edges_of_a_range_can_be_sent() -> None:
     """Floats are not exact: the edge of a range as it was decoded is inside, on every step of a span."""
-    protocol = can(Struct("v" / Quantity.span(Int16ul, -12.5, 12.5, bits=16), "w" / Quantity(Byte, scale=0.1, range=(0, 0.3))))
+    protocol = can(
+        Struct(
+            "v" / Quantity.span(Int16ul, -12.5, 12.5, bits=16),
+            "w" / Quantity(Byte, scale=0.1, range=(0, 0.3)),
+        )
+    )
     for raw, small in ((0, 0), (65535, 3), (1, 1)):
         record = everywhere(protocol, raw.to_bytes(2, "little") + bytes((small,)))
         assert (record.v, record.w) == (pytest.approx(-12.5 + raw * 25 / 65535), pytest.approx(small / 10))
@@ -371,7 +397,7 @@ def test_numbers_of_numpy_are_numbers(path: str, kind: str) -> None:
 def test_values_beyond_every_range_are_field_errors(value: Any) -> None:
     """What overflows on its way is a value that does not fit."""
     protocol = can(Struct("v" / Quantity(c.Int64sl, scale=1e-16)))
-    with pytest.raises(FieldError, match="M: .*v"):
+    with pytest.raises(FieldError, match=r"M: .*v"):
         protocol.encode("M", v=value)
 
 
@@ -382,7 +408,9 @@ def _placed(path: str, quantity: Quantity) -> c.Construct:
     if path == "construct":
         return Struct("v" / quantity, "rest" / c.GreedyRange(Int16ul))
     given = {name: getattr(quantity, name) for name in ("scale", "range", "unknown", "names")}
-    return BitLayout(2, "v" / Quantity(bits(8, at=4), **given), "low" / bits(4, at=0), "high" / bits(4, at=12))
+    return BitLayout(
+        2, "v" / Quantity(bits(8, at=4), **given), "low" / bits(4, at=0), "high" / bits(4, at=12)
+    )
 
 
 def _sends(protocol: Protocol, value: Any, sent: int | str) -> None:
@@ -395,3 +423,153 @@ def _sends(protocol: Protocol, value: Any, sent: int | str) -> None:
         return
     data = bytes(protocol.encode("M", v=value, **more).data)
     assert (int.from_bytes(data, "little") >> (4 if "low" in more else 0)) & 0xFF == sent
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1e-5, "0.00001"), (1e17, "100000000000000000"), (-1.5e-7, "-0.00000015"), (3, "3.0"), (0.1, "0.1")],
+)
+def test_small_and_large_numbers_are_written_in_digits(value: float, text: str) -> None:
+    """A number in characters has no exponent, and reads back as it was."""
+    assert AsciiNumber().to_raw(value) == text
+    assert AsciiNumber().build(value) == text.encode()
+    assert AsciiNumber().to_physical(text) == value
+
+
+@pytest.mark.parametrize("value", [1e40, 1e-40, float("inf"), float("nan"), "1"])
+def test_numbers_that_characters_cannot_say_are_refused(value: Any) -> None:
+    """What is no number of the field's form is a FieldError."""
+    with pytest.raises(FieldError):
+        AsciiNumber().build(value)
+
+
+def test_names_that_a_scale_makes_equal_to_numbers_are_refused() -> None:
+    """Columns know a named number by its scaled value: where a neighbour has the same, the spec is refused."""
+    with pytest.raises(
+        SpecError, match=r"'none' \(9223372036854775809\) cannot be told from 9223372036854775808"
+    ):
+        Quantity(c.Int64ul, scale=0.5, names={"none": 2**63 + 1})
+    exact = can(Struct("v" / Quantity(c.Int64ul, unit="s", names={"none": 2**63 + 1})))
+    for number, value in ((2**63, 2**63), (2**63 + 1, "none"), (2**63 + 2, 2**63 + 2)):
+        frame = Frame(1, number.to_bytes(8, "little"))
+        (record,) = exact.scanner().feed([frame])
+        assert (record.v, exact.decode([frame])["M"]["v"].to_list()) == (value, [value])
+
+
+def test_a_time_that_is_none_has_no_nanoseconds() -> None:
+    """Adapters give NaN where they have no time; NumPy's floats are times."""
+    import numpy as np
+
+    protocol = can(Struct("v" / Byte))
+    times = [float("nan"), float("inf"), np.float64(1.5)]
+    found = [
+        record.meta.time_ns
+        for t in times
+        for record in protocol.scanner().feed([Frame(1, b"\1", timestamp=t)])
+    ]
+    assert found == [None, None, 1_500_000_000]
+
+
+# ---------------------------------------------------------------------- order and ambiguity
+
+
+def test_over_names_messages() -> None:
+    """`over=` may name a later message; a name that never comes is refused before anything is read or sent."""
+    made = Protocol("over", link="can")
+    made.message("First", id=1, over="Later", payload=Struct(Const(1, Byte), "x" / Byte))
+    made.message("Later", id=1, payload=Struct("y" / Int16ul))
+    assert type(made.scanner().feed([Frame(1, b"\1\2")])[0]).__name__ == "First"
+    made.message("Typing", id=2, over="Frist", payload=Struct("x" / Byte))
+    with pytest.raises(
+        SpecError, match=r"test_declarations.py:\d+: Typing is over 'Frist', and no message has that name"
+    ):
+        made.scanner()
+    with pytest.raises(SpecError, match=r"over names messages, as text; 3 does not"):
+        made.message("Number", id=3, over=3)  # type: ignore[arg-type]
+
+
+def test_over_goes_in_no_circle() -> None:
+    """No order of trial is right where messages are over each other, however far around."""
+    made = Protocol("circle", link="can", dialects={"old": "", "new": ""})
+    made.message("A", id=1, over="C", payload=Struct("x" / Byte))
+    made.message("B", id=1, over="A", payload=Struct("x" / Byte))
+    with pytest.raises(
+        SpecError, match=r"over= goes in a circle: 'C' is before 'B' .* which is before 'C'|circle"
+    ):
+        made.message("C", id=1, over="B", payload=Struct("x" / Byte))
+    with pytest.raises(SpecError, match=r"message 'D' cannot be over itself"):
+        made.message("D", id=1, over="D", payload=Struct("x" / Byte))
+
+
+def test_a_frame_shown_as_ambiguous_is_one() -> None:
+    """Where construct alone reads a payload, the frame shown is accepted by both; without one the text says undecided."""
+    made = can(Struct("n" / Byte, "d" / Array(this.n, Byte)))
+    with pytest.raises(SpecError, match=r"'N' is ambiguous with 'M' .*both accept 001#00;"):
+        made.message("N", id=1, payload=Struct("n" / Byte, "d" / Array(this.n, Int16ul)))
+    with pytest.raises(
+        SpecError, match=r"'N' is ambiguous with 'M' .*: undecided: nothing in their templates"
+    ):
+        made.message("N", id=1, payload=Struct("n" / c.OneOf(Byte, (200,)), "x" / GreedyBytes))
+
+
+# ---------------------------------------------------------------------- words of another kind
+
+#: The language as somebody without a type checker writes it.
+UNTYPED: Any = protocol_words
+
+
+@pytest.mark.parametrize(
+    ("declared", "reason"),
+    [
+        (
+            lambda: UNTYPED.Enumeration(Byte, {1: "a"}),
+            "names are written name=number or {name: number}, not {1: 'a'}",
+        ),
+        (lambda: UNTYPED.Quantity(Byte, names={1: "a"}), "names are written"),
+        (lambda: UNTYPED.Quantity(Byte, scale="x"), "a scale is a number, not 'x'"),
+        (lambda: UNTYPED.Quantity(Byte, offset=float("inf")), "an offset finite"),
+        (lambda: UNTYPED.Quantity(Byte, range=(1,)), "a range is"),
+        (lambda: UNTYPED.Quantity(Byte, range=(float("nan"), 1)), "an empty range"),
+        (lambda: UNTYPED.Quantity(Byte, unknown=255), "unknown lists raw values, as in"),
+        (lambda: UNTYPED.Quantity(GreedyBytes), "a quantity is a number"),
+        (lambda: UNTYPED.Flags(Byte, {1: 2}), "flags are written name=bit"),
+        (lambda: can(Struct(), id=-1), "-1 is negative"),
+        (lambda: can(Struct(), id="7"), "'7' is no number, set of numbers or pattern"),
+        (lambda: can(Struct(), id=1.5), "1.5 is no number, set of numbers or pattern"),
+        (
+            lambda: UNTYPED.Protocol("w", link="serial").framing(sync="x", end=b"\n", max_size=9),
+            "sync is bytes",
+        ),
+        (
+            lambda: Protocol("w", link="serial").framing(sync=b"x", size=9, not_inside=b"y"),
+            "not_inside is for",
+        ),
+        (
+            lambda: Protocol("w", link="serial").framing(end=b"\r\n", max_size=9, not_inside=b"\r"),
+            "not_inside has a byte with which the end",
+        ),
+    ],
+)
+def test_words_of_another_kind_are_refused(declared: Any, reason: str) -> None:
+    """What is no number, no name or no bytes is refused with what is wanted, not with a traceback from inside."""
+    with pytest.raises(SpecError, match=rf"test_declarations\.py:\d+: .*{re.escape(reason)}"):
+        declared()
+
+
+# ---------------------------------------------------------------------- threads
+
+
+def test_a_scanner_is_for_one_thread() -> None:
+    """Asked to, a scanner notices a call that comes while another is under way; calls in turn are as ever."""
+    scanner = can(Struct("v" / Byte)).scanner(check_thread=True)
+
+    def frames() -> Any:
+        yield Frame(1, b"\1")
+        scanner.feed([])  # as another thread would, in the middle
+
+    with pytest.raises(
+        CallerError, match=r"feed was called while feed in .* was under way: a scanner is for one thread"
+    ):
+        scanner.feed(frames())
+    assert [record.v for record in scanner.feed([Frame(1, b"\2")])] == [2]
+    assert scanner.close() == []

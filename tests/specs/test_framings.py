@@ -199,8 +199,11 @@ def test_sentences_of_any_length(text: str, message: str, fields: dict[str, Any]
 
 
 def test_hexadecimal_digits_are_read_in_either_case() -> None:
-    """A check in lower, upper or mixed case is the same number, however the sentences are cut; it is written in upper case."""
-    zda, gst = "$GNZDA,103607.00,06,03,2021,00,00", "$GPGST,172814.0,0.006,0.023,0.020,273.6,0.023,0.020,0.031"
+    """A check in lower or upper case is the same number, however sentences are cut; it is written in upper case."""
+    zda, gst = (
+        "$GNZDA,103607.00,06,03,2021,00,00",
+        "$GPGST,172814.0,0.006,0.023,0.020,273.6,0.023,0.020,0.031",
+    )
     for first, second in (("7f", "6a"), ("7F", "6a"), ("7F", "6A")):
         data = f"{zda}*{first}\r\n{gst}*{second}\r\n".encode()
         records, scanner = read(nmea0183, data)
@@ -230,7 +233,9 @@ def test_sentences_with_a_broken_end_do_not_run_together() -> None:
     for byte in data:
         pieces.feed(bytes([byte]))
     assert (pieces.counts.reasons, pieces.counts.decoded) == (scanner.counts.reasons, len(one))
-    assert [found.message for found in Reference([nmea0183.variant()]).stream(data) if found.message] == ["HDT"]
+    assert [found.message for found in Reference([nmea0183.variant()]).stream(data) if found.message] == [
+        "HDT"
+    ]
     assert len(nmea0183.decode(data)["HDT"]) == 1
     with pytest.raises(FieldError, match="HDT: no packet may have one of the bytes 0A 24 inside it"):
         nmea0183.encode("HDT", talker="GP", heading=1.0, heading_mark="$", more=[])

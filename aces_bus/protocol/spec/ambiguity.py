@@ -248,7 +248,8 @@ def _confirmed(
     rng = random.Random(0)
     for fill in ("zero", "one", *("any",) * 10) if opaque else ("zero",):
         data = bytes(
-            fixed.get(i, 0 if fill == "zero" else 1 if fill == "one" else rng.randrange(256)) for i in range(size)
+            fixed.get(i, 0 if fill == "zero" else 1 if fill == "one" else rng.randrange(256))
+            for i in range(size)
         )
         image = can_image(identifier, data, extended=one.extended, remote=one.remote, fd=one.fd)
         if all(_accepts(message, image) for message in opaque):

@@ -102,7 +102,9 @@ class Check:
             raise SpecError(f"{self.place}: {text!r} is no format of a check's number: {error}") from None
         numbers = [index for index, part in enumerate(parts) if part[1] is not None]
         if len(numbers) != 1:
-            raise SpecError(f"{self.place}: the text of a check has one number in it; {text!r} has {len(numbers)}")
+            raise SpecError(
+                f"{self.place}: the text of a check has one number in it; {text!r} has {len(numbers)}"
+            )
         if len(least) != len(most):
             raise SpecError(
                 f"{self.place}: {text!r} writes a check in {len(least)} to {len(most)} characters;"

@@ -75,7 +75,9 @@ class AsciiNumber(AsciiField):
         number = plain_number(value)
         if number is None or not abs(number) < inf:
             raise FieldError(f"{path}: {value!r} is not a number that characters say")
-        return format(Decimal(repr(float(number))), "f") if self.digits is None else f"{number:.{self.digits}f}"
+        return (
+            format(Decimal(repr(float(number))), "f") if self.digits is None else f"{number:.{self.digits}f}"
+        )
 
 
 class AsciiInteger(AsciiField):

@@ -12,7 +12,17 @@ import numbers
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, ClassVar
 
-from construct import Adapter, Bytes, BytesInteger, Construct, Default, GreedyBytes, IntegerError, Renamed, Struct
+from construct import (
+    Adapter,
+    Bytes,
+    BytesInteger,
+    Construct,
+    Default,
+    GreedyBytes,
+    IntegerError,
+    Renamed,
+    Struct,
+)
 
 from ...errors import FieldError, SpecError
 from .place import Place, caller
@@ -61,8 +71,8 @@ class Quantity(Field):
 
     `range` bounds the physical value and `raw_range` the raw one, both inclusive, when building. `unknown` lists raw
     values that mean "not known": they decode to None. `names` names raw values that are no quantity: they decode to their
-    name. A number that would be sent as one of these is refused. `rounding` says how a physical value becomes an integer: "nearest" (ties to even) or "truncate" (toward zero), as
-    the device's sheet has it.
+    name. A number that would be sent as one of these is refused. `rounding` says how a physical value becomes an integer:
+    "nearest" (ties to even) or "truncate" (toward zero), as the device's sheet has it.
     """
 
     def __init__(
@@ -217,7 +227,9 @@ def names_by_value(names: Mapping[str, int], place: Place) -> dict[int, str]:
     values: dict[int, str] = {}
     for name, value in names.items():
         if not isinstance(name, str) or not isinstance(value, int):
-            raise SpecError(f"{place}: names are written name=number or {{name: number}}, not {{{name!r}: {value!r}}}")
+            raise SpecError(
+                f"{place}: names are written name=number or {{name: number}}, not {{{name!r}: {value!r}}}"
+            )
         if value in values:
             raise SpecError(
                 f"{place}: enumeration value {value} has two names, {values[value]!r} and {name!r}"
@@ -348,7 +360,9 @@ class Flags(Field):
         width = width_of(subcon)
         for name, bit in self.names.items():
             if not isinstance(name, str) or not isinstance(bit, int):
-                raise SpecError(f"{self.place}: flags are written name=bit or {{name: bit}}, not {{{name!r}: {bit!r}}}")
+                raise SpecError(
+                    f"{self.place}: flags are written name=bit or {{name: bit}}, not {{{name!r}: {bit!r}}}"
+                )
             if bit in seen:
                 raise SpecError(f"{self.place}: flags {seen[bit]!r} and {name!r} share bit {bit}")
             if not 0 <= bit < width:

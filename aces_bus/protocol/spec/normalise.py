@@ -124,7 +124,9 @@ class _Walk:
             if self.may_strip:
                 self.may_strip = False
                 return con
-            raise SpecError(f"{place}: {path}: NullStripped loses what it strips; put it in a FixedSized, or use Text(n)")
+            raise SpecError(
+                f"{place}: {path}: NullStripped loses what it strips; put it in a FixedSized, or use Text(n)"
+            )
         if isinstance(con, c.Transformed):
             return self._transformed(con, path)
         if isinstance(con, c.LazyBound):
@@ -188,11 +190,15 @@ class _Walk:
             inner = item.subcon if isinstance(item, c.Renamed) else item
             if isinstance(con, c.FocusedSeq) and item.name != con.parsebuildfrom:
                 if not isinstance(inner, (c.Const, c.Rebuild, c.Terminated.__class__)):
-                    raise SpecError(f"{self.place}: {path}: FocusedSeq drops {item.name or inner!r}; use a Struct")
+                    raise SpecError(
+                        f"{self.place}: {path}: FocusedSeq drops {item.name or inner!r}; use a Struct"
+                    )
             made = self.of(item, path, own)
             own |= inside(item.name, made.subcon if isinstance(made, c.Renamed) else made)
             items.append(made)
-        return c.FocusedSeq(con.parsebuildfrom, *items) if isinstance(con, c.FocusedSeq) else c.Sequence(*items)
+        return (
+            c.FocusedSeq(con.parsebuildfrom, *items) if isinstance(con, c.FocusedSeq) else c.Sequence(*items)
+        )
 
     def _layout(self, con: BitLayout) -> None:
         place = self.place

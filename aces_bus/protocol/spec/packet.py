@@ -127,7 +127,9 @@ class Packet(Construct):
             self._read_head(head, data, context, values, f"{path} -> {head.name}")
         inner.update(values)
         for head in message.heads_written:
-            if head.name and (head.is_constant or (message.framing and head.offset < message.framing.head_end)):
+            if head.name and (
+                head.is_constant or (message.framing and head.offset < message.framing.head_end)
+            ):
                 inner[head.name] = head.number(data)
         body = io.BytesIO(data[message.payload_start : end])
         try:
@@ -165,7 +167,13 @@ class Packet(Construct):
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
         )
-        inner.update({h.name: h.pattern.constant for h in message.heads_written if h.name and h.pattern and h.is_constant})
+        inner.update(
+            {
+                h.name: h.pattern.constant
+                for h in message.heads_written
+                if h.name and h.pattern and h.is_constant
+            }
+        )
         inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
         head = b"".join(
             self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written
@@ -183,7 +191,9 @@ class Packet(Construct):
         captures = {}
         for capture in message.identifier.captures:
             given = _given(obj, capture.name, path)
-            captures[capture.name] = index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+            captures[capture.name] = (
+                index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+            )
         identifier = message.identifier.number(captures)
         if message.identifier.match(identifier) is None:
             raise FieldError(f"{path}: no identifier for {captures}")
@@ -266,7 +276,9 @@ class Packet(Construct):
                 raise FieldError(f"{self.message.name}: the bytes that end a packet occur inside it")
             if framing.strays(packet, len(framing.sync), len(packet)):
                 never = framing.not_inside.hex(" ").upper()
-                raise FieldError(f"{self.message.name}: no packet may have one of the bytes {never} inside it")
+                raise FieldError(
+                    f"{self.message.name}: no packet may have one of the bytes {never} inside it"
+                )
             packet += framing.end
         if framing.not_next and packet[len(framing.sync)] in framing.not_next:
             followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"

@@ -242,7 +242,9 @@ def as_pattern(value: int | Capture | Pattern | Collection[int], name: str = "")
         value = int(value)
     if isinstance(value, int):
         if value < 0:
-            raise SpecError(f"{caller()}: {value} is negative; identifiers and head fields are matched as unsigned numbers")
+            raise SpecError(
+                f"{caller()}: {value} is negative; identifiers and head fields are matched as unsigned numbers"
+            )
         return Pattern(value)
     if isinstance(value, Arithmetic):
         pattern = value._pattern()

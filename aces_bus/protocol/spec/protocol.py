@@ -312,12 +312,16 @@ class Protocol:
         configuration: str | Configuration | None = None,
         direction: Direction | Literal["both"] | None = None,
         everything: bool = False,
+        check_thread: bool = False,
     ) -> Scanner:
-        """A scanner of this protocol alone; see `make_scanner` for several on one wire."""
+        """A scanner of this protocol alone, for one thread; see `make_scanner` for several on one wire."""
         from ..scan.scanner import make_scanner
 
         return make_scanner(
-            [self.variant(dialect, configuration)], direction=direction, everything=everything
+            [self.variant(dialect, configuration)],
+            direction=direction,
+            everything=everything,
+            check_thread=check_thread,
         )
 
     def decode(

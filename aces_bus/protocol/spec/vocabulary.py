@@ -100,7 +100,8 @@ REFUSED: dict[type, str] = {
     **dict.fromkeys((c.Lazy, c.LazyArray, c.LazyStruct), _LATE),
     **dict.fromkeys((type(c.Pickled), type(c.Numpy)), _PROGRAM),
     **dict.fromkeys(
-        (c.Tunnel, c.Compressed, c.CompressedLZ4, c.EncryptedSym, c.EncryptedSymAead, c.TimestampAdapter), _OTHER
+        (c.Tunnel, c.Compressed, c.CompressedLZ4, c.EncryptedSym, c.EncryptedSymAead, c.TimestampAdapter),
+        _OTHER,
     ),
     **dict.fromkeys(
         (c.Restreamed, c.RestreamData, c.Rebuffered, c.OffsettedEnd, c.ProcessXor, c.ProcessRotateLeft), _OPEN
@@ -111,7 +112,9 @@ REFUSED: dict[type, str] = {
 }
 
 #: Encodings in which every text that reads is written with the same bytes; others have a mark of their byte order.
-ENCODINGS = frozenset({"ascii", "latin_1", "latin1", "utf8", "utf_8", "u8", "utf_16_be", "utf_16_le", "utf_32_be", "utf_32_le"})
+ENCODINGS = frozenset(
+    {"ascii", "latin_1", "latin1", "utf8", "utf_8", "u8", "utf_16_be", "utf_16_le", "utf_32_be", "utf_32_le"}
+)
 
 #: What `Bitwise`, `ByteSwapped` and `BitsSwapped` do to bytes: how many come out of one.
 TRANSFORMS: dict[Any, int] = {core.bytes2bits: 8, core.swapbytes: 1, core.swapbitsinbytes: 1}

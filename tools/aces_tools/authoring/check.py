@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
+from aces_bus.errors import AcesError, BugError, CallerError, SpecError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, list_protocols
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 from aces_bus.protocol.spec.place import Place
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         for protocol in result.protocols:
             if id(protocol) not in done:
                 done[id(protocol)] = None
-                result.findings += check_protocol(protocol) + _of_database(protocol)
+                result.findings += _found(protocol) + _of_database(protocol)
     if not arguments.apart and len(variants) > 1:
         found = Checked(" + ".join(variants.values()))
         found.labels = {variant.label: name for variant, name in variants.items()}
@@ -106,6 +106,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 # ---------------------------------------------------------------------- from names to findings
+
+
+def _found(protocol: Protocol) -> list[Finding]:
+    """What there is to say of a protocol; that the looking itself fails is a finding, too."""
+    try:
+        return check_protocol(protocol)
+    except AcesError as error:
+        return [_of_error(error) or Finding("error", "spec", protocol.place, str(error))]
+    except Exception as error:
+        text = f"it cannot be checked: {type(error).__name__}: {' '.join(str(error).split())}"
+        return [Finding("error", "spec", protocol.place, str(BugError(text)))]
 
 
 def _check(name: str, result: Checked, variants: dict[Variant, str]) -> None:
