@@ -69,6 +69,7 @@ def everywhere(protocol: Protocol, data: bytes, identifier: int = 1) -> Any:
         assert (found.message, found.reason) == (None, record.reason)
         assert "M" not in tables or not len(tables["M"])
         return record.reason
+    assert found.message is not None
     assert found.message == type(record).__name__
     assert len(tables[found.message]) == 1
     variant = protocol.variant()

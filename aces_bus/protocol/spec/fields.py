@@ -226,7 +226,7 @@ def names_by_value(names: Mapping[str, int], place: Place) -> dict[int, str]:
     """The names by their numbers; raises `SpecError` where a number has two."""
     values: dict[int, str] = {}
     for name, value in names.items():
-        if not isinstance(name, str) or not isinstance(value, int):
+        if not isinstance(name, str) or not isinstance(value, int):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise SpecError(
                 f"{place}: names are written name=number or {{name: number}}, not {{{name!r}: {value!r}}}"
             )
@@ -359,7 +359,7 @@ class Flags(Field):
         seen: dict[int, str] = {}
         width = width_of(subcon)
         for name, bit in self.names.items():
-            if not isinstance(name, str) or not isinstance(bit, int):
+            if not isinstance(name, str) or not isinstance(bit, int):  # pyright: ignore[reportUnnecessaryIsInstance]
                 raise SpecError(
                     f"{self.place}: flags are written name=bit or {{name: bit}}, not {{{name!r}: {bit!r}}}"
                 )

@@ -94,7 +94,7 @@ class Framing:
         self.protocol = protocol
         self.name = name or protocol.name
         for what, given in (("sync", sync), ("not_next", not_next), ("not_inside", not_inside)):
-            if not isinstance(given, bytes):
+            if not isinstance(given, bytes):  # pyright: ignore[reportUnnecessaryIsInstance]
                 raise SpecError(f"{self.place}: {what} is bytes, as in b'\\xaa', not {given!r}")
         self.sync = sync
         self.not_next = frozenset(not_next)

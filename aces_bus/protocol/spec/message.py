@@ -119,7 +119,7 @@ class Message:
         self.check, self.check_extra = check, check_extra
         self.doc, self.source = doc, source
         self.examples = examples
-        if not isinstance(name, str):
+        if not isinstance(name, str):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise SpecError(f"{place}: a message has a name, not {name!r}")
         if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
             raise SpecError(f"{place}: message name {name!r} is not a plain Python name")

@@ -250,7 +250,7 @@ def as_pattern(value: int | Capture | Pattern | Collection[int], name: str = "")
         pattern = value._pattern()
         pattern.check()
         return pattern
-    if not isinstance(value, Collection) or not value or not all(isinstance(one, int) for one in value):
+    if not isinstance(value, Collection) or not value or not all(isinstance(one, int) for one in value):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SpecError(f"{caller()}: {value!r} is no number, set of numbers or pattern of captures")
     return Pattern(0, (Capture(name, tuple(sorted(value))),))
 
