@@ -30,9 +30,9 @@ from aces_bus.protocol import (
 nmea0183 = Protocol("nmea0183", link="serial", baud=4800, source="NMEA 0183; pynmeagps nmeatypes_get.py")
 
 # $ | talker, type | ,field,field… | *check | CR LF. The standard says 82 characters; receivers exceed it.
-sentence = nmea0183.framing(sync=b"$", end=b"\r\n", check=Xor(text="*{:02X}"), max_size=120, gap=1.0).family(
-    Struct("talker" / Text(2), "type" / Bytes(3)), direction="from device"
-)
+sentence = nmea0183.framing(
+    sync=b"$", end=b"\r\n", not_inside=b"$\n", check=Xor(text="*{:02X}"), max_size=120, gap=1.0
+).family(Struct("talker" / Text(2), "type" / Bytes(3)), direction="from device")
 
 
 def declare(line: bytes, doc: str, *fields: Any, optional: int = 0, **values: Any) -> None:

@@ -28,6 +28,7 @@ from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
 from .coalesce import Rule, Want
 from .robot import DeviceConfig, Joint, Robot, Sensor
+from .shadowing import refuse_hidden, refuse_shadowing
 from .signals import UNKNOWN, Signal
 from .ticket import Job, Steps, Ticket
 
@@ -98,6 +99,34 @@ def _same(value: Any) -> Any:
     return value
 
 
+#: What every device has as an attribute of its own.
+ATTRIBUTES = frozenset(
+    (
+        "host",
+        "config",
+        "robot",
+        "variant",
+        "name",
+        "clock",
+        "credentials",
+        "joints",
+        "sensors",
+        "signals",
+        "readable",
+        "last_heard",
+        "is_silent",
+        "misses",
+        "missing_since",
+        "missed_at",
+        "awaiting",
+        "answered",
+        "timed_out",
+    )
+)
+#: Methods of `Device` that may be actions, too.
+ACTIONS = frozenset({"stop_motion"})
+
+
 class Device:
     """One node. Class attributes are the driver's declaration.
 
@@ -122,6 +151,10 @@ class Device:
         super().__init_subclass__()
         if "signals" in cls.__dict__:
             raise TypeError(f"{cls.__name__}: signals are declared as `provides = (signal(…), …)`")
+        refuse_hidden(cls, ATTRIBUTES)
+        for name in cls.actions:
+            if name in vars(cls) and name in vars(Device) and name not in ACTIONS:
+                refuse_shadowing(cls, name, "an action")
 
     def __init__(self, host: Host, config: DeviceConfig, robot: Robot, variant: Variant) -> None:
         self.host, self.config, self.robot, self.variant = host, config, robot, variant

@@ -26,6 +26,7 @@ from ..protocol import Protocol, Variant
 from ..runtime import EventClock, Timer
 from .port import Port
 from .robot import DeviceConfig, Joint, Robot, Sensor
+from .shadowing import refuse_hidden, refuse_shadowing
 from .station import Station
 
 #: Bytes that are kept of a stream, for twins that answer what is not understood.
@@ -79,6 +80,28 @@ FAULTS: Mapping[str, str] = {
 }
 
 
+#: What every twin has as an attribute of its own.
+ATTRIBUTES = frozenset(
+    (
+        "twins",
+        "config",
+        "robot",
+        "variant",
+        "world",
+        "name",
+        "clock",
+        "random",
+        "credentials",
+        "joints",
+        "sensors",
+        "active_faults",
+        "is_powered",
+        "requests",
+        "replies",
+    )
+)
+
+
 class Twin:
     """One simulated device. `faults` (class) are the ways in which this kind misbehaves beyond `FAULTS`."""
 
@@ -91,9 +114,11 @@ class Twin:
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        refuse_hidden(cls, ATTRIBUTES)
         found = dict(cls._hearing)
         for name, method in vars(cls).items():
             for message in getattr(method, "_hears", ()):
+                refuse_shadowing(cls, name, f"called with each {message}", mark="_hears")
                 found[message] = name
         cls._hearing = found
 

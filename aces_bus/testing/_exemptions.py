@@ -38,6 +38,12 @@ def _has_format(mark: str) -> Callable[[Any], bool]:
     return concerns
 
 
+#: Of framings whose check is written in hexadecimal digits; its field is called `check`.
+CASE = Kind(
+    "case of a check",
+    "hexadecimal digits mean the same in either case; the check is written as its framing's format says",
+    lambda con: False,
+)
 KINDS = (
     Kind(
         "negative zero",
@@ -100,6 +106,9 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
 
     visit(message.payload, "")
     bits = _bits(message)
+    framing = message.framing
+    if framing is not None and framing.check is not None and framing.check.digits is not None:
+        found["check", CASE.name] = Exemption("check", CASE)
     return tuple(Exemption(e.field, e.kind, bits.get(e.field, frozenset())) for e in found.values())
 
 

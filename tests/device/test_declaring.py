@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 
 from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Device, Driver, Poll, signal
+from aces_bus.device import Device, Driver, Poll, on, signal
+from aces_bus.device.device import ATTRIBUTES
+from aces_bus.device.twin import ATTRIBUTES as TWIN_ATTRIBUTES
 from aces_bus.errors import AcesError, SpecError
 from aces_bus.testing.conformance import run_check
 from tests.device.fan import FAN, RPM, Fan, FanTwin, fan, robot_of
@@ -23,6 +25,40 @@ def made(driver: Driver, text: str = "") -> VirtualRobot:
 def with_class(**attributes: Any) -> Driver:
     """The fan's driver with another declaration."""
     return replace(FAN, device=type("Other", (Fan,), attributes))
+
+
+def test_a_handler_does_not_replace_a_method() -> None:
+    """A twin's handler called as a method of its base, or as what every twin has, is refused when the class is made."""
+
+    def handler(self: Any, request: Any) -> None: ...
+
+    for name, said in (
+        ("stop", "Wrong.stop is called with each Ask, and would replace Twin.stop; choose another name"),
+        ("reply", "would replace Twin.reply"),
+        ("clock", "Wrong.clock: every instance has an attribute 'clock', which hides the method"),
+        ("setup", "would replace FanTwin.setup"),
+    ):
+        with pytest.raises(TypeError, match=said):
+            type("Wrong", (FanTwin,), {name: on("Ask")(handler)})
+    again: Any = type("Right", (FanTwin,), {"answer": on("Ask")(handler)})
+    assert again._hearing["Ask"] == "answer"
+
+
+def test_an_action_does_not_replace_a_method() -> None:
+    """The same of a device's actions: `tell` is how it sends, not something that it does."""
+    with pytest.raises(TypeError, match=r"Wrong.tell is an action, and would replace Device.tell"):
+        type("Wrong", (Device,), {"actions": {"tell": "say it"}, "tell": lambda self: None})
+    with pytest.raises(TypeError, match=r"Wrong.name: every instance has an attribute 'name'"):
+        type("Wrong", (Device,), {"name": lambda self: None})
+
+
+def test_the_names_that_are_taken_are_all_of_them() -> None:
+    """What every device and twin has is what its base sets."""
+    robot = made(FAN)
+    device, twin = robot.devices["A"], robot.twins["A"]
+    public = {name for name in vars(device) if not name.startswith("_")}
+    assert public - {"polls"} == ATTRIBUTES
+    assert {name for name in vars(twin) if not name.startswith("_")} == TWIN_ATTRIBUTES | {"left", "right"}
 
 
 @pytest.mark.parametrize(

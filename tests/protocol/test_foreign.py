@@ -96,7 +96,8 @@ def test_numbers_stay_whole_where_the_factors_are(tmp_path: Path) -> None:
 
 
 def test_names_and_numbers_of_a_scaled_signal(tmp_path: Path) -> None:
-    """A signal with factor and value table shows the name where there is one; both are sent, ranges bind numbers."""
+    """A signal with factor and value table shows the name where there is one; both are sent, ranges bind numbers, and a
+    number that would be read as a name is refused."""
     found = imported(tmp_path, CAR)
     (named, number) = decoded(
         found, Frame(100, bytes.fromhex("00000000ff")), Frame(100, bytes.fromhex("0000000050"))
@@ -109,7 +110,9 @@ def test_names_and_numbers_of_a_scaled_signal(tmp_path: Path) -> None:
     protocol = found.protocol
     sent = protocol.encode("Speed", speed=0, gear="reverse", temperature="error")
     assert bytes(sent.data).hex() == "e80307fe00"
-    assert bytes(protocol.encode("Speed", speed=0, gear=-4, temperature=87).data).hex() == "e80304fe00"
+    assert bytes(protocol.encode("Speed", speed=0, gear=-4, temperature=86.5).data).hex() == "e80304fd00"
+    with pytest.raises(FieldError, match="temperature: 87 °C would be sent as 254, which means 'error'"):
+        protocol.encode("Speed", speed=0, gear=0, temperature=87)
     with pytest.raises(FieldError, match=r"temperature: 88 °C is outside -40…87 °C"):
         protocol.encode("Speed", speed=0, gear=0, temperature=88)
     with pytest.raises(FieldError, match="no value named 'broken'"):

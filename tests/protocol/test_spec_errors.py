@@ -88,6 +88,16 @@ can.message("M", id=0x7F0 + Capture("node", range(32)))""",
     "captures that share bits": (
         """
 can.message("M", id=Capture("node", range(64)) << 4 | Capture("command", range(32)))""",
+        r"{line 2}: node << 4 \| command share bit 4; shift them apart, or write \+",
+    ),
+    "a constant that shares bits with a capture": (
+        """
+can.message("M", id=Capture("node", range(4)) << 4 | 0x18)""",
+        r"{line 2}: node << 4 \| 0x18 share bit 4; shift",
+    ),
+    "captures that share bits when added": (
+        """
+can.message("M", id=(Capture("node", range(64)) << 4) + Capture("command", range(32)))""",
         r"{line 2}: capture 'command' shares bits",
     ),
     "two messages nobody can tell apart": (

@@ -4,7 +4,7 @@ What it asks of the language: fields of characters, empty ones, missing ones, ne
 check written as two hex digits, a terminator.
 
 Sources: semuconsulting/pynmeagps `nmeatypes_get.py`, `nmeahelpers.py`; the published standard.
-Deviations: sentences without a check, or with lower-case hex digits, are not accepted. Times and dates stay texts, as
+Deviations: sentences without a check are not accepted. Times and dates stay texts, as
 `103607.00` and `060321`. A position is degrees in one field and its letter in the next; the sign is for the user to
 take. `!AIVDM` and makers' own sentences (`$P…`) are unknown.
 """
@@ -39,6 +39,7 @@ sentence = nmea0183.framing(
     sync=b"$",
     check=Xor(text="*{:02X}"),
     end=b"\r\n",
+    not_inside=b"$\n",  # a sentence whose end was lost does not run on into the next
     max_size=128,  # the standard says 82 characters; receivers exceed it
     gap=1.0,
 ).family(prefix=Struct("talker" / Text(2), "type" / Bytes(3)), direction="from device")

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from aces_bus.errors import FieldError
 from aces_bus.protocol import Cobs, Insert, Protocol, Reference, Slip, StreamScanner, Unknown, as_dict
 from aces_bus.protocol.spec.stuffing import Stuffing
 from tests.specs.cobs import cobs
@@ -195,6 +196,49 @@ def test_sentences_of_any_length(text: str, message: str, fields: dict[str, Any]
     assert [r.meta.message for r in records] == [message]
     values = as_dict(records[0])
     assert {name: values[name] for name in fields} == fields
+
+
+def test_hexadecimal_digits_are_read_in_either_case() -> None:
+    """A check in lower or upper case is the same number, however sentences are cut; it is written in upper case."""
+    zda, gst = (
+        "$GNZDA,103607.00,06,03,2021,00,00",
+        "$GPGST,172814.0,0.006,0.023,0.020,273.6,0.023,0.020,0.031",
+    )
+    for first, second in (("7f", "6a"), ("7F", "6a"), ("7F", "6A")):
+        data = f"{zda}*{first}\r\n{gst}*{second}\r\n".encode()
+        records, scanner = read(nmea0183, data)
+        assert [record.meta.message for record in records] == ["ZDA", "GST"]
+        assert (scanner.counts.decoded, scanner.counts.total) == (len(data), len(data))
+        reference = Reference([nmea0183.variant()]).stream(data)
+        assert [found.message for found in reference] == ["ZDA", "GST"]
+        tables = nmea0183.decode(data)
+        assert [len(tables[name]) for name in ("ZDA", "GST")] == [1, 1]
+        pieces = nmea0183.scanner()
+        assert [r.meta.message for byte in data for r in pieces.feed(bytes([byte]))] == ["ZDA", "GST"]
+    fields = as_dict(read(nmea0183, f"{zda}*7f\r\n".encode())[0][0])
+    written = nmea0183.encode("ZDA", **fields)
+    assert written.endswith(b"*7F\r\n")
+
+
+def test_sentences_with_a_broken_end_do_not_run_together() -> None:
+    """A sentence may hold neither `$` nor line feed: where an end was lost, the next sentence is read all the same."""
+    one = b"$GPHDT,274.07,T*03\r\n"
+    data = one[:-2] + b"\n" + one[:-2] + b"\r" + one[:-2] + one
+    records, scanner = read(nmea0183, data)
+    assert [(r.heading, r.meta.offset) for r in records] == [(274.07, len(data) - len(one))]
+    lost = "malformed: a byte that no packet has"
+    assert scanner.counts.reasons == {lost: 3, "skipped": 3 * (len(one) - 3) + 2}
+    pieces = nmea0183.scanner(everything=True)
+    assert isinstance(pieces, StreamScanner)
+    for byte in data:
+        pieces.feed(bytes([byte]))
+    assert (pieces.counts.reasons, pieces.counts.decoded) == (scanner.counts.reasons, len(one))
+    assert [found.message for found in Reference([nmea0183.variant()]).stream(data) if found.message] == [
+        "HDT"
+    ]
+    assert len(nmea0183.decode(data)["HDT"]) == 1
+    with pytest.raises(FieldError, match="HDT: no packet may have one of the bytes 0A 24 inside it"):
+        nmea0183.encode("HDT", talker="GP", heading=1.0, heading_mark="$", more=[])
 
 
 @pytest.mark.parametrize(

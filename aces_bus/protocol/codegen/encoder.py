@@ -115,7 +115,7 @@ class Encoder:
             raise FieldError(
                 f"{message.name}: {_short(str(error)).removeprefix(f'{message.name}: ')}"
             ) from None
-        except (ConstructError, KeyError, TypeError, AttributeError, ValueError) as error:
+        except Exception as error:  # whatever a construct raises: the value does not fit it
             raise FieldError(f"{message.name}: {_explain(error, message, fields)}") from None
 
 

@@ -2,7 +2,7 @@
 
 1. It reads what stands on the wire, and agrees with `Framing.judge`. A sum that is known already may be given to it.
 2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number),
-   `texts_N` (numbers as characters).
+   `texts_N` (numbers as characters), `same_N` (whether characters are the same number).
 """
 
 from __future__ import annotations
@@ -40,7 +40,12 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
         out.line("if found is None:")
         out.line(f"    found = {found}")
         found = "found"
-    out.line(f"if {_wanted(check, number, found)} != {_stored(check, back)}:")
+    wanted, stored = _wanted(check, number, found), _stored(check, back)
+    if check.digits is not None:
+        out.line(f"wanted = {wanted}")
+        out.line(f"if {stored} != wanted and not same_{number}({stored}, wanted):")
+    else:
+        out.line(f"if {wanted} != {stored}:")
     out.line("    return 'malformed: checksum'")
     out.line("return None")
     out.depth -= 1

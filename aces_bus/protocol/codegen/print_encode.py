@@ -8,6 +8,7 @@ The function is `encode_Name(fields)`; it gives the identifier (None on streams)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -289,9 +290,13 @@ class _Encoder:
         out.line(f"{given} = {text}")
         out.line(f"if {given}.__class__ is not float and {given}.__class__ is not int:")
         out.line("    raise Unusual")
+        if is_float and step.unknown:
+            raise NoEncoder("a float that may mean unknown")
         if step.bounds is not None:
-            out.line(f"if not {step.bounds[0]!r} <= {given} <= {step.bounds[1]!r}:")
-            out.line("    raise Unusual")
+            test = _outside(step.bounds, given)
+            if test:
+                out.line(f"if {test}:")
+                out.line("    raise Unusual")
         if step.scale == 1 and not step.offset:
             number = given
         else:
@@ -302,13 +307,26 @@ class _Encoder:
             )
         if not is_float:
             number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
-        if step.raw_bounds is not None:
-            raw = self._temporary()
-            out.line(f"{raw} = {number}")
-            out.line(f"if not {step.raw_bounds[0]} <= {raw} <= {step.raw_bounds[1]}:")
+        # Raw numbers that mean unknown; others are never those of an integer.
+        means = sorted({int(value) for value in step.unknown if math.isfinite(value) and value == int(value)})
+        if not means and step.raw_bounds is None:
+            return number
+        raw = self._temporary()
+        out.line(f"{raw} = {number}")
+        tests = [f"{raw} in {tuple(means)}" if len(means) > 1 else f"{raw} == {means[0]}"] if means else []
+        tests += [test] if step.raw_bounds is not None and (test := _outside(step.raw_bounds, raw)) else []
+        if tests:
+            out.line(f"if {' or '.join(tests)}:")
             out.line("    raise Unusual")
-            number = raw
-        return number
+        return raw
+
+
+def _outside(bounds: tuple[float, float], name: str) -> str:
+    """The test whether a number is outside its bounds, those that are infinite left out; empty when both are."""
+    low, high = bounds
+    first = f"{low!r} <= " if math.isfinite(low) else ""
+    last = f" <= {high!r}" if math.isfinite(high) else ""
+    return f"not {first}{name}{last}" if first or last else ""
 
 
 def head_writer(head: Head) -> object:

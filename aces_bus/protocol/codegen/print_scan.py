@@ -185,8 +185,16 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
         values = sorted(framing.not_next)
         out.line(f"elif buffer[i + {at}] not in {tuple(values)}:")
         out.depth += 1
-    out.line(f"j = buffer.find({framing.end!r}, i{f' + {at}' if at else ''}, i + {framing.max_size})")
-    out.line("if j < 0:")
+    first = f"i + {at}" if at else "i"
+    out.line(f"j = buffer.find({framing.end!r}, {first}, i + {framing.max_size})")
+    word = "if"
+    if framing.not_inside:
+        out.line(f"k = j if j >= 0 else i + {framing.max_size}")
+        tests = [f"buffer.find({bytes([byte])!r}, {first}, k) >= 0" for byte in framing.not_inside]
+        out.line(f"if {' or '.join(tests)}:")
+        out.line("    bad = bad or 'malformed: a byte that no packet has'")
+        word = "elif"
+    out.line(f"{word} j < 0:")
     out.line(f"    if end - i >= {framing.max_size}:")
     out.line("        bad = bad or 'malformed: no end'")
     out.line("    elif not silent:")

@@ -99,12 +99,7 @@ def _here(variant: Variant, message: Message) -> Message | None:
 def _order(message: Message) -> Iterator[Finding]:
     for name in message.over:
         others = [m for m in message.protocol.declared if m.name == name]
-        if not others:
-            known = ", ".join(m.name for m in message.protocol.declared[:8])
-            yield _finding(
-                "error", "over", message, f"over={name!r} names no message (there are: {known}, …)"
-            )
-        elif all(conflict(message, other) is None for other in others):
+        if others and all(conflict(message, other) is None for other in others):
             yield _finding(
                 "warning",
                 "over",

@@ -111,7 +111,9 @@ local function is_check_good(framing, packet, size)
   local value = compute[check.kind](covered(check, packet, size, #framing.sync, stop, 0, extra), check)
   if check.texts then
     for at = 1, check.size do
-      if packet[stop + at - 1] ~= check.texts[value + 1]:byte(at) then return false end
+      local byte = packet[stop + at - 1]
+      if check.digits and check.digits[at] and byte >= 97 and byte <= 122 then byte = byte - 32 end
+      if byte ~= check.texts[value + 1]:byte(at) then return false end
     end
     return true
   end
@@ -145,12 +147,18 @@ local function judged(framing, bytes, start, stop, is_over)
       for index = 1, #framing.stop do
         if bytes[at + index - 1] ~= framing.stop[index] then is_end = false end
       end
+      if framing.not_inside and not is_end and framing.not_inside[bytes[at]] then return "dead" end
       if is_end then
         size = at + #framing.stop - start
         break
       end
     end
-    if not size then return left < framing.max_size and "more" or "dead" end
+    if not size then
+      for at = math.max(start + #framing.sync, limit - #framing.stop + 1), limit - 1 do
+        if framing.not_inside and framing.not_inside[bytes[at]] then return "dead" end
+      end
+      return left < framing.max_size and "more" or "dead"
+    end
     if size == #framing.sync + #framing.stop then return "dead" end
   elseif framing.length then
     if left < framing.length.last + 1 then return "more" end

@@ -206,7 +206,13 @@ class _Printer:
             if check.bytes != 1:
                 self._lose(where, "", f"the check ({check.describe}, as text) is not verified")
                 return table
-            table["texts"] = [check.text.format(number) for number in range(256)]
+            texts = [check.text.format(number) for number in range(256)]
+            if check.digits is not None:
+                # Hexadecimal digits are compared in upper case.
+                at, to = check.digits.start, check.digits.stop
+                texts = [text[:at] + text[at:to].upper() + text[to:] for text in texts]
+                table["digits"] = _values(range(at + 1, to + 1))
+            table["texts"] = texts
         if isinstance(check, Crc):
             width, poly, init, refin, refout, xorout = check.parameters
             if not poly:  # a name of the catalogue
@@ -227,6 +233,8 @@ class _Printer:
         table: dict[str, Any] = {"name": framing.name, "sync": list(framing.sync)}
         if framing.not_next:
             table["not_next"] = _values(sorted(framing.not_next))
+        if framing.not_inside:
+            table["not_inside"] = _values(framing.not_inside)
         if framing.affine is not None:
             head = framing.affine.length
             bits = bits_of(

@@ -20,7 +20,7 @@ from ...errors import AcesError
 from ...frame_table import NO_TIME, RX, UNUSUAL, FrameTable
 from ..keys import EXTENDED, FD, REMOTE, key_of
 from ..spec.message import Direction, Message
-from ..spec.packet import LengthError, WrongCheckError, can_image
+from ..spec.packet import ContentError, LengthError, WrongCheckError, can_image
 from ..spec.protocol import Variant
 from .counts import Counts
 from .decider import REMEMBERED, Decider, Decode
@@ -146,6 +146,9 @@ class _Wire(Decider):
                 return f"malformed: length {len(data)}, {message.name} has {message.describe_lengths}"
             except WrongCheckError:
                 return "malformed: checksum"
+            except ContentError as error:
+                if error.what and not message.request_fields:
+                    return f"malformed: {error.what}"
             except (ConstructError, AcesError):
                 continue
         return "unknown"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from decimal import Decimal
+from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
@@ -46,8 +47,10 @@ class Meta(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def time_ns(self) -> int | None:
-        """The same instant in integer nanoseconds, exactly as the decimal digits of `time` say."""
-        return None if self.time is None else int(Decimal(repr(self.time)).scaleb(9))
+        """The same instant in integer nanoseconds, exactly as the decimal digits of `time` say; None where it has none."""
+        if self.time is None or not isfinite(self.time):
+            return None
+        return int(Decimal(repr(float(self.time))).scaleb(9))
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):

@@ -20,7 +20,7 @@ from ..spec.ambiguity import needing_context
 from ..spec.framing import Framing, Verdict
 from ..spec.message import Direction, Message
 from ..spec.order import ordered
-from ..spec.packet import LengthError, NotThisError, WrongCheckError, can_image
+from ..spec.packet import ContentError, LengthError, NotThisError, WrongCheckError, can_image
 from ..spec.protocol import Variant
 from .context import Context
 
@@ -85,13 +85,15 @@ class Reference:
                 except WrongCheckError:
                     problem = problem or "malformed: checksum"
                     continue
-                except (ConstructError, AcesError):
+                except (ConstructError, AcesError) as error:
                     values = (
                         self._by_request(context, message, image, channel, time)
                         if message.name in contextual
                         else None
                     )
                     if values is None:
+                        if isinstance(error, ContentError) and error.what and not message.request_fields:
+                            problem = problem or f"malformed: {error.what}"
                         continue
                 if message.name in contextual:
                     fitting.append((message, values))

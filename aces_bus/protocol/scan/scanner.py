@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
+from threading import Lock, current_thread
 from typing import Any, Literal
 
 from ...errors import CallerError, SpecError, UnknownNameError
@@ -22,7 +23,11 @@ GROUP = "aces_bus.protocols"
 
 
 class Scanner(typing.Protocol):
-    """What every scanner does; `CanScanner` and `StreamScanner` say how."""
+    """What every scanner does; `CanScanner` and `StreamScanner` say how.
+
+    A scanner is for one thread: it holds no lock, and two calls at once mix up its buffer and its counts. Give each thread a
+    scanner of its own, or hand its words over through a queue; `check_thread` finds where that is not so.
+    """
 
     @property
     def link(self) -> str:
@@ -61,6 +66,7 @@ def make_scanner(
     direction: Direction | Literal["both"] | None = None,
     everything: bool = False,
     raw: bool = False,
+    check_thread: bool = False,
 ) -> Scanner:
     """One scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
 
@@ -68,6 +74,9 @@ def make_scanner(
     is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
 
     A variant bound to a channel (`variant.on("can0")`) decides about that channel's frames only.
+
+    A scanner is for one thread. With `check_thread` a call that comes while another is under way raises `CallerError`, at
+    the cost of a lock a call; without it such calls give wrong records and counts.
 
     Raises `CallerError` when the protocols are not of one kind of link, or when one needs a direction and none is given.
     """
@@ -85,13 +94,47 @@ def make_scanner(
                     f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
                     " say the direction: 'to device', 'from device' or 'both'"
                 )
+    made = _made(variants, links, direction=direction, everything=everything, raw=raw)
+    if check_thread:
+        _guard(made)
+    return made
+
+
+def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
     if links == {"can"}:
         if any(variant.channel is not None for variant in variants):
             from .channels import ChannelScanner
 
-            return ChannelScanner(variants, direction=direction, everything=everything, raw=raw)
-        return CanScanner(variants, direction=direction, everything=everything, raw=raw)
-    return StreamScanner(variants, direction=direction, everything=everything, raw=raw)
+            return ChannelScanner(variants, **more)
+        return CanScanner(variants, **more)
+    return StreamScanner(variants, **more)
+
+
+def _guard(scanner: Any) -> None:
+    """Have every call that moves the scanner on look whether another one is under way."""
+    lock = Lock()
+    under_way = ""
+
+    def guarded(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **more: Any) -> Any:
+            nonlocal under_way
+            if not lock.acquire(blocking=False):
+                raise CallerError(
+                    f"{name} was called while {under_way} was under way: a scanner is for one thread;"
+                    " give each thread one of its own, or hand its words over through a queue"
+                )
+            try:
+                under_way = f"{name} in {current_thread().name}"
+                return method(*args, **more)
+            finally:
+                lock.release()
+
+        return call
+
+    for name in ("feed", "feed_table", "datagram", "idle", "close", "sent", "reset"):
+        method = getattr(scanner, name, None)
+        if method is not None:
+            scanner.__dict__[name] = guarded(name, method)
 
 
 def list_protocols() -> dict[str, EntryPoint]:

@@ -1,6 +1,7 @@
 """Whether two messages can be told apart (law 9), with a witness when they cannot.
 
-1. CAN is decided exactly over identifier × flags × length × constants; checks count as true.
+1. CAN is decided exactly over identifier × flags × length × constants; checks count as true. Where construct alone reads
+   a payload, a frame is shown only when both constructs accept it.
 2. Streams are first intersected without checks: no common packet is a proof. Otherwise a witness is looked for, and the
    construct of both messages must confirm it; none found is `undecided`, which a spec settles with `over=`.
 3. What a spec says beside the bytes (direction, dialect, configuration, request) separates two messages only when no
@@ -20,6 +21,7 @@ from construct import ConstructError
 from ...errors import AcesError, SpecError
 from .framing import Framing
 from .message import Message, Request
+from .packet import WrongCheckError, can_image
 from .pattern import Pattern, meet
 from .stuffing import Insert, Stuffing
 
@@ -36,7 +38,7 @@ class Conflict:
     @property
     def how(self) -> str:
         if self.witness is None:
-            return "nothing in their templates tells them apart, and no packet was found that decides it"
+            return "undecided: nothing in their templates tells them apart, and no packet was found that decides it"
         if self.identifier is None:
             return f"both accept {self.witness.hex(' ').upper()}"
         return f"both accept {self.identifier:03X}#{self.witness.hex().upper()}"
@@ -257,10 +259,34 @@ def _can_conflict(one: Message, other: Message) -> Conflict | None:
     identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None
     if identifier is None:
         return None
+    is_found = False
     for size in lengths:
         fixed = _merge(one, other, size)
-        if fixed is not None:
-            return Conflict(one, other, bytes(fixed.get(i, 0) for i in range(size)), identifier)
+        if fixed is None:
+            continue
+        is_found = True
+        witness = _confirmed(one, other, identifier, fixed, size)
+        if witness is not None:
+            return Conflict(one, other, witness, identifier)
+    return Conflict(one, other, None) if is_found else None
+
+
+def _confirmed(
+    one: Message, other: Message, identifier: int, fixed: Mapping[int, int], size: int
+) -> bytes | None:
+    """A frame's data of this size that both messages accept, checks aside; None when none was found."""
+    from ..codegen.flatten import flatten
+
+    opaque = [message for message in (one, other) if not flatten(message).is_flat]
+    rng = random.Random(0)
+    for fill in ("zero", "one", *("any",) * 10) if opaque else ("zero",):
+        data = bytes(
+            fixed.get(i, 0 if fill == "zero" else 1 if fill == "one" else rng.randrange(256))
+            for i in range(size)
+        )
+        image = can_image(identifier, data, extended=one.extended, remote=one.remote, fd=one.fd)
+        if all(_accepts(message, image) for message in opaque):
+            return data
     return None
 
 
@@ -338,6 +364,8 @@ def _accepts(message: Message, packet: bytes) -> bool:
     """Whether the message's construct accepts the packet, whatever its request."""
     try:
         message.struct.parse(packet, raw=True)
+    except WrongCheckError:
+        return message.framing is None  # on CAN checks count as true
     except (ConstructError, AcesError):
         return False
     return True

@@ -19,7 +19,7 @@ from typing import Any
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
 
 from ...errors import FieldError, SpecError
-from .fields import Multiplexed, described, innermost
+from .fields import Multiplexed, described, innermost, plain_number
 from .place import caller
 
 #: `struct` formats of numbers of so many bits (IEEE 754 binary16, binary32, binary64).
@@ -71,6 +71,7 @@ class Bits(Construct):
             except (struct.error, OverflowError) as error:
                 raise FieldError(f"{path}: {obj!r} is no number of {self.width} bits: {error}") from None
             return obj
+        obj = plain_number(obj)
         if not isinstance(obj, int):
             raise IntegerError(f"{obj!r} is not an integer", path=path)
         low = -(1 << self.width - 1) if self.signed else 0

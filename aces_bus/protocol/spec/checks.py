@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
 from operator import add, xor
+from string import Formatter
 from typing import Any, Literal
 
 from ...errors import SpecError
@@ -48,7 +49,8 @@ class Check:
     """A check of `size` bytes. `compute` gives the number, `encode` its bytes on the wire.
 
     `field` names the field of the payload that holds it; without it the check stands at the end of the packet. `text` is
-    a format for checks written as characters, such as `"*{:02X}"` (NMEA).
+    a format for checks written as characters, such as `"*{:02X}"` (NMEA): they are written as it says, and read by value,
+    as hexadecimal digits mean the same in either case.
     """
 
     #: "sum", "xor" or "fletcher" when prefix sums can answer; "crc" otherwise.
@@ -68,7 +70,9 @@ class Check:
         self.order: Order = order
         self.field = field
         self.text = text
-        self.size = size if text is None else len(text.format(0))
+        #: Where a text has hexadecimal digits, whose case means nothing.
+        self.digits: slice | None = None
+        self.size = size if text is None else self._text_size(text)
         self.over: tuple[Covered, ...] | None = (
             None
             if over is None
@@ -88,6 +92,40 @@ class Check:
     def engine(self) -> Callable[[bytes], int]:
         """`compute` as its innermost function."""
         return self.compute
+
+    def _text_size(self, text: str) -> int:
+        """How many characters the check has as text; raises `SpecError` when that is not the format of one number."""
+        try:
+            parts = list(Formatter().parse(text))
+            least, most = (text.format(number).encode("ascii") for number in (0, (1 << 8 * self.bytes) - 1))
+        except (ValueError, LookupError, AttributeError) as error:
+            raise SpecError(f"{self.place}: {text!r} is no format of a check's number: {error}") from None
+        numbers = [index for index, part in enumerate(parts) if part[1] is not None]
+        if len(numbers) != 1:
+            raise SpecError(
+                f"{self.place}: the text of a check has one number in it; {text!r} has {len(numbers)}"
+            )
+        if len(least) != len(most):
+            raise SpecError(
+                f"{self.place}: {text!r} writes a check in {len(least)} to {len(most)} characters;"
+                " give the number a width, as in {:02X}"
+            )
+        at = numbers[0]
+        if (parts[at][2] or "")[-1:] in ("x", "X"):
+            behind = sum(len(literal) for literal, *_ in parts[at + 1 :])
+            self.digits = slice(sum(len(literal) for literal, *_ in parts[: at + 1]), len(least) - behind)
+        return len(least)
+
+    def same(self, stored: bytes, wanted: bytes) -> bool:
+        """Whether what stands in a packet is the number that `encode` wrote as `wanted`."""
+        if stored == wanted or self.digits is None:
+            return stored == wanted
+        digits = self.digits
+        return (
+            stored[digits].upper() == wanted[digits].upper()
+            and stored[: digits.start] == wanted[: digits.start]
+            and stored[digits.stop :] == wanted[digits.stop :]
+        )
 
     def encode(self, data: bytes) -> bytes:
         """The bytes that stand in a packet whose covered bytes are `data`."""

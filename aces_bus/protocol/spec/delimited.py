@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from decimal import Decimal
+from math import inf
 from typing import Any
 
 from construct import Construct, Container, GreedyBytes, ListContainer, ValidationError, stream_read_entire
 
 from ...errors import FieldError, SpecError
-from .fields import Field, is_raw
+from .fields import Field, is_raw, plain_number
 from .place import caller
 
 
@@ -70,9 +72,12 @@ class AsciiNumber(AsciiField):
     def to_raw(self, value: Any, path: str = "") -> Any:
         if value is None:
             return ""
-        if not isinstance(value, (int, float)):
-            raise FieldError(f"{path}: {value!r} is not a number")
-        return repr(float(value)) if self.digits is None else f"{value:.{self.digits}f}"
+        number = plain_number(value)
+        if number is None or not abs(number) < inf:
+            raise FieldError(f"{path}: {value!r} is not a number that characters say")
+        return (
+            format(Decimal(repr(float(number))), "f") if self.digits is None else f"{number:.{self.digits}f}"
+        )
 
 
 class AsciiInteger(AsciiField):
@@ -90,9 +95,10 @@ class AsciiInteger(AsciiField):
     def to_raw(self, value: Any, path: str = "") -> Any:
         if value is None:
             return ""
-        if not isinstance(value, int):
+        number = plain_number(value)
+        if not isinstance(number, int):
             raise FieldError(f"{path}: {value!r} is not an integer")
-        return f"{value:0{self.digits}d}"
+        return f"{number:0{self.digits}d}"
 
 
 class AsciiDegrees(AsciiField):
@@ -114,9 +120,10 @@ class AsciiDegrees(AsciiField):
     def to_raw(self, value: Any, path: str = "") -> Any:
         if value is None:
             return ""
-        if not isinstance(value, (int, float)) or not 0 <= value <= 180:
+        number = plain_number(value)
+        if number is None or not 0 <= number <= 180:
             raise FieldError(f"{path}: {value!r} is outside 0…180°")
-        minutes = round(value * 60, self.digits)
+        minutes = round(number * 60, self.digits)
         degrees, rest = divmod(minutes, 60)
         width = 3 + self.digits if self.digits else 2
         return f"{int(degrees):0{self.width}d}{rest:0{width}.{self.digits}f}"

@@ -8,10 +8,21 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, ClassVar
 
-from construct import Adapter, Bytes, BytesInteger, Construct, Default, GreedyBytes, IntegerError
+from construct import (
+    Adapter,
+    Bytes,
+    BytesInteger,
+    Construct,
+    Default,
+    GreedyBytes,
+    IntegerError,
+    Renamed,
+    Struct,
+)
 
 from ...errors import FieldError, SpecError
 from .place import Place, caller
@@ -46,13 +57,22 @@ class Field(Adapter):
         raise NotImplementedError
 
 
+def plain_number(value: Any) -> Any:
+    """A number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
+    if isinstance(value, (int, float)):
+        return value
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    return float(value) if isinstance(value, numbers.Real) else None
+
+
 class Quantity(Field):
     """A number with a unit: physical = raw × `scale` + `offset`.
 
     `range` bounds the physical value and `raw_range` the raw one, both inclusive, when building. `unknown` lists raw
     values that mean "not known": they decode to None. `names` names raw values that are no quantity: they decode to their
-    name. `rounding` says how a physical value becomes an integer: "nearest" (ties to even) or "truncate" (toward zero), as
-    the device's sheet has it.
+    name. A number that would be sent as one of these is refused. `rounding` says how a physical value becomes an integer:
+    "nearest" (ties to even) or "truncate" (toward zero), as the device's sheet has it.
     """
 
     def __init__(
@@ -71,16 +91,21 @@ class Quantity(Field):
         source: str = "",
     ) -> None:
         super().__init__(subcon)
+        inner = subcon
+        while isinstance(inner, (Renamed, Default, Field)):
+            inner = inner.subcon
+        if isinstance(inner, (Bytes, Struct)) or inner is GreedyBytes:
+            raise SpecError(f"{self.place}: a quantity is a number; {inner!r} is none")
+        scale, offset = (self._number(value, what) for value, what in ((scale, "scale"), (offset, "offset")))
         if scale == 0 or not math.isfinite(scale) or not math.isfinite(offset):
             raise SpecError(f"{self.place}: a scale must be finite and not zero, and an offset finite")
         if rounding not in ("nearest", "truncate"):
             raise SpecError(f"{self.place}: rounding is 'nearest' or 'truncate', not {rounding!r}")
-        for bounds in (range, raw_range):
-            if bounds is not None and bounds[0] > bounds[1]:
-                raise SpecError(f"{self.place}: an empty range {bounds}")
         self.unit, self.scale, self.offset = unit, scale, offset
-        self.range, self.raw_range = range, raw_range
-        self.unknown = tuple(unknown)
+        self.range, self.raw_range = self._bounds(range), self._bounds(raw_range)
+        if isinstance(unknown, (str, numbers.Real)):
+            raise SpecError(f"{self.place}: unknown lists raw values, as in ({unknown!r},)")
+        self.unknown = tuple(self._number(value, "value that is unknown") for value in unknown)
         self.rounding = rounding
         self.docs = doc
         self.source = source
@@ -90,6 +115,34 @@ class Quantity(Field):
         self.values = names_by_value(self.names, self.place)
         if self.names and self.is_float:
             raise SpecError(f"{self.place}: names are for integers, not for floats")
+        for name, value in self.names.items():
+            for beside in (value - 1, value + 1):
+                if (scale != 1 or offset) and beside * scale + offset == value * scale + offset:
+                    raise SpecError(
+                        f"{self.place}: {name!r} ({value}) cannot be told from {beside}:"
+                        " with this scale and offset both are the same number"
+                    )
+        #: How far from a bound a decoded edge may lie, as floats are not exact.
+        self._slack = 0.0
+        if self.range is not None and (scale != 1 or offset):
+            reach = max(map(abs, (offset, *(bound for bound in self.range if math.isfinite(bound)))))
+            self._slack = 8 * math.ulp(reach)
+
+    def _number(self, value: Any, what: str) -> Any:
+        found = plain_number(value)
+        if found is None:
+            raise SpecError(f"{self.place}: a {what} is a number, not {value!r}")
+        return found
+
+    def _bounds(self, bounds: Any) -> Any:
+        if bounds is None:
+            return None
+        if not isinstance(bounds, Collection) or len(bounds) != 2 or isinstance(bounds, str):
+            raise SpecError(f"{self.place}: a range is (least, greatest), not {bounds!r}")
+        low, high = (self._number(bound, "bound of a range") for bound in bounds)
+        if not low <= high:
+            raise SpecError(f"{self.place}: an empty range {bounds}")
+        return low, high
 
     @classmethod
     def span(cls, subcon: Construct, low: float, high: float, *, bits: int, **more: Any) -> Quantity:
@@ -112,22 +165,24 @@ class Quantity(Field):
             raise FieldError(f"{path}: no value given")
         if isinstance(value, str) and self.names:
             return named(value, self.names, path)
-        if not isinstance(value, (int, float)):
-            raise FieldError(f"{path}: {value!r} is not a number")
-        if self.range is not None and not self.range[0] <= value <= self.range[1]:
-            if self.scale == 1 or not self._at_edge(value):
+        given, value = value, plain_number(value)
+        if value is None:
+            raise FieldError(f"{path}: {given!r} is not a number")
+        if self.range is not None:
+            low, high = self.range
+            if not low - self._slack <= value <= high + self._slack:
                 raise FieldError(
-                    f"{path}: {value!r} {self.unit} is outside {self.range[0]}…{self.range[1]} {self.unit}".replace(
-                        "  ", " "
-                    )
+                    f"{path}: {value!r} {self.unit} is outside {low}…{high} {self.unit}".replace("  ", " ")
                 )
-        if not self.is_float and isinstance(value, float) and not math.isfinite(value):
-            raise FieldError(f"{path}: {value!r} cannot be sent as an integer")
         number: Any = value
-        if self.scale != 1 or self.offset:
-            number = exact_ratio(value - self.offset, self.scale)
-        if not self.is_float and isinstance(number, float):
-            number = round(number) if self.rounding == "nearest" else int(number)
+        try:
+            if self.scale != 1 or self.offset:
+                number = exact_ratio(value - self.offset, self.scale)
+            if not self.is_float and isinstance(number, float):
+                number = round(number) if self.rounding == "nearest" else int(number)
+        except (OverflowError, ValueError):  # infinite, NaN, or an integer that no float holds
+            raise FieldError(f"{path}: {value!r} cannot be sent with a scale of {self.scale}") from None
+        self._refuse_sentinel(number, value, path)
         if self.raw_range is not None and not self.raw_range[0] <= number <= self.raw_range[1]:
             low, high = (self.to_physical(edge) for edge in self.raw_range)
             raise FieldError(
@@ -135,11 +190,23 @@ class Quantity(Field):
             )
         return number
 
-    def _at_edge(self, value: float) -> bool:
-        """Whether `value` is out of range by less than half a step, as a decoded edge may be by rounding."""
-        assert self.range is not None
-        half = abs(self.scale) / 2
-        return self.range[0] - half <= value <= self.range[1] + half
+    def _refuse_sentinel(self, number: Any, value: Any, path: str) -> None:
+        """Raise `FieldError` when a number would be read as something else than a number."""
+        if self.values and number in self.values:
+            raise FieldError(
+                f"{path}: {value!r} {self.unit} would be sent as {number}, which means {self.values[number]!r};"
+                " give the name if that is meant"
+            )
+        if self.unknown and self.is_float:
+            # What the wire makes of it: a float of fewer bits may come out as the value that means unknown.
+            try:
+                number = self.subcon.parse(self.subcon.build(number))
+            except Exception:  # it does not fit, and building says so
+                return
+        if number in self.unknown:
+            raise FieldError(
+                f"{path}: {value!r} {self.unit} would be sent as {number}, which means unknown; give None if that is meant"
+            )
 
 
 def _is_float(subcon: Construct) -> bool:
@@ -159,6 +226,10 @@ def names_by_value(names: Mapping[str, int], place: Place) -> dict[int, str]:
     """The names by their numbers; raises `SpecError` where a number has two."""
     values: dict[int, str] = {}
     for name, value in names.items():
+        if not isinstance(name, str) or not isinstance(value, int):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise SpecError(
+                f"{place}: names are written name=number or {{name: number}}, not {{{name!r}: {value!r}}}"
+            )
         if value in values:
             raise SpecError(
                 f"{place}: enumeration value {value} has two names, {values[value]!r} and {name!r}"
@@ -212,6 +283,7 @@ class SignMagnitude(Field):
         return -magnitude if raw > self.limit else magnitude
 
     def to_raw(self, value: Any, path: str = "") -> Any:
+        value = plain_number(value)
         if not isinstance(value, int):
             raise IntegerError(f"{value!r} is not an integer", path=path)
         if abs(value) > self.limit:
@@ -287,6 +359,10 @@ class Flags(Field):
         seen: dict[int, str] = {}
         width = width_of(subcon)
         for name, bit in self.names.items():
+            if not isinstance(name, str) or not isinstance(bit, int):  # pyright: ignore[reportUnnecessaryIsInstance]
+                raise SpecError(
+                    f"{self.place}: flags are written name=bit or {{name: bit}}, not {{{name!r}: {bit!r}}}"
+                )
             if bit in seen:
                 raise SpecError(f"{self.place}: flags {seen[bit]!r} and {name!r} share bit {bit}")
             if not 0 <= bit < width:

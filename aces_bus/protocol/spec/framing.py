@@ -65,11 +65,10 @@ class Affine:
     factor: int
     constant: int
 
-    def invert(self, size: int) -> int:
+    def invert(self, size: int) -> int | None:
+        """The length field of a packet of `size` bytes; None when it has no number for that."""
         number, rest = divmod(size - self.constant, self.factor)
-        if rest:
-            raise SpecError(f"no {self.length.name} gives a packet of {size} bytes")
-        return number
+        return number if not rest and 0 <= number < 1 << 8 * self.length.size else None
 
 
 class Framing:
@@ -81,6 +80,7 @@ class Framing:
         *,
         sync: bytes = b"",
         not_next: bytes = b"",
+        not_inside: bytes = b"",
         header: Struct | None = None,
         size: int | Callable[[Any], Any] | None = None,
         end: bytes | str | None = None,
@@ -93,8 +93,13 @@ class Framing:
         self.place: Place = caller()
         self.protocol = protocol
         self.name = name or protocol.name
+        for what, given in (("sync", sync), ("not_next", not_next), ("not_inside", not_inside)):
+            if not isinstance(given, bytes):  # pyright: ignore[reportUnnecessaryIsInstance]
+                raise SpecError(f"{self.place}: {what} is bytes, as in b'\\xaa', not {given!r}")
         self.sync = sync
         self.not_next = frozenset(not_next)
+        #: Bytes that no packet has between sync and end.
+        self.not_inside = bytes(sorted(set(not_inside)))
         if isinstance(check, type) or isinstance(stuffing, type):
             raise SpecError(f"{self.place}: check and stuffing are made by calling: Sum(), Crc('…'), Slip()")
         self.check = check
@@ -109,6 +114,12 @@ class Framing:
         self.end: bytes = end if isinstance(end, bytes) else b""
         if (size is not None) + bool(self.end) + self.is_silent != 1:
             raise SpecError(f"{self.place}: a framing ends by one of size=…, end=b'…', end='silence'")
+        if not_inside and (not self.end or stuffing is not None):
+            raise SpecError(
+                f"{self.place}: not_inside is for packets that an end=b'…' closes, without stuffing"
+            )
+        if set(not_inside) & set(self.end[:-1]):
+            raise SpecError(f"{self.place}: not_inside has a byte with which the end {self.end!r} may begin")
         self.fixed_size = size if isinstance(size, int) else None
         self.affine = self._affine(size) if callable(size) else None
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
@@ -189,6 +200,8 @@ class Framing:
             return self._checked(data[start:], extras) if silent else MORE
         if self.end:
             at = data.find(self.end, start + len(self.sync), start + self.max_size)
+            if self.strays(data, start + len(self.sync), at if at >= 0 else start + self.max_size):
+                return BAD("a byte that no packet has")
             if at < 0:
                 return MORE if left < self.max_size else BAD("no end")
             packet = data[start : at + len(self.end)]
@@ -240,9 +253,13 @@ class Framing:
                     return BAD(f"no message {key} to check by")
                 extra = extras[key]
             want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
-            if covered[end : end + self.check_size] != want:
+            if not self.check.same(covered[end : end + self.check_size], want):
                 return BAD("checksum")
         return Judgement(Verdict.WHOLE, len(packet))
+
+    def strays(self, data: bytes, start: int, stop: int) -> bool:
+        """Whether a byte of `not_inside` stands in [start, stop)."""
+        return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
 
     def logical(self, packet: bytes) -> bytes:
         """The packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""

@@ -21,7 +21,7 @@ from .bits import BitLayout
 from .checks import Check, Extra
 from .delimited import Delimited
 from .examples import Example
-from .fields import Counter, innermost
+from .fields import Counter, Enumeration, innermost
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
 from .normalise import check_name, normalised, sizes
@@ -122,7 +122,8 @@ class Message:
         self.check, self.check_extra = check, check_extra
         self.doc, self.source = doc, source
         self.examples = examples
-        self.payload = normalised(payload, place)
+        if not isinstance(name, str):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise SpecError(f"{place}: a message has a name, not {name!r}")
         if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
             raise SpecError(f"{place}: message name {name!r} is not a plain Python name")
         start = 0
@@ -135,7 +136,15 @@ class Message:
         self.payload_start = start + sum(h.size for h in own)
         derived = framing.affine.length.name if framing is not None and framing.affine is not None else None
         self.heads = tuple(h for h in self.heads_written if h.name is None or h.name != derived)
+        length_head = next((h for h in self.heads_written if derived is not None and h.name == derived), None)
+        #: What `match` says of the framing's length field, which records do not have.
+        self.length_pattern = length_head.pattern if length_head is not None else None
+        if length_head is not None and not length_head.is_own and not length_head.is_constant:
+            raise SpecError(
+                f"{place}: {derived} of {name} is the length of the packet; match it with numbers, not with captures"
+            )
         self.request_fields = self._request_fields()
+        self.payload = normalised(payload, place, self._enumerations())
         self.lengths = self._lengths(length)
         self._check_fields()
         if self.extras is not None and not check_extra:
@@ -157,6 +166,21 @@ class Message:
                 f"{self.place}: match names {next(iter(match))!r}, which is not a head field (there are: {names})"
             )
         return tuple(found)
+
+    def _enumerations(self) -> dict[tuple[str, ...], Enumeration]:
+        """The enumerations outside the payload that it may choose by, as `this._.name`."""
+        found: dict[str, Any] = {}
+        for request in (*self.reply_to, *self.after):
+            for name, _ in request.values:
+                for field in request.message._field_constructs(name):
+                    found[name] = enumeration_of(field)
+        for head in self.heads_written:
+            if head.name is not None:
+                found[head.name] = enumeration_of(head.field)
+        for pattern in (self.identifier, *(h.pattern for h in self.heads_written if h.pattern is not None)):
+            for capture in pattern.captures:
+                found[capture.name] = capture.quantity or found.get(capture.name)
+        return {(name,): field for name, field in found.items() if isinstance(field, Enumeration)}
 
     def _request_fields(self) -> tuple[str, ...]:
         """The request's constrained fields that the message does not carry itself: its record has them too."""
@@ -258,6 +282,11 @@ class Message:
             )
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
+
+    @cached_property
+    def payload_names(self) -> tuple[str, ...]:
+        """The names of the payload's own fields, in order."""
+        return tuple(self._payload_names())
 
     def _payload_names(self) -> list[str]:
         payload = self.payload

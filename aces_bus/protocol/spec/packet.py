@@ -11,16 +11,17 @@ bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for C
 from __future__ import annotations
 
 import io
+from operator import index
 from typing import TYPE_CHECKING, Any
 
-from construct import Construct, ConstructError, Container, StreamError, stream_read_entire
+from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
 
 from ...errors import FieldError
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
 from .head import Head
-from .pattern import describe_values
+from .pattern import Pattern, describe_values
 
 if TYPE_CHECKING:
     from .message import Message
@@ -42,7 +43,16 @@ class WrongCheckError(ConstructError):
 
 
 class ContentError(ConstructError):
-    """The packet is this message by its template, but a field cannot be read."""
+    """The packet is this message by its template, but a field cannot be read.
+
+    `what` says which and why, without values; it is empty where a constant in the payload is another one.
+    """
+
+    def __init__(self, message: Message, error: Exception, path: str) -> None:
+        where = (getattr(error, "path", "") or "").partition(" -> ")[2].replace(" -> ", ".")
+        super().__init__(str(error) or type(error).__name__, path=path)
+        name = f"{message.name}.{where}" if where else message.name
+        self.what = "" if isinstance(error, ConstError) else f"{name} cannot be read ({type(error).__name__})"
 
 
 def can_image(
@@ -63,6 +73,14 @@ class Packet(Construct):
     # ------------------------------------------------------------------ parsing
 
     def _parse(self, stream: Any, context: Any, path: str) -> Container:
+        try:
+            return self._read(stream, context, path)
+        except (NotThisError, LengthError, WrongCheckError, ContentError):
+            raise
+        except Exception as error:  # whatever a construct raises, its own or somebody else's
+            raise ContentError(self.message, error, path) from error
+
+    def _read(self, stream: Any, context: Any, path: str) -> Container:
         packet: bytes = stream_read_entire(stream, path)
         message = self.message
         values = Container()
@@ -70,7 +88,7 @@ class Packet(Construct):
         identifier = 0
         if message.framing is None:
             if len(packet) < 5:
-                raise StreamError("an image of a frame begins with 5 bytes", path=path)
+                raise NotThisError("an image of a frame begins with 5 bytes", path=path)
             identifier = int.from_bytes(packet[:4], "big") & 0x1FFF_FFFF
             flags = (bool(packet[0] & 0x80), bool(packet[0] & 0x40), bool(packet[4] & FD_FLAG))
             captures = message.identifier.match(identifier)
@@ -91,7 +109,7 @@ class Packet(Construct):
             values[name] = (request or {}).get(name)
         heads = message.heads
         short = heads[-1].offset + heads[-1].size > end if heads else False
-        for head in heads:
+        for head in message.heads_written:
             if (
                 head.offset + head.size <= end
                 and head.pattern is not None
@@ -109,22 +127,20 @@ class Packet(Construct):
         for head in heads:
             self._read_head(head, data, context, values, f"{path} -> {head.name}")
         inner.update(values)
-        if message.framing is not None:
-            for head in message.framing.heads:
-                if head.name:
-                    inner[head.name] = head.number(data)
+        for head in message.heads_written:
+            if head.name and (
+                head.is_constant or (message.framing and head.offset < message.framing.head_end)
+            ):
+                inner[head.name] = head.number(data)
         body = io.BytesIO(data[message.payload_start : end])
         try:
             payload = message.payload._parsereport(body, inner, path)
         except StreamError as error:
             raise LengthError(str(error), path=path) from None
-        except (ConstructError, FieldError, ValueError, LookupError, TypeError, ArithmeticError) as error:
-            raise ContentError(str(error), path=path) from error
         if body.read(1):
             raise LengthError("bytes left over", path=path)
-        for name, value in payload.items():
-            if not name.startswith("_"):
-                values[name] = value
+        for name in message.payload_names:
+            values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
         check = message.check
         if check is not None and check.field is not None:
             found = values.pop(check.field)
@@ -152,6 +168,13 @@ class Packet(Construct):
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
         )
+        inner.update(
+            {
+                h.name: h.pattern.constant
+                for h in message.heads_written
+                if h.name and h.pattern and h.is_constant
+            }
+        )
         inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
         head = b"".join(
             self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written
@@ -169,7 +192,9 @@ class Packet(Construct):
         captures = {}
         for capture in message.identifier.captures:
             given = _given(obj, capture.name, path)
-            captures[capture.name] = int(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+            captures[capture.name] = (
+                index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+            )
         identifier = message.identifier.number(captures)
         if message.identifier.match(identifier) is None:
             raise FieldError(f"{path}: no identifier for {captures}")
@@ -193,7 +218,7 @@ class Packet(Construct):
             for capture in head.pattern.captures:
                 given = _given(obj, capture.name, path)
                 captures[capture.name] = (
-                    int(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+                    index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
                 )
             return head.bytes(head.pattern.number(captures))
         if head.name is None:
@@ -207,10 +232,7 @@ class Packet(Construct):
             and head.pattern.match(int.from_bytes(written, "big" if head.order == "big" else "little"))
             is None
         ):
-            pattern = head.pattern
-            wanted = pattern.describe(2)
-            if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
-                wanted = describe_values(pattern.captures[0].values)
+            wanted = _described(head.pattern)
             raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
         return written
 
@@ -223,10 +245,18 @@ class Packet(Construct):
         size = len(packet) + framing.check_size
         if framing.affine is not None:
             length = framing.affine.length
-            number = framing.affine.invert(size)
-            if size > framing.max_size or number >= 1 << 8 * length.size:
+            if size > framing.max_size:
                 raise FieldError(
                     f"{self.message.name}: a packet of {size} bytes is longer than {framing.max_size}"
+                )
+            number = framing.affine.invert(size)
+            if number is None:
+                raise FieldError(f"{self.message.name}: no {length.name} gives a packet of {size} bytes")
+            wanted = self.message.length_pattern
+            if wanted is not None and wanted.match(number) is None:
+                raise FieldError(
+                    f"{self.message.name}: a packet of {size} bytes has {length.name} {number};"
+                    f" this message has {_described(wanted)}"
                 )
             packet = packet[: length.offset] + length.bytes(number) + packet[length.offset + length.size :]
         elif framing.fixed_size is not None and size != framing.fixed_size:
@@ -245,6 +275,11 @@ class Packet(Construct):
                 packet = framing.sync + framing.stuffing.stuff(packet[len(framing.sync) :])
             if framing.end in packet[len(framing.sync) :]:
                 raise FieldError(f"{self.message.name}: the bytes that end a packet occur inside it")
+            if framing.strays(packet, len(framing.sync), len(packet)):
+                never = framing.not_inside.hex(" ").upper()
+                raise FieldError(
+                    f"{self.message.name}: no packet may have one of the bytes {never} inside it"
+                )
             packet += framing.end
         if framing.not_next and packet[len(framing.sync)] in framing.not_next:
             followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"
@@ -267,6 +302,13 @@ class Packet(Construct):
         from construct import SizeofError
 
         raise SizeofError("a packet's size depends on its message", path=path)
+
+
+def _described(pattern: Pattern) -> str:
+    """The numbers of a pattern where they are a plain set, else as the sheet would write it."""
+    if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
+        return describe_values(pattern.captures[0].values)
+    return pattern.describe(2)
 
 
 def _given(obj: Any, name: str, path: str) -> Any:

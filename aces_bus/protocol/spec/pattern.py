@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 from typing import Any
 
 from ...errors import FieldError, SpecError
@@ -33,10 +34,10 @@ class Arithmetic:
         return self._pattern().joined(other)
 
     def __or__(self, other: int | Arithmetic) -> Pattern:
-        return self._pattern().joined(other)
+        return self._pattern().united(other)
 
     def __ror__(self, other: int) -> Pattern:
-        return self._pattern().joined(other)
+        return self._pattern().united(other)
 
     def __lshift__(self, bits: int) -> Pattern:
         return self._pattern().shifted(bits)
@@ -76,6 +77,13 @@ class Capture(Arithmetic):
     def width(self) -> int:
         """Number of bits of the largest value."""
         return max(1, bounds(self.values)[1].bit_length())
+
+    @property
+    def bits(self) -> int:
+        """The bits that are set in some of its values, as a mask."""
+        if len(self.values) > 4096:
+            return (1 << self.width) - 1
+        return reduce(or_, self.values)
 
     def only(self, values: Collection[int]) -> Capture:
         """The same capture over fewer values."""
@@ -117,6 +125,27 @@ class Pattern(Arithmetic):
             if names.count(name) > 1:
                 raise SpecError(f"{caller()}: capture {name!r} is there twice in one pattern")
         return Pattern(self.constant + more.constant, captures)
+
+    def united(self, other: int | Arithmetic) -> Pattern:
+        """The parts side by side, as `|` says: raises `SpecError` where they share bits, which adding would carry."""
+        shared = self.bits & (other if isinstance(other, int) else other._pattern().bits)
+        if shared:
+            named = [str(bit) for bit in range(shared.bit_length()) if shared >> bit & 1]
+            shown = other if isinstance(other, int) else other._pattern()
+            text = f"{shown:#x}" if isinstance(shown, int) else shown.describe()
+            raise SpecError(
+                f"{caller()}: {self.describe()} | {text} share bit{'s' if len(named) > 1 else ''} {', '.join(named)};"
+                " shift them apart, or write + where numbers are added"
+            )
+        return self.joined(other)
+
+    @property
+    def bits(self) -> int:
+        """The bits that are set in some number that matches, as a mask."""
+        found = self.constant
+        for capture in self.captures:
+            found |= capture.bits << capture.shift
+        return found
 
     def shifted(self, bits: int) -> Pattern:
         return Pattern(self.constant << bits, tuple(replace(c, shift=c.shift + bits) for c in self.captures))
@@ -212,11 +241,17 @@ def as_pattern(value: int | Capture | Pattern | Collection[int], name: str = "")
     if isinstance(value, bool):
         value = int(value)
     if isinstance(value, int):
+        if value < 0:
+            raise SpecError(
+                f"{caller()}: {value} is negative; identifiers and head fields are matched as unsigned numbers"
+            )
         return Pattern(value)
     if isinstance(value, Arithmetic):
         pattern = value._pattern()
         pattern.check()
         return pattern
+    if not isinstance(value, Collection) or not value or not all(isinstance(one, int) for one in value):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise SpecError(f"{caller()}: {value!r} is no number, set of numbers or pattern of captures")
     return Pattern(0, (Capture(name, tuple(sorted(value))),))
 
 

@@ -151,6 +151,8 @@ class Protocol:
             raise SpecError(f"{place}: a message on CAN needs id=…, one on a stream a framing")
         if self.link != "can" and framing is None:
             raise SpecError(f"{place}: {name} needs a framing; declare it by calling one")
+        if not isinstance(over, str) and not all(isinstance(one, str) for one in _listed(over)):
+            raise SpecError(f"{place}: over names messages, as text; {over!r} does not")
         if direction is not None and direction not in DIRECTIONS:
             raise SpecError(f"{place}: direction is {' or '.join(map(repr, DIRECTIONS))}, not {direction!r}")
         dialects = None if dialect is None else frozenset([dialect] if isinstance(dialect, str) else dialect)
@@ -190,6 +192,7 @@ class Protocol:
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
             if other.name == name and share_dialect(made, other):
                 raise SpecError(f"{place}: message {name!r} is there twice; the other is at {other.place}")
+        self._check_order(made)
         if made.framing is None:
             ambiguity.check_against(made, self._neighbours.of(made.identifier))
             self._neighbours.add(made)
@@ -200,6 +203,35 @@ class Protocol:
         # Scanners that exist keep what they know; the next one knows this message too.
         self._variants.clear()
         return made
+
+    def _check_order(self, made: Message) -> None:
+        """Raise `SpecError` when `over` goes in a circle: no order of trial would be right."""
+        reached, left = {made.name}, [made]
+        if made.name in made.over:
+            raise SpecError(f"{made.place}: message {made.name!r} cannot be over itself")
+        while left:
+            one = left.pop()
+            for other in self.declared:
+                if other.name not in one.over or not share_dialect(made, other):
+                    continue
+                if made.name in other.over:
+                    raise SpecError(
+                        f"{made.place}: over= goes in a circle: {made.name!r} is before {other.name!r} ({other.place}),"
+                        f" which is before {made.name!r}"
+                    )
+                if other.name not in reached:
+                    reached.add(other.name)
+                    left.append(other)
+
+    def _check_names(self) -> None:
+        """Raise `SpecError` when `over` names a message that was never declared."""
+        for message in self.declared:
+            for name in message.over:
+                if name not in self.messages:
+                    raise SpecError(
+                        f"{message.place}: {message.name} is over {name!r}, and no message has that name"
+                        f" (there are: {', '.join(self.messages)})"
+                    )
 
     def check_keywords(self, name: str, declared: Mapping[str, Any], heads: Collection[str | None]) -> None:
         """Raise `SpecError` for keywords that `message` has not; `heads` are fields that `match` could name."""
@@ -270,6 +302,7 @@ class Protocol:
                 )
         wanted = (dialect, name, repr(sorted((k, sorted(t.items())) for k, t in tables.items())))
         if wanted not in self._variants:
+            self._check_names()
             self._variants[wanted] = Variant(self, dialect, name, tables)
         return self._variants[wanted]
 
@@ -286,12 +319,16 @@ class Protocol:
         configuration: str | Configuration | None = None,
         direction: Direction | Literal["both"] | None = None,
         everything: bool = False,
+        check_thread: bool = False,
     ) -> Scanner:
-        """A scanner of this protocol alone; see `make_scanner` for several on one wire."""
+        """A scanner of this protocol alone, for one thread; see `make_scanner` for several on one wire."""
         from ..scan.scanner import make_scanner
 
         return make_scanner(
-            [self.variant(dialect, configuration)], direction=direction, everything=everything
+            [self.variant(dialect, configuration)],
+            direction=direction,
+            everything=everything,
+            check_thread=check_thread,
         )
 
     def decode(
@@ -408,6 +445,11 @@ class Variant:
 
     def __repr__(self) -> str:
         return f"<{self.label}: {len(self.messages)} messages>"
+
+
+def _listed(given: Any) -> list[Any]:
+    """Several things that a spec may write, or one thing that is none of several."""
+    return list(given) if isinstance(given, Iterable) else [given]
 
 
 def share_dialect(one: Message, other: Message) -> bool:

@@ -111,7 +111,8 @@ def run(arguments: argparse.Namespace) -> int:
                 try:
                     result.findings += check_protocol(protocol) + _of_database(protocol)
                 except Exception as error:  # whatever a spec makes a rule raise is a fault with a line
-                    result.findings.append(raised(error, protocol, "cannot be checked"))
+                    placed = _of_error(error) if isinstance(error, AcesError) else None
+                    result.findings.append(placed or raised(error, protocol, "cannot be checked"))
                 if arguments.seconds:
                     _ask_laws(protocol, result, arguments.seconds)
     if not arguments.apart and len(variants) > 1:
