@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from ..spec.checks import Check, Extra
 from ..spec.framing import Framing
 from .choose import Choice
+from .names import literal
 from .print_check import computed, print_check
-from .source import Source
+from .source import Source, one_line
 
 ARGUMENTS = "data, key, time, channel, raw, rx"
 
@@ -50,7 +51,7 @@ def print_choice(out: Source, name: str, choice: Choice) -> None:
 def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     """The scan function of a wire: `framings` with the name of the function that decodes their packets."""
     out = Source()
-    out.line(f'"""Stream scanner of {label}: generated from its spec."""')
+    out.line(f'"""Stream scanner of {one_line(label)}: generated from its spec."""')
     out.line()
     for number, (framing, _) in enumerate(framings):
         if _asks(framing):
@@ -117,8 +118,8 @@ def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: 
         return
     sync = framing.sync
     at = len(sync)
-    out.line(f"# {framing.name}: {describe(framing)}")
-    out.line(f"if starts({sync!r}, i):")
+    out.line(f"# {one_line(f'{framing.name}: {describe(framing)}')}")
+    out.line(f"if starts({literal(sync)}, i):")
     out.depth += 1
     depth = out.depth
     if framing.not_next:
@@ -152,7 +153,7 @@ def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: 
     _checked(out, number, framing, decode, alone=alone)
     out.depth = depth - 1
     if len(sync) > 1:
-        out.line(f"elif end - i < {at} and {sync!r}.startswith(buffer[i:]):")
+        out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
         _wait(out)
 
 
@@ -174,17 +175,17 @@ def _asks(framing: Framing) -> bool:
 def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Framings whose packets are closed by a mark."""
     sync, at, back = framing.sync, len(framing.sync), len(framing.end)
-    out.line(f"# {framing.name}: {describe(framing)}")
+    out.line(f"# {one_line(f'{framing.name}: {describe(framing)}')}")
     depth = out.depth
     if sync:
-        out.line(f"if starts({sync!r}, i):")
+        out.line(f"if starts({literal(sync)}, i):")
         out.depth += 1
     if framing.not_next:
         _more(out, f"end - i == {at}")
         values = sorted(framing.not_next)
         out.line(f"elif buffer[i + {at}] not in {tuple(values)}:")
         out.depth += 1
-    out.line(f"j = buffer.find({framing.end!r}, i{f' + {at}' if at else ''}, i + {framing.max_size})")
+    out.line(f"j = buffer.find({literal(framing.end)}, i{f' + {at}' if at else ''}, i + {framing.max_size})")
     out.line("if j < 0:")
     out.line(f"    if end - i >= {framing.max_size}:")
     out.line("        bad = bad or 'malformed: no end'")
@@ -212,7 +213,7 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
     _accept(out, framing, decode, alone=alone)
     out.depth = depth
     if at > 1:
-        out.line(f"elif end - i < {at} and {sync!r}.startswith(buffer[i:]):")
+        out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
         _wait(out)
 
 
@@ -294,7 +295,7 @@ def _accept(out: Source, framing: Framing, decode: str, *, alone: bool) -> None:
 
 def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
-    out.line(f"# {framing.name}: {describe(framing)}")
+    out.line(f"# {one_line(f'{framing.name}: {describe(framing)}')}")
     out.line(f"verdict, j, reason = judge_{number}(buffer, i, silent)")
     out.line("if verdict == 'more':")
     _wait(out)

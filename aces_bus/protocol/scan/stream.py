@@ -128,6 +128,7 @@ class StreamScanner:
             names[f"sums_{number}"] = sums
         if check is not None:
             names[f"crc_{number}"] = check.engine
+            names[f"text_{number}"] = check.text
         if extras is not None:
             names[f"extras_{number}"] = extras.get
         names[f"judge_{number}"] = _judge(framing, extras)
