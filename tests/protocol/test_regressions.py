@@ -21,6 +21,7 @@ from construct import (
     IfThenElse,
     Int16ul,
     Int32ul,
+    Int64ub,
     LazyBound,
     Padded,
     Prefixed,
@@ -634,3 +635,9 @@ def test_stubs_keep_nested_records_apart() -> None:
     made.message("Record", id=3)
     with pytest.raises(SpecError, match="cannot name a message so"):
         print_stub(made, "nested")
+
+
+def test_a_scale_of_one_keeps_every_bit() -> None:
+    """With an offset, construct multiplied by 1.0 where generated code does not: 64 bits became 53."""
+    made = _one(Struct("v" / Quantity(Int64ub, scale=1.0, offset=-7)))
+    assert _live_and_columns(made, Frame(1, (1 << 60 | 1).to_bytes(8, "big"))) == [{"v": (1 << 60) - 6}]

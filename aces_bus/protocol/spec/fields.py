@@ -146,9 +146,8 @@ class Quantity(Field):
             return None
         if self.values and raw in self.values:
             return self.values[raw]
-        if self.offset:
-            return raw * self.scale + self.offset
-        return raw * self.scale if self.scale != 1 else raw
+        physical = raw * self.scale if self.scale != 1 else raw
+        return physical + self.offset if self.offset else physical
 
     def to_raw(self, value: Any, path: str = "") -> Any:
         if value is None:
