@@ -34,7 +34,7 @@ from aces_bus.protocol.codegen.print_records import print_records
 ROOT = Path(__file__).resolve().parents[2]
 Golden = Callable[[str, str], None]
 
-PROTOCOLS = ["hubo", "minihubo_adc", "robotis"]
+PROTOCOLS = ["canopen", "hubo", "hubovia", "minihubo_adc", "pololu_qik", "robotis"]
 
 
 def small() -> Protocol:

@@ -532,7 +532,7 @@ UNTYPED: Any = protocol_words
         (lambda: UNTYPED.Quantity(Byte, range=(1,)), "a range is"),
         (lambda: UNTYPED.Quantity(Byte, range=(float("nan"), 1)), "an empty range"),
         (lambda: UNTYPED.Quantity(Byte, unknown=255), "unknown lists raw values, as in"),
-        (lambda: UNTYPED.Quantity(GreedyBytes), "a quantity is a number"),
+        (lambda: UNTYPED.Quantity(GreedyBytes), "Quantity takes a number, not GreedyBytes"),
         (lambda: UNTYPED.Flags(Byte, {1: 2}), "flags are written name=bit"),
         (lambda: can(Struct(), id=-1), "-1 is negative"),
         (lambda: can(Struct(), id="7"), "'7' is no number, set of numbers or pattern"),

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 from construct import (
+    Array,
     Byte,
     Bytes,
+    Const,
     Construct,
     ExprAdapter,
+    Float32l,
     GreedyBytes,
     GreedyRange,
     IfThenElse,
     Int16ul,
     Int32ul,
+    Int64ub,
     LazyBound,
     Padded,
     Prefixed,
@@ -23,19 +32,23 @@ from construct import (
     this,
 )
 
-from aces_bus.errors import CallerError, SpecError
+from aces_bus.errors import CallerError, FieldError, SpecError
 from aces_bus.frame import Frame
+from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import (
     BitLayout,
     CanScanner,
     Capture,
     Crc,
     Enumeration,
+    Flags,
     Insert,
     InvertedSum,
     Multiplexed,
     Protocol,
+    Quantity,
     Reference,
+    SignMagnitude,
     StreamScanner,
     Unknown,
     as_dict,
@@ -43,6 +56,8 @@ from aces_bus.protocol import (
     can_image,
     make_scanner,
 )
+from aces_bus.protocol.codegen.print_stub import print_stub
+from aces_bus.protocol.scan.columns import make_column_scanner
 
 
 def _summed() -> Protocol:
@@ -383,3 +398,246 @@ def test_what_loses_bytes_is_found_inside_choices() -> None:
     ):
         with pytest.raises(SpecError, match="Padded would skip or repeat bytes"):
             Protocol("hidden", link="can").message("M", id=1, payload=Struct("kind" / Byte, "field" / field))
+
+
+def _live_and_columns(made: Protocol, *frames: Frame) -> list[dict[str, Any]]:
+    """The fields of the frames, live; the reference and the columns say the same."""
+    variant = made.variant()
+    records = [as_dict(record) for record in make_scanner([variant]).feed(frames)]
+    columns = make_column_scanner([variant])
+    found: list[dict[str, Any]] = [{} for _ in frames]
+    for table in [*columns.feed(FrameTable.from_frames(frames)), *columns.close()]:
+        for kind in table.kinds:
+            for row, value in zip(table.row.tolist(), table[kind.name].to_list(), strict=True):
+                found[row][kind.name] = value
+    for fields, reference, flat in zip(records, Reference([variant]).frames(frames), found, strict=True):
+        assert str(as_plain(reference.fields)) == str(as_plain(fields))
+        for path, value in flat.items():
+            inside: Any = fields
+            for step in path.split("."):
+                if inside is not None:
+                    inside = inside[int(step)] if isinstance(inside, list) else inside[step]
+            assert inside == value or str(inside) == str(value)
+    return records
+
+
+def as_plain(value: Any) -> Any:
+    """Containers as dicts and lists."""
+    if isinstance(value, dict):
+        return {name: as_plain(item) for name, item in value.items() if not name.startswith("_")}
+    return [as_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def _one(payload: Construct, **more: Any) -> Protocol:
+    made = Protocol("one", link="can")
+    made.message("M", id=1, payload=payload, **more)
+    return made
+
+
+def _selecting() -> BitLayout:
+    return BitLayout(1, "kind" / bits(2), "level" / Multiplexed("kind", 3, bits(6, at=2)))
+
+
+@pytest.mark.parametrize(
+    ("payload", "data", "way"),
+    [
+        (Struct("a" / _selecting(), "b" / _selecting()), "5457", ("b", "level")),
+        (Struct("a" / Array(2, _selecting())), "5457", ("a", 1, "level")),
+        (Struct("kind" / Byte, "b" / _selecting()), "0057", ("b", "level")),
+        (
+            Struct(
+                "kind" / Byte, "b" / Multiplexed("kind", 1, _selecting()), "c" / Multiplexed("kind", 1, Byte)
+            ),
+            "015700",
+            ("b", "level"),
+        ),
+    ],
+)
+def test_a_selector_is_the_one_of_its_own_layout(payload: Construct, data: str, way: tuple[Any, ...]) -> None:
+    """Selectors were remembered by their bare names, so that one of the same name elsewhere decided."""
+    found: Any = _live_and_columns(_one(payload), Frame(1, bytes.fromhex(data)))[0]
+    for step in way:
+        found = found[step]
+    assert found == 21
+
+
+def test_layouts_that_overlay_keep_their_own_words() -> None:
+    """Two multiplexed layouts of different size at one offset shared a variable: the second overwrote the first."""
+    payload = Struct(
+        "sel" / Byte,
+        "m0" / Multiplexed("sel", 2, BitLayout(3, "b0" / bits(5), "b2" / bits(5, at=19))),
+        "m1" / Multiplexed("sel", 1, BitLayout(1, "b0" / bits(1, at=1), "b1" / bits(2))),
+    )
+    (fields,) = _live_and_columns(_one(payload), Frame(1, bytes.fromhex("02629960")))
+    assert fields["m0"]["b2"] == 12
+
+
+def test_numbers_that_have_no_literal_are_numbers() -> None:
+    """Infinity and NaN were printed into generated code as the names `inf` and `nan`."""
+    made = _one(
+        Struct(
+            "v" / Quantity(Int16ul, range=(0, math.inf), scale=0.5),
+            "f" / Quantity(Float32l, unknown=[math.nan, -math.inf], range=(-math.inf, 5)),
+        )
+    )
+    sent = made.encode("M", v=1000, f=2.0)
+    frames = [
+        Frame(1, bytes(sent.data)),
+        *(Frame(1, bytes.fromhex(f"0200{end}")) for end in ("0000c07f", "000080ff")),
+    ]
+    first, nan, infinite = _live_and_columns(made, frames[0]) + _live_and_columns(made, *frames[1:])
+    assert first == {"v": 1000.0, "f": 2.0}
+    assert nan == infinite == {"v": 1.0, "f": None}
+
+
+class _Half(float):
+    """A float whose text is no Python."""
+
+    def __repr__(self) -> str:
+        return "one half"
+
+
+def test_values_of_other_types_enter_generated_code_as_they_are() -> None:
+    """A scale of NumPy's, an enumeration of names by a class, were printed by their `repr`."""
+    payload = Struct(
+        "v" / Quantity(Byte, scale=_Half(0.5), offset=_Half(0.25), range=(_Half(0), _Half(100))),
+        "e" / Enumeration(Byte, {'"""\n': 1}),
+    )
+    made = _one(payload, doc='"""\\\0 a\r', source='"\n')
+    assert _live_and_columns(made, Frame(1, b"\x02\x01")) == [{"v": 1.25, "e": '"""\n'}]
+    assert bytes(made.encode("M", v=1.25, e=1).data) == b"\x02\x01"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Record", "Part", "Any", "FlagSet", "Struct", "flags", "re", "data", "q", "v0", "from_bytes", "tuple"],
+)
+def test_a_message_may_have_any_name(name: str) -> None:
+    """Names of messages and of nested records hid what generated code calls."""
+    made = Protocol("named", link="can")
+    for identifier, one in ((1, name), (2, "Other"), (3, "Other_flags"), (4, "decode_Other")):
+        made.message(
+            one,
+            id=identifier,
+            payload=Struct(
+                "v0" / Quantity(Int16ul, scale=0.5),
+                "flags" / BitLayout(2, "data" / Flags(bits(3), a=0), "q" / Quantity(bits(3), unknown=[7])),
+                "re" / Array(2, Enumeration(Byte, a=1)),
+            ),
+        )
+    frames = [Frame(identifier, bytes.fromhex("020039000103")) for identifier in (1, 2, 3, 4)]
+    wanted: dict[str, Any] = {"v0": 1.0, "flags": {"data": 1, "q": None, "reserved": 0}, "re": ["a", 3]}
+    assert _live_and_columns(made, *frames) == [wanted] * 4
+    records = make_scanner([made.variant()]).feed(frames)
+    assert [record.meta.message for record in records] == [name, "Other", "Other_flags", "decode_Other"]
+    assert bytes(made.encode(name, **wanted).data) == frames[0].data
+
+
+def test_captures_of_alike_names_stay_apart() -> None:
+    """`A` with a capture `B_c` and `A_B` with a capture `c` shared the function that writes it."""
+    made = Protocol("alike", link="can")
+    made.message("A", id=0x100 + Capture("B_c", range(4)), payload=Struct("x" / Byte))
+    made.message("A_B", id=0x200 + Capture("c", range(8)), payload=Struct("x" / Byte))
+    assert made.encode("A_B", c=7, x=1).arbitration_id == 0x207
+    with pytest.raises(FieldError, match="B_c: 7 is not one of"):
+        made.encode("A", B_c=7, x=1)
+
+
+@pytest.mark.parametrize(
+    ("payload", "complaint"),
+    [
+        (
+            Struct("a" / Byte, "p" / Bytes(6), "b" / Multiplexed("a", 2, Int16ul)),
+            "with field 'b' M has 9 bytes of data, and its frames have 8 at most",
+        ),
+        (Struct("a" / SignMagnitude(8), "b" / Multiplexed("a", 2, Byte)), "selector 'a' is a SignMagnitude"),
+        (
+            Struct("s" / Struct("a" / Quantity(Byte, scale=0.5), "b" / Multiplexed("a", 2, Byte))),
+            "selector 'a' is a Quantity",
+        ),
+        (Struct("a" / Byte, "b" / Array(2, Multiplexed("a", 2, Byte))), "makes a named field"),
+        (Struct("\ufb01" / Byte), "Python reads '\ufb01' as 'fi'"),
+    ],
+)
+def test_what_no_frame_can_mean_is_refused(payload: Construct, complaint: str) -> None:
+    """Branches without room, and selectors that the implementations took for different numbers, were accepted."""
+    with pytest.raises(SpecError, match=re.escape(complaint)):
+        _one(payload)
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: Enumeration(Quantity(Byte, scale=2), one=1), "Enumeration takes a number of the wire"),
+        (lambda: Quantity(Enumeration(Byte, one=1)), "Quantity takes a number of the wire"),
+        (lambda: Flags(Quantity(Byte), one=1), "Flags takes a number of the wire"),
+        (lambda: SignMagnitude(bits(5, signed=True)), "takes an unsigned integer"),
+        (lambda: Enumeration(Float32l, one=1), "Enumeration takes an integer"),
+        (lambda: Quantity(Bytes(2), scale=2), "takes a number, not Bytes"),
+        (lambda: Quantity(Byte, unknown=[math.nan]), "an integer is never nan"),
+    ],
+)
+def test_fields_over_what_is_no_number_are_refused(make: Callable[[], Any], complaint: str) -> None:
+    """Adapters upon adapters that no generated code can carry out failed in `feed`."""
+    with pytest.raises(SpecError, match=complaint):
+        make()
+
+
+def test_a_packet_of_nothing_is_not_built() -> None:
+    """What stands between two ends is no packet; the encoder made one that no scanner read."""
+    made = Protocol("ended", link="serial")
+    frame = made.framing(sync=b"\xaa", end=b"\n", max_size=80)
+    with pytest.raises(SpecError, match="with nothing before its end a packet of Empty is none"):
+        frame("Empty", payload=Struct())
+    frame("Any", payload=Struct("data" / GreedyBytes))
+    assert made.encode("Any", data=b"1") == b"\xaa1\n"
+    with pytest.raises(FieldError, match="would not be read"):
+        made.encode("Any", data=b"")
+
+
+def test_a_branch_that_fits_for_some_values_is_there_for_those() -> None:
+    """Columns read behind the end of the frame where a value's fields do not fit."""
+    found = _live_and_columns(
+        _one(
+            Struct("a" / Byte, "b" / Multiplexed("a", (1, 2), Bytes(7)), "c" / Multiplexed("a", (2, 4), Byte))
+        ),
+        Frame(1, bytes(range(1, 9))),
+    )
+    assert found == [{"a": 1, "b": bytes(range(2, 9)), "c": None}]
+
+
+def test_a_name_of_a_signed_magnitude_is_not_an_index() -> None:
+    """A magnitude below zero took its name from the end of the table of names."""
+    made = _one(Struct("e" / Enumeration(SignMagnitude(8), {"low": -3, "other": 125})))
+    assert _live_and_columns(made, Frame(1, b"\x83"), Frame(1, b"\x84")) == [{"e": "low"}, {"e": -4}]
+
+
+def test_what_has_no_bytes_is_decoded_and_built() -> None:
+    """Nested records of constants alone, and lists of nothing, were no Python."""
+    made = _one(Struct("n" / Struct(Const(b"\x01")), "e" / Array(0, Byte), "x" / Byte))
+    assert _live_and_columns(made, Frame(1, b"\x01\x05")) == [{"n": {}, "e": [], "x": 5}]
+    assert bytes(made.encode("M", n={}, e=[], x=5).data) == b"\x01\x05"
+    assert bytes(_one(Struct("e" / Array(0, Byte), "x" / Byte)).encode("M", e=(), x=5).data) == b"\x05"
+
+
+def test_stubs_keep_nested_records_apart() -> None:
+    """Classes of a stub were named by a path that two nested records may share."""
+    made = Protocol("nested", link="can")
+    made.message(
+        "M", id=1, payload=Struct("a" / Struct("b" / Struct("x" / Byte)), "a_b" / Struct("y" / Byte))
+    )
+    made.message("M_a", id=2, payload=Struct("b" / Struct("z" / Byte)))
+    made.message("Odd", id=4, payload=Struct("e" / Enumeration(Byte, {"one\n": 1})), doc="a\0\rb")
+    text = print_stub(made, "nested")
+    compile(text, "stub", "exec")
+    classes = re.findall(r"^class (\w+)", text, re.MULTILINE)
+    assert len(classes) == len(set(classes)) == 7
+    made.message("Record", id=3)
+    with pytest.raises(SpecError, match="cannot name a message so"):
+        print_stub(made, "nested")
+
+
+def test_a_scale_of_one_keeps_every_bit() -> None:
+    """With an offset, construct multiplied by 1.0 where generated code does not: 64 bits became 53."""
+    made = _one(Struct("v" / Quantity(Int64ub, scale=1.0, offset=-7)))
+    assert _live_and_columns(made, Frame(1, (1 << 60 | 1).to_bytes(8, "big"))) == [{"v": (1 << 60) - 6}]

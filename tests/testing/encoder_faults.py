@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from aces_bus.protocol.codegen import encoder, print_encode
@@ -16,13 +17,20 @@ def printed(patch: Patch, *changes: tuple[str, str]) -> None:
     """Change the text of printed encoders."""
     good = print_encode.print_encoder
 
-    def bad(*args: Any) -> list[str]:
-        text = "\n".join(good(*args))
+    def bad(*args: Any) -> tuple[str, list[str]]:
+        function, lines = good(*args)
+        text = "\n".join(lines)
         for old, new in changes:
             text = text.replace(old, new)
-        return text.split("\n")
+        return function, text.split("\n")
 
     patch.setattr(encoder, "print_encoder", bad)
+
+
+def bound(patch: Patch, change: Callable[[Any], Any]) -> None:
+    """Change the values that printed encoders call by name."""
+    good = print_encode._Encoder._bound
+    patch.setattr(print_encode._Encoder, "_bound", lambda self, name, value: good(self, name, change(value)))
 
 
 def a_scale_is_ten_times_too_large(patch: Patch) -> None:
@@ -46,7 +54,7 @@ def a_constant_is_another(patch: Patch) -> None:
 
 
 def a_name_is_another_number(patch: Patch) -> None:
-    printed(patch, ("'on': 1", "'on': 0"))
+    bound(patch, lambda value: {**value, "on": 0} if isinstance(value, dict) and "on" in value else value)
 
 
 def a_part_of_a_split_field_is_dropped(patch: Patch) -> None:

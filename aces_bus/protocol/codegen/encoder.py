@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from construct import Construct, ConstructError, Default, Renamed
@@ -22,7 +21,9 @@ from ..spec.packet import EXTENDED, FD_FLAG, REMOTE
 from ..spec.protocol import Variant
 from .flatten import flatten
 from .load import load
-from .print_encode import NoEncoder, head_writer, print_encoder
+from .names import Names
+from .print_encode import CALLED, NoEncoder, print_encoder
+from .source import one_line
 
 
 class Unusual(Exception):
@@ -171,24 +172,21 @@ def quick_encoders(
     variant: Variant,
 ) -> tuple[dict[str, Callable[[dict[str, Any]], Any]], str, dict[str, str]]:
     """The printed encoders of a variant, their source, and why the other messages go through construct."""
-    lines = [f'"""Encoders of {variant.label}: generated from its spec."""', ""]
-    names: dict[str, Any] = {"Struct": struct.Struct, "Unusual": Unusual}
+    lines = [f'"""Encoders of {one_line(variant.label)}: generated from its spec."""', ""]
+    names = Names(CALLED)
+    functions: dict[str, str] = {}
     others: dict[str, str] = {}
-    helpers: dict[str, str] = {}
     for message in variant.messages.values():
         try:
-            lines += ["", *print_encoder(message, flatten(message), helpers), ""]
+            functions[message.name], printed = print_encoder(message, flatten(message), names)
         except NoEncoder as reason:
             others[message.name] = str(reason)
             continue
-        for capture in message.identifier.captures:
-            names[f"capture_{message.name}_{capture.name}"] = partial(capture.to_raw, path=capture.name)
-        for head in message.heads_written:
-            if head.name is not None and not head.is_constant:
-                names[f"head_{message.name}_{head.name}"] = head_writer(head)
+        lines += ["", *printed, ""]
     source = "\n".join(lines) + "\n"
-    space = load(source, f"aces {variant.label} encoders", names)
-    return {name: space[f"encode_{name}"] for name in variant.messages if name not in others}, source, others
+    called = {"Struct": struct.Struct, "Unusual": Unusual, **names.bound}
+    space = load(source, f"aces {variant.label} encoders", called)
+    return {name: space[function] for name, function in functions.items()}, source, others
 
 
 def new_can(identifier: int, data: bytes, message: Message) -> Any:

@@ -80,7 +80,7 @@ def flatten(message: Message) -> p.MessagePlan:
         framed=framing.min_size if framing is not None else 0,
         tail=tail,
         lengths_by=builder.lengths_by,
-        selectors=tuple(builder.selectors.items()),
+        selectors=tuple(builder.selectors),
         split=builder.split,
         is_checked=check is not None,
         opaque=opaque,
@@ -90,17 +90,15 @@ def flatten(message: Message) -> p.MessagePlan:
     )
 
 
-def _claims(
-    always: int, masks: dict[str, dict[int, int]], whens: dict[str, tuple[str, tuple[int, ...]] | None]
-) -> tuple[Any, ...]:
-    """What of a layout its fields claim: the last three values of a `Rest`."""
+def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When | None) -> tuple[Any, ...]:
+    """What of a layout its fields claim: the last three values of a `Rest`. `outer` is when the layout is there."""
     if not masks:
         return ((None, always),), None, ()
     selectors = list(masks)
-    if len(selectors) == 1 and whens[selectors[0]] is None:
+    if len(selectors) == 1 and selectors[0].when == outer:
         claimed = [(value, always | mask) for value, mask in sorted(masks[selectors[0]].items())]
         return (*claimed, (None, always)), selectors[0], ()
-    more = tuple((name, tuple(sorted(by_value.items()))) for name, by_value in masks.items())
+    more = tuple((selector, tuple(sorted(by_value.items()))) for selector, by_value in masks.items())
     return ((None, always),), None, more
 
 
@@ -283,9 +281,12 @@ class _Builder:
         self.message = message
         self.fields: list[p.PlanField] = []
         self.constants: list[p.Constant] = []
-        self.selectors: dict[str, p.Scalar] = {}
+        #: A set that keeps its order.
+        self.selectors: dict[p.Selector, None] = {}
+        #: When the construct that is being walked is there.
+        self.outer: p.When | None = None
         self.split: p.Split | None = None
-        self.lengths_by: tuple[str, tuple[tuple[int, int], ...], int] | None = None
+        self.lengths_by: tuple[p.Selector, tuple[tuple[int, int], ...], int] | None = None
         self.offset = message.payload_start
         self.is_open = False
         self.tail = tail
@@ -315,7 +316,7 @@ class _Builder:
     def _struct(self, struct: c.Struct, path: str, *, top: bool) -> list[p.PlanField]:
         fields: list[p.PlanField] = []
         overlay: dict[int, int] | None = None
-        selector = ""
+        selector: p.Selector | None = None
         base = 0
         for item in struct.subcons:
             name = item.name
@@ -325,19 +326,21 @@ class _Builder:
             if self.is_open:
                 raise NotFlat(f"{name or body!r} stands behind a field of open size")
             if isinstance(body, Multiplexed):
-                if not top or (selector and selector != body.selector):
+                if not top or (selector is not None and selector.name != body.selector):
                     raise NotFlat("nested multiplexing")
-                selector = body.selector
-                if overlay is None:
+                if overlay is None or selector is None:
                     overlay, base = {}, self.offset
-                    self._select(selector, fields)
+                    selector = self._select(body.selector, fields)
                 starts = {overlay.get(value, 0) for value in body.when}
                 if len(starts) != 1:
                     raise NotFlat(f"{name} stands at several places")
                 start = starts.pop()
                 self.offset = base + start
                 known = len(self.constants)
+                when = p.When(selector, tuple(sorted(map(int, body.when))))
+                outer, self.outer = self.outer, when
                 node = self._node(body.body, f"{path}_{name}")
+                self.outer = outer
                 if len(self.constants) > known:
                     del self.constants[known:]
                     raise NotFlat(f"{name} is multiplexed and has a constant")
@@ -345,7 +348,7 @@ class _Builder:
                     raise NotFlat(f"{name} is multiplexed and of open size")
                 for value in body.when:
                     overlay[value] = self.offset - base
-                fields.append(p.PlanField(name, node, item.docs or "", (selector, tuple(sorted(body.when)))))
+                fields.append(p.PlanField(name, node, item.docs or "", when))
                 continue
             if overlay is not None:
                 raise NotFlat(f"{name} stands behind multiplexed fields")
@@ -357,7 +360,7 @@ class _Builder:
                 fields.append(p.PlanField(name, _scalar(body.subcon, self.offset - int(body.sizeof()))))
                 continue
             fields.append(p.PlanField(name, self._node(item, f"{path}_{name}"), self._doc(item)))
-        if overlay is not None:
+        if overlay is not None and selector is not None:
             self.offset = base
             total = base + self.tail
             self.lengths_by = (selector, tuple((v, total + n) for v, n in sorted(overlay.items())), total)
@@ -367,16 +370,14 @@ class _Builder:
     def _doc(item: c.Construct) -> str:
         return _peel(item)[3]
 
-    def _select(self, selector: str, fields: list[p.PlanField]) -> None:
+    def _select(self, name: str, fields: list[p.PlanField]) -> p.Selector:
         for field in fields:
-            if (
-                field.name == selector
-                and isinstance(field.node, p.Scalar)
-                and field.node.kind in ("uint", "int")
-            ):
-                self.selectors[selector] = field.node
-                return
-        raise NotFlat(f"selector {selector!r} is not a plain integer")
+            node = field.node
+            if field.name == name and isinstance(node, p.Scalar) and node.kind in ("uint", "int"):
+                found = p.Selector(name, node, self.outer)
+                self.selectors[found] = None
+                return found
+        raise NotFlat(f"selector {name!r} is not a plain integer")
 
     def _constant(self, body: c.Construct) -> None:
         if not isinstance(body, c.Const):
@@ -413,23 +414,25 @@ class _Builder:
 
     def _layout(self, layout: BitLayout, path: str) -> list[p.PlanField]:
         found: dict[str, list[p.Scalar]] = {}
-        whens: dict[str, tuple[str, tuple[int, ...]] | None] = {}
+        whens: dict[str, p.When | None] = {}
         docs: dict[str, str] = {}
         always = 0
-        masks: dict[str, dict[int, int]] = {}
+        masks: dict[p.Selector, dict[int, int]] = {}
         for slot in layout.slots:
             scalar, docs[slot.name] = self._slot(slot, layout)
             found.setdefault(slot.name, []).append(scalar)
             mux = slot.mux
-            whens[slot.name] = (mux.selector, tuple(sorted(mux.when))) if mux is not None else None
+            whens[slot.name] = None
             if mux is None:
                 always |= slot.mask
                 continue
-            selector = found[mux.selector][0]
-            if selector.kind == "float":
+            number = found[mux.selector][0]
+            if number.kind == "float":
                 raise NotFlat(f"selector {mux.selector!r} is not a plain integer")
-            self.selectors.setdefault(mux.selector, selector)
-            by_value = masks.setdefault(mux.selector, {})
+            selector = p.Selector(mux.selector, number, whens[mux.selector] or self.outer)
+            self.selectors[selector] = None
+            whens[slot.name] = p.When(selector, tuple(sorted(map(int, mux.when))))
+            by_value = masks.setdefault(selector, {})
             for value in mux.when:
                 by_value[value] = by_value.get(value, 0) | slot.mask
         fields = []
@@ -438,7 +441,7 @@ class _Builder:
             node: p.Node = p.Many(tuple(nodes)) if name in layout.many else nodes[0]
             fields.append(p.PlanField(name, node, docs[name], whens[name]))
         if layout.has_reserved:
-            rest = p.Rest(self.offset, layout.size, *_claims(always, masks, whens))
+            rest = p.Rest(self.offset, layout.size, *_claims(always, masks, self.outer))
             fields.append(p.PlanField("reserved", rest, "bits without a field"))
         self._advance(layout.size)
         if layout.trailing:

@@ -24,15 +24,17 @@ from ..spec.message import Message
 from ..spec.packet import can_image
 from ..spec.protocol import Variant
 from .flatten import flatten
-from .plan import MessagePlan
-from .print_decode import Decoder
+from .names import Names
+from .print_decode import CALLED, Decoder
 from .print_records import part_names, print_records
+from .source import one_line
 
 Decode = Callable[..., Any]
 
 
 def load(source: str, name: str, names: Mapping[str, Any]) -> dict[str, Any]:
     """Run printed source and give its namespace; `name` is what tracebacks call it."""
+    name = one_line(name)
     filename = f"<{name}>"
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     # `__builtins__` comes along with exec; the text is ours, printed from a plan.
@@ -73,6 +75,16 @@ def _flags(bits: Mapping[str, int]) -> _FlagValues:
     return _FlagValues(flag_type(tuple(bits.items())))
 
 
+#: What printed decoders call (see `print_decode.CALLED`).
+_CALLED: Mapping[str, Any] = {
+    "Struct": struct.Struct,
+    "from_bytes": int.from_bytes,
+    "re": re,
+    "degrees": degrees,
+    "flags": _flags,
+}
+
+
 class _Parts(dict[tuple[str, tuple[str, ...]], type]):
     """Types of nested records by path and fields. What no walk of a construct foresees (fields that stop half way, values
     of somebody's own adapter) gets its type when it is first seen."""
@@ -86,16 +98,6 @@ class _Parts(dict[tuple[str, tuple[str, ...]], type]):
         if len(self) < 4096:
             self[shape] = made
         return made
-
-
-#: What generated decoders use, beside the record types of their message.
-_USED: dict[str, Any] = {
-    "Struct": struct.Struct,
-    "from_bytes": int.from_bytes,
-    "re": re,
-    "degrees": degrees,
-    "flags": _flags,
-}
 
 
 class Codec:
@@ -114,14 +116,16 @@ class Codec:
 
     def _made(self, name: str) -> Decode:
         message = self.variant.messages[name]
-        plan = flatten(message)
-        names: dict[str, Any] = {**_USED, **_types(self.variant)[name]}
-        if not plan.is_flat:
-            names[f"opaque_{name}"] = _opaque(message, self.variant, raw=self.raw)
-        if plan.is_checked:
-            names[f"holds_{name}"] = _holds(message)
-        source = print_decoder(plan, raw=self.raw, guard=self._guard)
-        decode: Decode = load(source, f"{self._name}: {name}", names)[f"decode_{name}"]
+        printed = Decoder(flatten(message), raw=self.raw, guard=self._guard)
+        source = print_decoder(printed)
+        types = _types(self.variant)[name]
+        names = {**_CALLED, **printed.module.bound}
+        names |= {called: types[kind] for called, kind in printed.types.items()}
+        if printed.opaque:
+            names[printed.opaque] = _opaque(message, self.variant, raw=self.raw)
+        if printed.holds:
+            names[printed.holds] = _holds(message)
+        decode: Decode = load(source, f"{self._name}: {name}", names)[printed.function]
         return decode
 
 
@@ -152,19 +156,19 @@ def _holds(message: Message) -> Callable[[bytes, int], bool]:
     return holds
 
 
-def print_decoder(plan: MessagePlan, *, raw: bool, guard: bool) -> str:
-    """The decode function of one message; without guard it leaves a wrong length to `struct.error` (see `Decoder`)."""
-    setup, lines = Decoder(plan, raw=raw, guard=guard).print()
+def print_decoder(printed: Decoder) -> str:
+    """The text of one message's decode function."""
+    setup, lines = printed.print()
     return "\n".join([*setup, "", *lines, ""])
 
 
 def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -> str:
     """The decode functions of a variant."""
     kind = "raw values" if raw else "physical values"
-    parts = [f'"""Decoders of {variant.label}, {kind}: generated from its spec."""', ""]
-    helpers: dict[str, str] = {}
+    parts = [f'"""Decoders of {one_line(variant.label)}, {kind}: generated from its spec."""', ""]
+    names = Names(CALLED)
     for message in variant.messages.values():
-        setup, lines = Decoder(flatten(message), raw=raw, guard=guard, helpers=helpers).print()
+        setup, lines = Decoder(flatten(message), raw=raw, guard=guard, names=names).print()
         parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
     return "\n".join(parts) + "\n"
 
@@ -178,14 +182,18 @@ class _Types(dict[str, dict[str, Any]]):
 
     def __missing__(self, name: str) -> dict[str, Any]:
         variant, message = self._variant, self._variant.messages[name]
+        called: dict[tuple[str, str], str] = {}
         label = f"{variant.label}: {name}"
-        used = {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any}
-        space = load(print_records(label, [flatten(message)]), f"aces records of {label}", used)
-        made: dict[str, Any] = {
-            key: value
-            for key, value in space.items()
-            if isinstance(value, type) and issubclass(value, (Record, Part)) and value not in (Record, Part)
-        }
+        source = print_records(label, [flatten(message)], called)
+        space = load(
+            source,
+            f"aces records of {label}",
+            {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any},
+        )
+        made: dict[str, Any] = {}
+        for (_, own), text in called.items():
+            kind = made[own] = space[text]
+            kind.__name__ = kind.__qualname__ = own
         made[name]._protocol = variant.name
         made[name]._direction = message.direction
         made[name]._is_stream = message.framing is not None

@@ -126,6 +126,25 @@ class FromRequest:
 
 
 @dataclass(frozen=True)
+class Selector:
+    """A number that says whether other fields are there. What it is is which number of the packet, and under what
+    condition that one is there itself; `name` is for people: two selectors of one name are two.
+    """
+
+    name: str
+    number: Scalar
+    when: When | None = None
+
+
+@dataclass(frozen=True)
+class When:
+    """The raw values of a selector that make a field present, where the selector is."""
+
+    selector: Selector
+    values: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Rest:
     """The bits of `size` bytes from `offset` that no field claims; `claimed` as masks of the little-endian word by the
     selector's raw value (None: any other).
@@ -137,8 +156,8 @@ class Rest:
     offset: int
     size: int
     claimed: tuple[tuple[int | None, int], ...]
-    selector: str | None = None
-    more: tuple[tuple[str, tuple[tuple[int, int], ...]], ...] = ()
+    selector: Selector | None = None
+    more: tuple[tuple[Selector, tuple[tuple[int, int], ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -172,12 +191,12 @@ Node = Scalar | Many | Group | FromIdentifier | FromRequest | Rest | Cell | More
 
 @dataclass(frozen=True)
 class PlanField:
-    """A field of a record. `when` is the selector and the raw values that make it present, where the selector is."""
+    """A field of a record, or of the nested record that it is in. `when`: there only then."""
 
     name: str
     node: Node
     doc: str = ""
-    when: tuple[str, tuple[int, ...]] | None = None
+    when: When | None = None
 
 
 @dataclass(frozen=True)
@@ -227,9 +246,9 @@ class MessagePlan:
     #: Bytes at the packet's end that are not payload (check and end of a framing).
     tail: int = 0
     #: selector → total length, where multiplexed fields make the length.
-    lengths_by: tuple[str, tuple[tuple[int, int], ...], int] | None = None
-    #: Fields that decide about others, an outer one before an inner one.
-    selectors: tuple[tuple[str, Scalar], ...] = ()
+    lengths_by: tuple[Selector, tuple[tuple[int, int], ...], int] | None = None
+    #: What decides about fields, an outer one before an inner one, each once.
+    selectors: tuple[Selector, ...] = ()
     split: Split | None = None
     #: Whether the message has a check of its own, inside the payload.
     is_checked: bool = False

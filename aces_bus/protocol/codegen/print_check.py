@@ -2,14 +2,15 @@
 
 1. It reads what stands on the wire, and agrees with `Framing.judge`. A sum that is known already may be given to it.
 2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number),
-   `texts_N` (numbers as characters), `same_N` (whether characters are the same number).
+   `text_N` (how a number is written), `texts_N` (numbers as characters), `same_N` (whether characters are the same number).
 """
 
 from __future__ import annotations
 
 from ..spec.checks import Check, Extra, Fletcher, Sum, Xor
 from ..spec.framing import Framing
-from .source import Source
+from .names import literal
+from .source import Source, one_line
 
 
 def print_check(out: Source, number: int, framing: Framing) -> None:
@@ -19,12 +20,12 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
     back = check.size + len(framing.end)
     text = check.text
     if text is not None and check.bytes == 1:
-        out.line(f'texts_{number} = [{text!r}.format(n).encode("ascii") for n in range(256)]')
+        out.line(f'texts_{number} = [text_{number}.format(n).encode("ascii") for n in range(256)]')
         out.line()
     given = check.kind != "crc"
     out.line(f"def check_{number}(packet{', found=None' if given else ''}):")
     out.depth += 1
-    out.line(f'"""Why the check of a packet fails ({check.describe}), or None."""')
+    out.line(f'"""Why the check of a packet fails ({one_line(check.describe)}), or None."""')
     if any(isinstance(part, Extra) for part in check.over or ()):
         head = framing.extra_head
         assert head is not None
@@ -73,7 +74,7 @@ def _covered(check: Check, sync: int, back: int) -> str:
                 f"packet[{'' if part.start is None else part.start}:{'' if part.stop is None else part.stop}]"
             )
         elif isinstance(part, bytes):
-            parts.append(repr(part))
+            parts.append(literal(part))
         else:
             parts.append("extra")
     return " + ".join(parts)
@@ -83,7 +84,7 @@ def _wanted(check: Check, number: int, found: str) -> str:
     if check.text is None:
         return f"({found})" if "&" in found else found
     return (
-        f"texts_{number}[{found}]" if check.bytes == 1 else f'{check.text!r}.format({found}).encode("ascii")'
+        f"texts_{number}[{found}]" if check.bytes == 1 else f'text_{number}.format({found}).encode("ascii")'
     )
 
 

@@ -7,10 +7,15 @@ from dataclasses import dataclass
 
 from ..spec.pattern import bounds
 from . import plan as p
-from .runs import FORMATS, clusters, compact, format_of, in_one_byte, is_balanced, members, run_order, runs_of
-from .source import Source, first_line
+from .names import Names, is_plain, literal
+from .runs import FORMATS, clusters, compact, format_of, in_one_byte, is_balanced, run_order, runs_of
+from .source import Source, one_line
 
 TRANSPORT = "time, channel, key, raw, rx"
+#: What decoders call, given to every module of them.
+CALLED = ("Struct", "from_bytes", "re", "degrees", "flags")
+#: The arguments of a decode function, and what its expressions use in passing.
+LOCAL = ("data", "key", "time", "channel", "raw", "rx", "request", "cells", "cell", "count", "q", "n", "sm")
 
 
 @dataclass(frozen=True)
@@ -30,24 +35,31 @@ class Decoder:
     The function is `decode_Name(data, key, time, channel, raw, rx)`: `data` are the frame's data bytes or the packet
     without stuffing, the rest is the transport's; messages that show fields of their request take it last. It gives the
     record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`,
-    which raises `struct.error`. `helpers` is shared by the messages of a module.
+    which raises `struct.error`. `names` are the module's (with `CALLED` among them): what is `bound` in them must be
+    given to the text, and the types in `types`.
     """
 
     def __init__(
-        self, plan: p.MessagePlan, *, raw: bool, guard: bool = True, helpers: dict[str, str] | None = None
+        self, plan: p.MessagePlan, *, raw: bool, guard: bool = True, names: Names | None = None
     ) -> None:
         self.plan = plan
         self.raw = raw
         self.guard = guard
         self.setup: list[str] = []
-        #: Module-level names and what they are, those of the messages before this one included.
-        self.helpers = helpers if helpers is not None else {}
+        self.module = names if names is not None else Names(CALLED)
+        self.names = Names(LOCAL, inside=self.module)
+        self.function = self.module.new(f"decode_{plan.name}", avoid=self.names)
+        #: Of each record type that the function makes: the name in the text, and its own (see `print_records`).
+        self.types: dict[str, str] = {}
+        self._type_names: dict[str, str] = {}
+        #: The text's names of what only the loader knows: a decode function through construct, and the message's own check.
+        self.opaque = self.holds = ""
         self.body = Source()
         self.atoms: dict[p.Scalar, str] = {}
         self.cells: list[Cell] = []
-        self.present: dict[str, str] = {}
-        #: Selectors that may be absent.
-        self.maybe: set[str] = set()
+        #: The local name of each selector, and of the little-endian word of each layout that has bits of no field.
+        self.present: dict[p.Selector, str] = {}
+        self.words: dict[tuple[int, int], str] = {}
         self.unpacks: list[str] = []
         self.is_exact = False
 
@@ -56,13 +68,14 @@ class Decoder:
         plan, out = self.plan, self.body
         needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
         out.line(
-            f"def decode_{plan.name}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):"
+            f"def {self.function}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):"
         )
         out.depth = 1
-        out.line(f'"""{first_line(plan.doc) or plan.name} ({first_line(plan.place)})"""')
+        out.line(f'"""{one_line(plan.doc) or plan.name} ({one_line(plan.place)})"""')
         if not plan.is_flat:
-            out.line(f"# through construct: {plan.opaque}")
-            out.line(f"return opaque_{plan.name}(data, key, time, channel, raw, rx, request)")
+            out.line(f"# through construct: {one_line(plan.opaque)}")
+            self.opaque = self.module.new(f"opaque_{plan.name}", avoid=self.names)
+            out.line(f"return {self.opaque}(data, key, time, channel, raw, rx, request)")
             return self.setup, out.lines
         self._fetch()
         tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by
@@ -70,25 +83,26 @@ class Decoder:
             self._lengths()
         self._constants()
         if plan.is_checked:
-            out.line(f"if not holds_{plan.name}(data, key):")
+            self.holds = self.module.new(f"holds_{plan.name}", avoid=self.names)
+            out.line(f"if not {self.holds}(data, key):")
             out.line("    return None")
         if plan.split is not None:
             self._split(plan.split)
         for line in self.unpacks:
             out.line(line)
-        whens = {field.name: field.when for field in plan.fields}
-        for name, scalar in plan.selectors:
-            self._select(name, scalar, whens.get(name))
+        for selector in plan.selectors:
+            self._select(selector)
         if plan.lengths_by is not None:
-            name, table, other = plan.lengths_by
-            lengths = self._table(f"_lengths_{plan.name}", repr(dict(table)))
-            out.line(f"if len(data) != {lengths}.get({self.present[name]}, {other}):")
+            selector, table, other = plan.lengths_by
+            lengths = self._table(f"_lengths_{plan.name}", literal(dict(table)))
+            out.line(f"if len(data) != {lengths}.get({self.present[selector]}, {other}):")
             out.line("    return None")
+        made = self._type(plan.name)
         arguments = [self._value(field) for field in plan.fields]
         if sum(map(len, arguments)) + len(plan.name) < 60:
-            out.line(f"return {plan.name}({', '.join([*arguments, TRANSPORT])})")
+            out.line(f"return {made}({', '.join([*arguments, TRANSPORT])})")
         else:
-            out.line(f"return {plan.name}(")
+            out.line(f"return {made}(")
             for field, argument in zip(plan.fields, arguments, strict=True):
                 out.line(f"    {argument},  # {field.name}")
             out.line(f"    {TRANSPORT},")
@@ -108,7 +122,7 @@ class Decoder:
             elif plan.lengths == tuple(range(low, high + 1)):
                 out.line(f"if not {low} <= len(data) <= {high}:")
             else:
-                out.line(f"if len(data) not in {plan.lengths}:")
+                out.line(f"if len(data) not in {literal(plan.lengths)}:")
         out.line("    return None")
 
     def _constants(self) -> None:
@@ -126,8 +140,9 @@ class Decoder:
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:
-                among = repr(values) if isinstance(values, range) else members(values)
-                tests.append(f"not {low} <= {number} <= {high}" if run else f"{number} not in {among}")
+                tests.append(
+                    f"not {low} <= {number} <= {high}" if run else f"{number} not in {literal(values)}"
+                )
         for test in tests:
             self.body.line(f"if {test}:")
             self.body.line("    return None")
@@ -183,11 +198,14 @@ class Decoder:
             [s for s in loose if self._cell_of(s) is None and not in_one_byte(s)]
         ):
             if sum(start <= s.bits[0] // 8 < end for s in loose) > 1:
-                name = f"word{len(self.cells)}"
+                name = self.names.new(f"word{len(self.cells)}")
                 self.cells.append(Cell(name, start, end, order or "little"))
                 self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
         for node in self._rests():
-            cell = Cell(f"all{node.offset}", node.offset, node.offset + node.size, "little")
+            if (node.offset, node.size) in self.words:
+                continue
+            name = self.words[node.offset, node.size] = self.names.new(f"all{node.offset}")
+            cell = Cell(name, node.offset, node.offset + node.size, "little")
             self.cells.append(cell)
             self.unpacks.append(f'{cell.name} = from_bytes({self._slice(cell.start, cell.end)}, "little")')
 
@@ -200,7 +218,7 @@ class Decoder:
             if start > at:
                 text += f"{start - at}x"
             at = end
-            name = f"v{len(self.cells)}"
+            name = self.names.new(f"v{len(self.cells)}")
             size = end - start
             if scalar is not None:
                 text += format_of(scalar)
@@ -208,11 +226,10 @@ class Decoder:
                 self.atoms[scalar] = name
             elif size == 3:
                 text += "BH" if order == "big" else "HB"
-                names += [f"{name}a", f"{name}b"]
+                one, other = self.names.new(f"{name}a"), self.names.new(f"{name}b")
+                names += [one, other]
                 after.append(
-                    f"{name} = {name}a << 16 | {name}b"
-                    if order == "big"
-                    else f"{name} = {name}a | {name}b << 16"
+                    f"{name} = {one} << 16 | {other}" if order == "big" else f"{name} = {one} | {other} << 16"
                 )
             else:
                 text += FORMATS["uint", size]
@@ -297,8 +314,16 @@ class Decoder:
 
     # -------------------------------------------------- values
 
-    def _select(self, name: str, scalar: p.Scalar, when: tuple[str, tuple[int, ...]] | None) -> None:
+    def _type(self, name: str) -> str:
+        """The text's name for a record type."""
+        if name not in self._type_names:
+            found = self._type_names[name] = self.module.new(name, avoid=self.names)
+            self.types[found] = name
+        return self._type_names[name]
+
+    def _select(self, selector: p.Selector) -> None:
         """A selector's raw number under a local name; None while it is not there itself."""
+        scalar, when = selector.number, selector.when
         number = self.atoms.get(scalar) if when is None else None
         if number is None:
             number = self._integer(scalar)
@@ -307,26 +332,26 @@ class Decoder:
                 number = f"(({number}) ^ {top:#x}) - {top:#x}"
         if when is not None:
             number = f"{number} if {self._is_there(when)} else None"
-            self.maybe.add(name)
         if not number.isidentifier():
-            self.body.line(f"select_{name} = {number}")
-            number = f"select_{name}"
+            name = self.names.new(f"select_{selector.name}")
+            self.body.line(f"{name} = {number}")
+            number = name
             if when is None:
                 self.atoms[scalar] = number
-        self.present[name] = number
+        self.present[selector] = number
 
-    def _is_there(self, when: tuple[str, tuple[int, ...]]) -> str:
+    def _is_there(self, when: p.When) -> str:
         """The test of a multiplexed field's selector, as an expression."""
-        selector, values = when
+        selector, values = when.selector, when.values
         number = self.present[selector]
         if len(values) == 1:
             return f"{number} == {values[0]}"
         if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
             test = f"{values[0]} <= {number} <= {values[-1]}"
-            return f"{number} is not None and {test}" if selector in self.maybe else test
+            return f"{number} is not None and {test}" if selector.when is not None else test
         if len(values) > 8:
             return f"{number} in {{{', '.join(map(str, values))}}}"
-        return f"{number} in {members(values)}"
+        return f"{number} in {literal(values)}"
 
     def _value(self, field: p.PlanField) -> str:
         text = self._node(field.node, field.name)
@@ -339,7 +364,7 @@ class Decoder:
             items = [self._node(item, name) for item in node.items]
             return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
         if isinstance(node, p.Group):
-            return f"{node.type_name}({', '.join(self._value(field) for field in node.fields)})"
+            return f"{self._type(node.type_name)}({', '.join(self._value(field) for field in node.fields)})"
         if isinstance(node, p.FromIdentifier):
             return self._captured(node, name)
         if isinstance(node, p.FromRequest):
@@ -389,8 +414,10 @@ class Decoder:
         return f'{helper}(({self._integer(scalar)}).to_bytes({size}, "little"))[0]'
 
     def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
+        number_is_index = True
         for step in steps:
             if isinstance(step, p.Magnitude):
+                number_is_index = False
                 half = 1 << step.width - 1
                 if number.isidentifier():
                     number = f"({number} if {number} < {half:#x} else {half:#x} - {number})"
@@ -401,12 +428,15 @@ class Decoder:
             elif isinstance(step, p.Scale):
                 number = self._scaled(number, step, name)
             elif isinstance(step, p.Names):
-                table = f"_names_{self.plan.name}_{name}"
-                small = 0 < width <= 8
-                value = f"{dict(step.values)!r}.get"
-                if small:
-                    value = f"[{value}(n, n) for n in range({1 << width})]"
-                table = self._table(table, value)
+                names = dict(step.values)
+                small = 0 < width <= 8 and number_is_index
+                table = self._bound(
+                    f"_names_{self.plan.name}_{name}",
+                    [names.get(n, n) for n in range(1 << width)] if small else names,
+                    shown=names,
+                )
+                if not small:
+                    table = f"{table}.get"
                 if small:
                     number = f"{table}[{number}]"
                 else:
@@ -416,20 +446,28 @@ class Decoder:
                         else f"{table}((n := {number}), n)"
                     )
             else:
-                table = self._table(f"_flags_{self.plan.name}_{name}", f"flags({dict(step.bits)!r})")
+                bits = self._bound(f"_bits_{self.plan.name}_{name}", dict(step.bits))
+                table = self._table(f"_flags_{self.plan.name}_{name}", f"flags({bits})")
                 number = f"{table}[{number}]"
         return number
 
     def _table(self, name: str, value: str) -> str:
-        """The module-level name of this value: `name`, or with a number behind it where that is something else."""
-        found, count = name, 1
-        while self.helpers.setdefault(found, value) != value:
-            count += 1
-            found = f"{name}_{count}"
-        line = f"{found} = {value}"
-        if line not in self.setup:
-            self.setup.append(line)
+        """The module's name for what the text `value` makes; only our own words are in it."""
+        found, is_new = self.names.shared(name, value)
+        if is_new:
+            self.setup.append(f"{found} = {value}")
         return found
+
+    def _bound(self, name: str, value: object, shown: object = None) -> str:
+        """The module's name for a value of the spec; a remark says what it is."""
+        found, is_new = self.names.bind(name, value)
+        if is_new:
+            self.setup.append(f"# {found} = {one_line(repr(value if shown is None else shown))}")
+        return found
+
+    def _number(self, name: str, value: float) -> str:
+        """A number of the spec: as it is where that can be printed, else by name."""
+        return literal(value) if is_plain(value) else self._bound(name, value)
 
     def _scaled(self, number: str, step: p.Scale, name: str) -> str:
         before = "q" if step.unknown or step.names else number
@@ -439,18 +477,25 @@ class Decoder:
             or (before.startswith("(") and before.endswith(")") and is_balanced(before))
             else f"({before})"
         )
+        where = f"{self.plan.name}_{name}"
+        if step.scale != 1:
+            text = f"{text} * {self._number(f'_scale_{where}', step.scale)}"
         if step.offset:
-            text = f"{text} * {step.scale!r}" if step.scale != 1 else text
-            text += f" - {-step.offset!r}" if step.offset < 0 else f" + {step.offset!r}"
-        elif step.scale != 1:
-            text = f"{text} * {step.scale!r}"
-        else:
+            is_less = is_plain(step.offset) and step.offset < 0
+            text += " - " if is_less else " + "
+            text += self._number(f"_offset_{where}", -step.offset if is_less else step.offset)
+        elif step.scale == 1:
             text = before
         if not step.unknown and not step.names:
             return text
-        tests = [f"None if q in {members(step.unknown)} else "] if step.unknown else []
+        tests = []
+        if step.unknown:
+            is_short = all(map(is_plain, step.unknown))
+            among = literal(step.unknown) if is_short else self._bound(f"_unknown_{where}", step.unknown)
+            is_nan = " or q != q" if any(value != value for value in step.unknown) else ""
+            tests.append(f"None if q in {among}{is_nan} else ")
         if step.names:
-            table = self._table(f"_names_{self.plan.name}_{name}", repr(dict(step.names)))
+            table = self._bound(f"_names_{where}", dict(step.names))
             tests.append(f"{table}[q] if q in {table} else ")
         tests[0] = tests[0].replace(" if q in", f" if (q := {number}) in", 1)
         return f"({''.join(tests)}{text})"
@@ -471,14 +516,14 @@ class Decoder:
         return self._steps(text, node.steps, name)
 
     def _rest(self, node: p.Rest) -> str:
-        word = f"all{node.offset}"
+        word = self.words[node.offset, node.size]
         full = (1 << 8 * node.size) - 1
         masks = {value: full & ~claimed for value, claimed in node.claimed}
         if node.selector is None:
             text = f"{word} & {masks[None]:#x}"
             for selector, added in node.more:
                 inside = ", ".join(f"{value}: {full & ~mask:#x}" for value, mask in added)
-                helper = self._table(f"_rest_{self.plan.name}_{selector}", f"{{{inside}}}.get")
+                helper = self._table(f"_rest_{self.plan.name}_{selector.name}", f"{{{inside}}}.get")
                 text += f" & {helper}({self.present[selector]}, {full:#x})"
             return text
         inside = ", ".join(f"{value}: {mask:#x}" for value, mask in masks.items() if value is not None)
@@ -491,10 +536,12 @@ class Decoder:
         out = self.body
         end = f"-{split.end}" if split.end else ""
         if split.lead:
-            out.line(f"if not data.startswith({split.separator!r}, {split.start}, len(data) - {split.end}):")
+            out.line(
+                f"if not data.startswith({literal(split.separator)}, {split.start}, len(data) - {split.end}):"
+            )
             out.line("    return None")
         start = split.start + (len(split.separator) if split.lead else 0)
-        out.line(f"cells = data[{start}:{end}].split({split.separator!r})")
+        out.line(f"cells = data[{start}:{end}].split({literal(split.separator)})")
         out.line("count = len(cells)")
         out.line(
             f"if count < {split.least}:"
@@ -505,7 +552,7 @@ class Decoder:
         for field in self.plan.fields:
             node = field.node
             if isinstance(node, p.Cell) and node.form:
-                made = f"re.compile({node.form.encode()!r}).fullmatch"
+                made = f"re.compile({literal(node.form.encode())}).fullmatch"
                 helper = self._table(f"_form_{field.name}_{self.plan.name}", made)
                 guard = f"count > {node.index} and " if node.optional else ""
                 out.line(f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):")
@@ -522,8 +569,8 @@ class Decoder:
         elif cell.conversion == "degrees":
             value = f"degrees({text}) if {text} else None"
         elif cell.conversion == "names":
-            table = self._table(f"_names_{self.plan.name}_{name}", f"{dict(cell.names)!r}.get")
-            value = f'{table}((n := {text}.decode("latin-1")), n) if {text} else None'
+            table = self._bound(f"_names_{self.plan.name}_{name}", dict(cell.names))
+            value = f'{table}.get((n := {text}.decode("latin-1")), n) if {text} else None'
         else:
             value = f'{text}.decode("latin-1") or None'
         if cell.optional:

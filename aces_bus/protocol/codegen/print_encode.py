@@ -9,26 +9,34 @@ The function is `encode_Name(fields)`; it gives the identifier (None on streams)
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ..spec.head import Head
 from ..spec.message import Message
+from ..spec.pattern import Pattern
 from . import plan as p
+from .names import Names, is_plain, literal
 from .runs import compact, format_of, runs_of
-from .source import Source
+from .source import Source, one_line
+
+#: What encoders call, given to every module of them.
+CALLED = ("Struct", "Unusual")
 
 
 class NoEncoder(Exception):
     """This message is built by construct; the argument says why."""
 
 
-def print_encoder(message: Message, plan: p.MessagePlan, helpers: dict[str, str] | None = None) -> list[str]:
-    """Module-level lines and the function; raises `NoEncoder` when the message has no flat form to build from.
+def print_encoder(message: Message, plan: p.MessagePlan, names: Names) -> tuple[str, list[str]]:
+    """The function's name, and the module-level lines with the function; raises `NoEncoder` when the message has no flat
+    form to build from.
 
-    `helpers` are the module-level names and what they are, shared by the messages of a module.
+    `names` are the module's, with `CALLED` among them; what is bound in them must be given to the text.
     """
-    return _Encoder(message, plan, helpers if helpers is not None else {}).print()
+    printer = _Encoder(message, plan, names)
+    return printer.function, printer.print()
 
 
 @dataclass(frozen=True)
@@ -47,8 +55,10 @@ class _Packed:
 
 
 class _Encoder:
-    def __init__(self, message: Message, plan: p.MessagePlan, helpers: dict[str, str]) -> None:
-        self.message, self.plan, self.helpers = message, plan, helpers
+    def __init__(self, message: Message, plan: p.MessagePlan, names: Names) -> None:
+        self.message, self.plan = message, plan
+        self.names = Names(("fields",), inside=names)
+        self.function = names.new(f"encode_{plan.name}", avoid=self.names)
         self.setup: list[str] = []
         self.out = Source()
         self.temporaries = 0
@@ -64,13 +74,11 @@ class _Encoder:
         if getattr(message.payload, "overlapping", False):
             raise NoEncoder("its fields share bits")
         names = [f.name for f in plan.fields if not isinstance(f.node, p.FromRequest)]
-        out.line(f"def encode_{plan.name}(fields):")
+        out.line(f"def {self.function}(fields):")
         out.depth = 1
         out.line(f"if len(fields) != {len(names)}:")
         out.line("    raise Unusual")
-        identifier = self._number(
-            message.identifier.constant, [(c.name, c.shift) for c in message.identifier.captures]
-        )
+        identifier = self._number(message.identifier)
         head, start = self._head(), message.payload_start
         scalars: list[tuple[p.Scalar, str, str]] = []
         for field in plan.fields:
@@ -87,9 +95,8 @@ class _Encoder:
                 scalars.append((node, field.name, f'fields["{field.name}"]'))
             elif isinstance(node, p.Many):
                 variables = [self._temporary() for _ in node.items]
-                out.line(
-                    f'{", ".join(variables)}{"," if len(variables) == 1 else ""} = fields["{field.name}"]'
-                )
+                several = f"{', '.join(variables)}{',' if len(variables) == 1 else ''}" if variables else "()"
+                out.line(f'{several} = fields["{field.name}"]')
                 for item, variable in zip(node.items, variables, strict=True):
                     if not isinstance(item, p.Scalar):
                         raise NoEncoder("nested records")
@@ -101,25 +108,34 @@ class _Encoder:
         return [*self.setup, *out.lines]
 
     def _table(self, name: str, value: str) -> str:
-        """The module-level name of this value: `name`, or with a number behind it where that is something else."""
-        found, count = name, 1
-        while self.helpers.setdefault(found, value) != value:
-            count += 1
-            found = f"{name}_{count}"
-        line = f"{found} = {value}"
-        if line not in self.setup:
-            self.setup.append(line)
+        """The module's name for what the text `value` makes; only our own words are in it."""
+        found, is_new = self.names.shared(name, value)
+        if is_new:
+            self.setup.append(f"{found} = {value}")
         return found
+
+    def _bound(self, name: str, value: object) -> str:
+        """The module's name for a value of the spec; a remark says what it is."""
+        found, is_new = self.names.bind(name, value)
+        if is_new:
+            self.setup.append(f"# {found} = {one_line(repr(value))}")
+        return found
+
+    def _spec_number(self, name: str, value: float) -> str:
+        """A number of the spec: as it is where that can be printed, else by name."""
+        return literal(value) if is_plain(value) else self._bound(name, value)
 
     def _temporary(self) -> str:
         self.temporaries += 1
-        return f"t{self.temporaries}"
+        return self.names.new(f"t{self.temporaries}")
 
-    def _number(self, constant: int, captures: Sequence[tuple[str, int]]) -> str:
-        parts = [f"{constant:#x}"]
-        for name, shift in captures:
-            raw = f'capture_{self.plan.name}_{name}(fields["{name}"])'
-            parts.append(f"({raw} << {shift})" if shift else raw)
+    def _number(self, pattern: Pattern) -> str:
+        parts = [f"{pattern.constant:#x}"]
+        for capture in pattern.captures:
+            to_raw = partial(capture.to_raw, path=capture.name)
+            called, _ = self.names.bind(f"capture_{self.plan.name}_{capture.name}", to_raw)
+            raw = f'{called}(fields["{capture.name}"])'
+            parts.append(f"({raw} << {capture.shift})" if capture.shift else raw)
         return " + ".join(parts)
 
     def _head(self) -> str:
@@ -133,11 +149,12 @@ class _Encoder:
         parts = []
         for head in message.heads_written:
             if derived is not None and head.name == derived:
-                parts.append(repr(bytes(head.size)))
+                parts.append(literal(bytes(head.size)))
             elif head.pattern is not None and not head.pattern.captures:
-                parts.append(repr(head.bytes(head.pattern.constant)))
+                parts.append(literal(head.bytes(head.pattern.constant)))
             else:
-                parts.append(f"head_{self.plan.name}_{head.name}(fields)")
+                called, _ = self.names.bind(f"head_{self.plan.name}_{head.name}", _head_writer(head))
+                parts.append(f"{called}(fields)")
         return " + ".join(parts) if parts else "b''"
 
     def _body(self, scalars: list[tuple[p.Scalar, str, str]], start: int) -> str:
@@ -194,7 +211,7 @@ class _Encoder:
             return
         ends = sorted(length - offset for length in lengths)
         if ends != list(range(ends[0], ends[-1] + 1)):
-            test = f"len({value}) not in {tuple(ends)}"
+            test = f"len({value}) not in {literal(tuple(ends))}"
         elif ends[0] <= 0:
             test = f"len({value}) > {ends[-1]}"
         else:
@@ -238,7 +255,7 @@ class _Encoder:
             joined = " | ".join(f"({piece})" if "<<" in piece else piece for piece in pieces)
             entries.append((first, last, f'({joined}).to_bytes({last - first}, "little")'))
         for offset, value in sorted(constants.items()):
-            entries.append((offset, offset + 1, repr(bytes([value]))))
+            entries.append((offset, offset + 1, literal(bytes([value]))))
         entries.sort()
         at = start
         for first, last, _ in entries:
@@ -259,9 +276,9 @@ class _Encoder:
             if isinstance(step, p.Scale):
                 if step.names:
                     raise NoEncoder("a quantity with names")
-                text = self._unscaled(step, text, scalar)
+                text = self._unscaled(step, text, scalar, name)
             elif isinstance(step, p.Names):
-                table = self._table(f"_numbers_{self.plan.name}_{name}", repr({v: k for k, v in step.values}))
+                table = self._bound(f"_numbers_{self.plan.name}_{name}", {v: k for k, v in step.values})
                 text = f"{table}.get({text}, {text})"
             elif isinstance(step, p.FlagBits):
                 variable = self._temporary()
@@ -281,8 +298,9 @@ class _Encoder:
             self.out.line("    raise Unusual")
         return number
 
-    def _unscaled(self, step: p.Scale, text: str, scalar: p.Scalar) -> str:
+    def _unscaled(self, step: p.Scale, text: str, scalar: p.Scalar, name: str) -> str:
         out = self.out
+        where = f"{self.plan.name}_{name}"
         is_float = scalar.kind == "float"
         if len(scalar.bits) > 53 and (step.scale != 1 or step.offset):
             raise NoEncoder("a scaled number of more bits than a float has")
@@ -293,18 +311,16 @@ class _Encoder:
         if is_float and step.unknown:
             raise NoEncoder("a float that may mean unknown")
         if step.bounds is not None:
-            test = _outside(step.bounds, given)
+            test = self._outside(step.bounds, given, where)
             if test:
                 out.line(f"if {test}:")
                 out.line("    raise Unusual")
         if step.scale == 1 and not step.offset:
             number = given
         else:
-            number = (
-                f"({given} - {step.offset!r}) / {step.scale!r}"
-                if step.offset
-                else f"{given} / {step.scale!r}"
-            )
+            offset = self._spec_number(f"_offset_{where}", step.offset)
+            scale = self._spec_number(f"_scale_{where}", step.scale)
+            number = f"({given} - {offset}) / {scale}" if step.offset else f"{given} / {scale}"
         if not is_float:
             number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
         # Raw numbers that mean unknown; others are never those of an integer.
@@ -313,24 +329,31 @@ class _Encoder:
             return number
         raw = self._temporary()
         out.line(f"{raw} = {number}")
-        tests = [f"{raw} in {tuple(means)}" if len(means) > 1 else f"{raw} == {means[0]}"] if means else []
-        tests += [test] if step.raw_bounds is not None and (test := _outside(step.raw_bounds, raw)) else []
+        tests = (
+            [f"{raw} in {literal(tuple(means))}" if len(means) > 1 else f"{raw} == {means[0]}"]
+            if means
+            else []
+        )
+        tests += (
+            [test]
+            if step.raw_bounds is not None and (test := self._outside(step.raw_bounds, raw, f"raw_{where}"))
+            else []
+        )
         if tests:
             out.line(f"if {' or '.join(tests)}:")
             out.line("    raise Unusual")
         return raw
 
+    def _outside(self, bounds: tuple[float, float], name: str, where: str) -> str:
+        """The test whether a number is outside its bounds, those that are infinite left out; empty when both are."""
+        low, high = bounds
+        first = f"{self._spec_number(f'_least_{where}', low)} <= " if math.isfinite(low) else ""
+        last = f" <= {self._spec_number(f'_most_{where}', high)}" if math.isfinite(high) else ""
+        return f"not {first}{name}{last}" if first or last else ""
 
-def _outside(bounds: tuple[float, float], name: str) -> str:
-    """The test whether a number is outside its bounds, those that are infinite left out; empty when both are."""
-    low, high = bounds
-    first = f"{low!r} <= " if math.isfinite(low) else ""
-    last = f" <= {high!r}" if math.isfinite(high) else ""
-    return f"not {first}{name}{last}" if first or last else ""
 
-
-def head_writer(head: Head) -> object:
-    """`head_Name_field(fields)` of a printed encoder: the bytes of a head field that is not constant."""
+def _head_writer(head: Head) -> Callable[[dict[str, object]], bytes]:
+    """The bytes of a head field that is not constant, from a message's fields."""
     name = head.name
     assert name is not None
     if head.pattern is not None and not head.is_own:

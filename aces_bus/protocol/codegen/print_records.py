@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from . import plan as p
-from .source import Source, first_line
+from .names import Names
+from .source import Source, one_line
+
+#: What the text of record classes calls.
+CALLED = ("Record", "Part", "FlagSet", "Any")
 
 #: What every record keeps of the transport (see `aces_bus.protocol.scan.record`).
 PRIVATE = (
@@ -17,17 +21,17 @@ PRIVATE = (
 )
 
 
-def type_of(node: p.Node, *, raw: bool = False) -> str:
-    """The Python type of a node's value, for annotations and stubs."""
+def type_of(node: p.Node, *, raw: bool = False, called: Callable[[str], str] = str) -> str:
+    """The Python type of a node's value, for annotations and stubs; `called` is how the text names a nested record."""
     if isinstance(node, p.Scalar):
         return _scalar_type(node.kind, node.steps, raw)
     if isinstance(node, p.FromIdentifier):
         return _scalar_type("uint", node.steps, raw)
     if isinstance(node, p.Many):
-        kinds = [type_of(item, raw=raw) for item in node.items]
+        kinds = [type_of(item, raw=raw, called=called) for item in node.items]
         return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
     if isinstance(node, p.Group):
-        return node.type_name
+        return called(node.type_name)
     if isinstance(node, p.Rest):
         return "int"
     if isinstance(node, p.FromRequest):
@@ -101,32 +105,44 @@ def part_names(plan: p.MessagePlan) -> list[str]:
     return names
 
 
-def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
-    """The record classes of a variant."""
+def print_records(
+    label: str, plans: Sequence[p.MessagePlan], types: dict[tuple[str, str], str] | None = None
+) -> str:
+    """The record classes of some messages of a variant.
+
+    `types` is given the text's name of each class, by message and the class's own name.
+    """
     out = Source()
-    out.line(f'"""Records of {label}: generated from its spec."""')
+    names = Names(CALLED)
+    types = {} if types is None else types
+    out.line(f'"""Records of {one_line(label)}: generated from its spec."""')
     out.line()
     for plan in plans:
         for group in groups_of(plan.fields):
-            out.line(f"class {group.type_name}(Part, frozen=True, gc=False):")
+            name = types[plan.name, group.type_name] = names.new(group.type_name)
+            out.line(f"class {name}(Part, frozen=True, gc=False):")
             out.depth += 1
             for field in group.fields:
-                _annotate(out, field)
+                _annotate(out, field, plan, types)
+            if not group.fields:
+                out.line("pass")
             out.depth -= 1
             out.line()
-        for name, (_, names) in zip(part_names(plan), plan.parts, strict=True):
+        for part, (_, fields) in zip(part_names(plan), plan.parts, strict=True):
+            name = types[plan.name, part] = names.new(part)
             out.line(f"class {name}(Part, frozen=True, gc=False):")
-            for field_name in names:
+            for field_name in fields:
                 out.line(f"    {field_name}: Any")
-            if not names:
+            if not fields:
                 out.line("    pass")
             out.line()
-        out.line(f"class {plan.name}(Record, frozen=True, gc=False):")
+        name = types[plan.name, plan.name] = names.new(plan.name)
+        out.line(f"class {name}(Record, frozen=True, gc=False):")
         out.depth += 1
-        out.line(f'"""{first_line(plan.doc) or plan.name}"""')
+        out.line(f'"""{one_line(plan.doc) or plan.name}"""')
         out.line()
         for field in plan.fields:
-            _annotate(out, field)
+            _annotate(out, field, plan, types)
         for private, kind in PRIVATE:
             out.line(f"{private}: {kind}")
         out.depth -= 1
@@ -134,8 +150,10 @@ def print_records(label: str, plans: Sequence[p.MessagePlan]) -> str:
     return out.text()
 
 
-def _annotate(out: Source, field: p.PlanField) -> None:
-    kind = type_of(field.node)
+def _annotate(
+    out: Source, field: p.PlanField, plan: p.MessagePlan, types: dict[tuple[str, str], str]
+) -> None:
+    kind = type_of(field.node, called=lambda name: types[plan.name, name])
     if field.when is not None and not kind.endswith("None"):
         kind += " | None"
     out.line(f"{field.name}: {kind}")

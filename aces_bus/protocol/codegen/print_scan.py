@@ -13,8 +13,9 @@ from ..scan.segments import in_segments
 from ..spec.checks import Check, Extra
 from ..spec.framing import Framing
 from .choose import Choice
+from .names import literal
 from .print_check import computed, print_check
-from .source import Source
+from .source import Source, one_line
 
 ARGUMENTS = "data, key, time, channel, raw, rx"
 
@@ -51,7 +52,7 @@ def print_choice(out: Source, name: str, choice: Choice) -> None:
 def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     """The scan function of a wire: `framings` with the name of the function that decodes their packets."""
     out = Source()
-    out.line(f'"""Stream scanner of {label}: generated from its spec."""')
+    out.line(f'"""Stream scanner of {one_line(label)}: generated from its spec."""')
     out.line()
     for number, (framing, _) in enumerate(framings):
         if _asks(framing):
@@ -118,8 +119,8 @@ def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: 
         return
     sync = framing.sync
     at = len(sync)
-    out.line(f"# {framing.name}: {describe(framing)}")
-    out.line(f"if starts({sync!r}, i):")
+    out.line(f"# {one_line(f'{framing.name}: {describe(framing)}')}")
+    out.line(f"if starts({literal(sync)}, i):")
     out.depth += 1
     depth = out.depth
     if framing.not_next:
@@ -153,7 +154,7 @@ def _framing(out: Source, number: int, framing: Framing, decode: str, *, alone: 
     _checked(out, number, framing, decode, alone=alone)
     out.depth = depth - 1
     if len(sync) > 1:
-        out.line(f"elif end - i < {at} and {sync!r}.startswith(buffer[i:]):")
+        out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
         _wait(out)
 
 
@@ -175,10 +176,10 @@ def _asks(framing: Framing) -> bool:
 def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Framings whose packets are closed by a mark."""
     sync, at, back = framing.sync, len(framing.sync), len(framing.end)
-    out.line(f"# {framing.name}: {describe(framing)}")
+    out.line(f"# {one_line(f'{framing.name}: {describe(framing)}')}")
     depth = out.depth
     if sync:
-        out.line(f"if starts({sync!r}, i):")
+        out.line(f"if starts({literal(sync)}, i):")
         out.depth += 1
     if framing.not_next:
         _more(out, f"end - i == {at}")
@@ -186,11 +187,11 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
         out.line(f"elif buffer[i + {at}] not in {tuple(values)}:")
         out.depth += 1
     first = f"i + {at}" if at else "i"
-    out.line(f"j = buffer.find({framing.end!r}, {first}, i + {framing.max_size})")
+    out.line(f"j = buffer.find({literal(framing.end)}, {first}, i + {framing.max_size})")
     word = "if"
     if framing.not_inside:
         out.line(f"k = j if j >= 0 else i + {framing.max_size}")
-        tests = [f"buffer.find({bytes([byte])!r}, {first}, k) >= 0" for byte in framing.not_inside]
+        tests = [f"buffer.find({literal(bytes([byte]))}, {first}, k) >= 0" for byte in framing.not_inside]
         out.line(f"if {' or '.join(tests)}:")
         out.line("    bad = bad or 'malformed: a byte that no packet has'")
         word = "elif"
@@ -219,7 +220,7 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
     _accept(out, framing, decode, alone=alone)
     out.depth = depth
     if at > 1:
-        out.line(f"elif end - i < {at} and {sync!r}.startswith(buffer[i:]):")
+        out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
         _wait(out)
 
 
@@ -315,7 +316,7 @@ def _accept(out: Source, framing: Framing, decode: str, *, alone: bool) -> None:
 
 def _judged(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
-    out.line(f"# {framing.name}: {describe(framing)}")
+    out.line(f"# {one_line(f'{framing.name}: {describe(framing)}')}")
     out.line(f"verdict, j, reason = judge_{number}(buffer, i, silent)")
     out.line("if verdict == 'more':")
     _wait(out)

@@ -12,24 +12,48 @@ from collections.abc import Iterator, Sequence
 
 import construct as c
 
+from ...errors import SpecError
 from ..draw import row_of
 from ..spec.fields import described
 from ..spec.message import Message
 from ..spec.protocol import Protocol
 from . import plan as p
 from .flatten import NotFlat, flatten, scalar_of
+from .names import Names
 from .print_records import type_of
 from .source import Source
 
+#: What a stub's annotations call.
+WORDS = frozenset(
+    [
+        "Any",
+        "Literal",
+        "FlagSet",
+        "Part",
+        "Protocol",
+        "Record",
+        "bool",
+        "bytes",
+        "float",
+        "int",
+        "str",
+        "tuple",
+    ]
+)
 #: Longer lines are what ruff would complain of.
 LONGEST = 120
 
 
 def print_stub(protocol: Protocol, variable: str) -> str:
-    """The stub of a module that has the record types and, as `variable`, the protocol."""
+    """The stub of a module that has the record types and, as `variable`, the protocol; raises `SpecError` for a message that
+    is named like one of the stub's own words."""
     out = Source()
     names: dict[str, list[Message]] = {}
     for message in protocol.declared:
+        if message.name in WORDS:
+            raise SpecError(
+                f"{message.place}: a stub has a word {message.name!r} of its own; it cannot name a message so"
+            )
         names.setdefault(message.name, []).append(message)
     printer = _Printer(out)
     for name, messages in names.items():
@@ -78,6 +102,14 @@ def print_module(protocol: Protocol, module: str, variable: str) -> str:
 class _Printer:
     def __init__(self, out: Source) -> None:
         self.out = out
+        self._names = Names()
+        self._classes: dict[str, str] = {}
+
+    def _class(self, path: str) -> str:
+        """The name of the class of a nested record or of flags, by its dotted path from the message."""
+        if path not in self._classes:
+            self._classes[path] = self._names.new("_" + path.replace(".", "_"))
+        return self._classes[path]
 
     def message(self, name: str, messages: Sequence[Message]) -> None:
         types: dict[str, list[str]] = {}
@@ -85,7 +117,7 @@ class _Printer:
         parts: dict[str, list[str]] = {}
         for message in messages:
             for field in flatten(message).fields:
-                kind = self._type(field, f"{name}_{field.name}", parts)
+                kind = self._type(field, f"{name}.{field.name}", parts)
                 if isinstance(field.node, p.Opaque):
                     kind = self._opaque(message, field.name, parts)
                 known = types.setdefault(field.name, [])
@@ -108,6 +140,10 @@ class _Printer:
 
     def _doc(self, text: str) -> None:
         text = text.strip().replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
+        text = "".join(
+            char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode()
+            for char in text
+        )
         if text.endswith('"'):
             text += " "
         lines = text.split("\n")
@@ -129,11 +165,12 @@ class _Printer:
             kinds = [self._node(item, path, parts) for item in node.items]
             return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
         if isinstance(node, p.Group):
-            lines = [f"class _{path}(Part, frozen=True):"]
+            called = self._class(path)
+            lines = [f"class {called}(Part, frozen=True):"]
             for field in node.fields:
-                lines.append(f"    {field.name}: {self._type(field, f'{path}_{field.name}', parts)}")
+                lines.append(f"    {field.name}: {self._type(field, f'{path}.{field.name}', parts)}")
             parts[path] = lines if len(lines) > 1 else [f"{lines[0]} ..."]
-            return f"_{path}"
+            return called
         if isinstance(node, p.Cell) and node.names:
             return f"{_literal(name for _, name in node.names)} | str | None"
         for step in getattr(node, "steps", ()):
@@ -144,9 +181,10 @@ class _Printer:
             if isinstance(step, p.FlagBits):
                 names = [name for name, _ in step.bits if name.isidentifier() and not keyword.iskeyword(name)]
                 body = [f"    {name}: bool" for name in names]
-                head = f"class _{path}(FlagSet):"
+                called = self._class(path)
+                head = f"class {called}(FlagSet):"
                 parts[path] = [head, *body] if body else [f"{head} ..."]
-                return f"_{path}"
+                return called
         return type_of(node)
 
     def _opaque(self, message: Message, name: str, parts: dict[str, list[str]]) -> str:
@@ -154,7 +192,7 @@ class _Printer:
         payload = message.payload
         items = payload.subcons if isinstance(payload, c.Struct) else ()
         return next(
-            (self._construct(i, f"{message.name}_{name}", parts) for i in items if i.name == name), "Any"
+            (self._construct(i, f"{message.name}.{name}", parts) for i in items if i.name == name), "Any"
         )
 
     def _construct(self, con: c.Construct, path: str, parts: dict[str, list[str]]) -> str:
@@ -163,11 +201,12 @@ class _Printer:
         if isinstance(con, c.Struct):
             inner = [item for item in con.subcons if item.name]
             lines = [
-                f"    {item.name}: {self._construct(item, f'{path}_{item.name}', parts)}" for item in inner
+                f"    {item.name}: {self._construct(item, f'{path}.{item.name}', parts)}" for item in inner
             ]
-            head = f"class _{path}(Part, frozen=True):"
+            called = self._class(path)
+            head = f"class {called}(Part, frozen=True):"
             parts[path] = [head, *lines] if lines else [f"{head} ..."]
-            return f"_{path}"
+            return called
         if isinstance(con, (c.Array, c.GreedyRange)):
             return f"tuple[{self._construct(con.subcon, path, parts)}, ...]"
         if isinstance(con, (c.Bytes, type(c.GreedyBytes))):
@@ -180,7 +219,8 @@ class _Printer:
 
 def _literal(names: Iterator[str]) -> str:
     listed = ", ".join(
-        f'"{name}"' if '"' not in name and "\\" not in name else repr(name) for name in dict.fromkeys(names)
+        f'"{name}"' if name.isprintable() and not set('"\\') & set(name) else repr(name)
+        for name in dict.fromkeys(names)
     )
     return f"Literal[{listed}]" if listed else "str"
 
@@ -215,7 +255,7 @@ def _field_doc(field: p.PlanField) -> str:
     row = row_of(field.name, field.node)
     parts = [" ".join(filter(None, [row.range, row.unit]))] if row.unit else []
     if field.when is not None:
-        selector, values = field.when
+        selector, values = field.when.selector.name, field.when.values
         wanted = " or ".join(map(str, values)) if len(values) <= 4 else described(values)
         parts.append(f"None unless {selector} is {wanted}")
     facts = "; ".join(parts)

@@ -75,11 +75,6 @@ def runs_of(positions: Sequence[int]) -> list[tuple[int, int, int]]:
     return runs
 
 
-def members(values: Sequence[float]) -> str:
-    """A container display that the compiler makes constant."""
-    return f"({', '.join(map(repr, values))}{',' if len(values) == 1 else ''})"
-
-
 def is_balanced(text: str) -> bool:
     """Whether the first parenthesis closes at the end."""
     depth = 0

@@ -2,7 +2,7 @@
 
 1. The printers decide nothing: the same plan gives the same text, byte for byte.
 2. What is printed is meant to be read: one function a message, one line a field.
-3. User objects (constructs, tables of enumerations) enter by name, never by repr.
+3. What a spec says in words enters only as a remark, on one line; its values enter by name (see `names`).
 """
 
 from __future__ import annotations
@@ -22,5 +22,7 @@ class Source:
         return "\n".join(self.lines) + "\n"
 
 
-def first_line(doc: str) -> str:
-    return doc.strip().split("\n", 1)[0].replace("\\", "\\\\").replace('"', "'")
+def one_line(text: str) -> str:
+    """The first line of somebody's text, for a remark or a docstring: whatever could end one is spelt out."""
+    first = text.strip().split("\n", 1)[0].replace("\\", "\\\\").replace('"', "'")
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in first)

@@ -76,12 +76,13 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[Panel]:
     base = _Cells()
     _mark(base, plan, [m for m in marks if m.offset >= 0])
     always: list[_Cells] = [base]
-    variants: dict[tuple[str, tuple[int, ...]], list[_Cells]] = {}
+    variants: dict[p.When, list[_Cells]] = {}
     is_brief = plan.least > LONGEST
-    for one, when in _placed(plan.fields, "", None):
-        layers = always if when is None else variants.setdefault(when, [_Cells()])
+    for one, outer in _placed(plan.fields, "", None):
+        layers = always if outer is None else variants.setdefault(outer, [_Cells()])
         _claim(_free(layers, one[1]), *one, is_brief=is_brief)
-    for (selector, _), layers in variants.items():
+    for when, layers in variants.items():
+        selector = when.selector.name
         for position in layers[0].bits:
             base.bits.setdefault(position, (f"(by {selector})", -1, 0))
         for offset, block in layers[0].blocks.items():
@@ -91,8 +92,8 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[Panel]:
     tail = sorted((m for m in marks if m.offset < 0), key=lambda m: m.offset)
     found = [Panel("", _all_rows(base, plan, tail))]
     found += [Panel(SHARING, _all_rows(cells, None, [])) for cells in always[1:]]
-    for (selector, values), layers in variants.items():
-        found.append(Panel(f"{selector} = {listed(values)}:", _all_rows(layers[0], None, [])))
+    for when, layers in variants.items():
+        found.append(Panel(f"{when.selector.name} = {listed(when.values)}:", _all_rows(layers[0], None, [])))
         found += [Panel(SHARING, _all_rows(cells, None, [])) for cells in layers[1:]]
     return found
 
@@ -144,7 +145,7 @@ def marks_of(message: Message) -> list[Mark]:
 
 # ---------------------------------------------------------------------- who owns which bits
 
-_When = tuple[str, tuple[int, ...]] | None
+_When = p.When | None
 _Place = tuple[str, p.Node]
 
 

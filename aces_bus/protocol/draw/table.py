@@ -48,7 +48,9 @@ def _table(fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, st
     for one in fields:
         name, node, doc = prefix + one.name, one.node, one.doc
         if one.when is not None:
-            doc = f"only while {one.when[0]} is {listed(one.when[1])}" + (f"; {doc}" if doc else "")
+            doc = f"only while {one.when.selector.name} is {listed(one.when.values)}" + (
+                f"; {doc}" if doc else ""
+            )
         if isinstance(node, p.Group):
             yield from _table(node.fields, f"{name}.", captured)
         elif isinstance(node, p.Many) and not is_long(node):

@@ -90,9 +90,9 @@ def _leaves(fields: Sequence[p.PlanField], prefix: str, outer: Whens) -> Iterato
 def _whens(field: p.PlanField, by_name: Mapping[str, p.PlanField], prefix: str) -> Whens:
     found: list[tuple[str, tuple[int, ...]]] = []
     when = field.when
-    while when is not None and all(prefix + when[0] != path for path, _ in found):
-        found.insert(0, (prefix + when[0], when[1]))
-        selector = by_name.get(when[0])
+    while when is not None and all(prefix + when.selector.name != path for path, _ in found):
+        found.insert(0, (prefix + when.selector.name, when.values))
+        selector = by_name.get(when.selector.name)
         when = selector.when if selector is not None else None
     return tuple(found)
 

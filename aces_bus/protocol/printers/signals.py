@@ -340,7 +340,7 @@ class _Group:
             if (name, leaf.path) not in self.named:
                 self._leaf(leaf, (name,), when)
         if plan.lengths_by is not None:
-            self._lose(name, "", f"its length depends on {plan.lengths_by[0]}")
+            self._lose(name, "", f"its length depends on {plan.lengths_by[0].name}")
         elif message.lengths is not None and len(message.lengths) > 1 and not is_open:
             self._lose(name, "", f"{message.describe_lengths} of data: the least is written")
         if isinstance(message.payload, BitLayout) and message.payload.overlapping:

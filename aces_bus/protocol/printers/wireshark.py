@@ -131,7 +131,7 @@ class _Printer:
         table["least"] = plan.least
         if plan.lengths_by is not None:
             selector, sizes, otherwise = plan.lengths_by
-            table["by"] = {"selector": selector, "sizes": dict(sizes), "otherwise": otherwise}
+            table["by"] = {"selector": selector.name, "sizes": dict(sizes), "otherwise": otherwise}
         if plan.split is not None:
             one = plan.split
             table["split"] = {
@@ -338,11 +338,13 @@ class _Printer:
 
         always = next((mask for value, mask in node.claimed if value is None), 0)
         more: list[Any] = []
+        # The selectors of a layout stand beside its bits without a field.
+        inside = leaf.path.removesuffix("reserved")
         if node.selector is not None:
             sets = {value: masks(mask) for value, mask in node.claimed if value is not None}
-            more.append([node.selector, sets])
+            more.append([inside + node.selector.name, sets])
         for selector, by_value in node.more:
-            more.append([selector, {value: masks(mask) for value, mask in by_value}])
+            more.append([inside + selector.name, {value: masks(mask) for value, mask in by_value}])
         return {
             "kind": "rest",
             "field": self._field(abbr, leaf.path, "uint64", "HEX", None, leaf.doc),

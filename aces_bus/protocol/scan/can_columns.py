@@ -254,7 +254,7 @@ class CanColumns:
         lost: list[_Lost],
     ) -> None:
         """The frames [start, end) of the sorted batch, which may be these messages."""
-        rows: Rows = batch.rows(start, end)
+        rows: Rows = batch.rows(start, end).reaching(max(c.decoder.extent for c in candidates))
         left: Array | None = None  # places in [start, end) that nobody has accepted yet; None: all
         for candidate in candidates:
             good = candidate.decoder.accepts(rows)

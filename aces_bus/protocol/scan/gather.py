@@ -22,8 +22,8 @@ from .record import Record
 _WIDTHS = (8, 16, 32, 64)
 
 
-#: The conditions a value hangs on: (selector, the raw values that make it present), outermost first.
-Whens = tuple[tuple[str, tuple[int, ...]], ...]
+#: The conditions a value hangs on, outermost first.
+Whens = tuple[p.When, ...]
 
 
 def leaves_of(

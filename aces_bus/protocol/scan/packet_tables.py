@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from ...frame_table import Channels, to_ns
-from ..codegen import plan as p
 from ..codegen.choose import Choice, choose
 from ..codegen.flatten import flatten
 from ..codegen.load import records_of
 from ..spec.message import Message
 from .decider import Decider
-from .gather import Gatherer, leaves_of
+from .gather import Gatherer
 from .message_table import Array, Column, ColumnKind, MessageTable
 from .packet_rows import rows_of, take_rows
 from .rows import RowDecoder, Rows
@@ -123,7 +122,7 @@ class _Kind:
         self.protocol = variant.name
         self.gatherer = Gatherer(records_of(variant)[message.name], self.plan, raw=raw)
         # Fields that are there only for some values of a selector may stand behind the packet's end.
-        self.extent = _extent(self.plan) if self.plan.lengths_by is not None else 0
+        self.extent = self.decoder.extent if self.plan.lengths_by is not None else 0
 
     def column(self, kind: ColumnKind, rows: Rows) -> Column:
         """One column of these packets."""
@@ -139,17 +138,6 @@ class _Kind:
         ]
         good = np.array([record is not None for record in found], bool)
         return good, [record for record in found if record is not None]
-
-
-def _extent(plan: p.MessagePlan) -> int:
-    """Where the last field of fixed size ends."""
-    ends = [0]
-    for _, _, node, *_ in leaves_of(plan):
-        if isinstance(node, (p.Scalar, p.Rest)) and node.size is not None:
-            ends.append(node.offset + node.size)
-        if isinstance(node, p.Scalar) and node.bits:
-            ends.append(max(node.bits) // 8 + 1)
-    return max(ends)
 
 
 #: Packets of one message: their numbers in the batch, and their rows or records.

@@ -63,6 +63,14 @@ class Rows:
         width = self.data.shape[1]
         return np.ndarray((len(self.data),), dtype, self.data, offset, (width,))
 
+    def reaching(self, end: int) -> Rows:
+        """The rows, at least `end` bytes wide."""
+        if self.data.shape[1] >= end:
+            return self
+        wide = np.zeros((len(self), end), np.uint8)
+        wide[:, : self.data.shape[1]] = self.data
+        return Rows(wide, self.lengths, self.keys)
+
     def take(self, which: Any) -> Rows:
         """Some of the rows."""
         return Rows(self.data[which], self.lengths[which], self.keys[which])
@@ -84,12 +92,13 @@ class RowDecoder:
         self.raw = raw
         self.kinds = kinds_of(plan, raw)
         self.message = message
+        #: Where the last field of fixed size ends; rows must reach there. Fields that are there only for some values of
+        #: a selector may stand behind the end of any packet.
+        self.extent = extent_of(plan)
         self.reason = self._why_not()
         self._columns: dict[str, Callable[[ColumnKind, Rows], Column]] = {}
         if self.reason:
             return
-        self._selectors = {name: self._number(scalar) for name, scalar in plan.selectors}
-        self._whens = {field.name: field.when for field in plan.fields if field.when is not None}
         for path, _, node, _, whens in leaves_of(plan):
             self._columns[path] = self._column(node, whens)
 
@@ -124,8 +133,8 @@ class RowDecoder:
         if tests and not tests[0].any():
             return tests[0]
         if plan.lengths_by is not None:
-            name, table, other = plan.lengths_by
-            chosen = self._selectors[name](rows)
+            selector, table, other = plan.lengths_by
+            chosen = self._number(selector.number)(rows)
             wanted = np.full(len(rows), other, np.int64)
             for value, length in table:
                 wanted[chosen == value] = length
@@ -156,20 +165,13 @@ class RowDecoder:
         """The column of this kind."""
         return self._columns[kind.name](kind, rows)
 
-    def present(self, selector: str, values: Sequence[int], rows: Rows) -> Array:
-        """Where a field is there: its selector has one of the values, and is there itself."""
-        found = among(self._selectors[selector](rows), values)
-        there = self._is_there(selector, rows)
-        return found if there is None else found & there
+    def present(self, when: p.When, rows: Rows) -> Array:
+        """Where a condition holds: the selector has one of the values, and is there itself."""
+        found = among(self._number(when.selector.number)(rows), when.values)
+        outer = when.selector.when
+        return found if outer is None else found & self.present(outer, rows)
 
-    def _is_there(self, name: str, rows: Rows) -> Array | None:
-        """Where a top field is there; None: always."""
-        when = self._whens.get(name)
-        return None if when is None else self.present(*when, rows)
-
-    def _column(
-        self, node: p.Node, whens: tuple[tuple[str, tuple[int, ...]], ...]
-    ) -> Callable[[ColumnKind, Rows], Column]:
+    def _column(self, node: p.Node, whens: Sequence[p.When]) -> Callable[[ColumnKind, Rows], Column]:
         if isinstance(node, p.Scalar) and node.kind in ("bytes", "text") and not whens:
             if node.kind == "bytes" or self.raw:
                 where = node.offset, node.size, self.plan.tail
@@ -178,8 +180,8 @@ class RowDecoder:
 
         def column(kind: ColumnKind, rows: Rows) -> Column:
             found, absent = values(rows)
-            for selector, wanted in whens:
-                missing = ~self.present(selector, wanted, rows)
+            for when in whens:
+                missing = ~self.present(when, rows)
                 absent = missing if absent is None else absent | missing
             if absent is not None:
                 if not absent.any():
@@ -242,13 +244,13 @@ class RowDecoder:
             kind = np.uint64 if dtype is not None else object
             mask: Any = np.full(len(rows), masks[None], kind)
             if node.selector is not None:
-                chosen = self._selectors[node.selector](rows)
+                chosen = self._number(node.selector.number)(rows)
                 for value, some in masks.items():
                     if value is not None:
                         mask[chosen == value] = some
             for selector, table in node.more:
-                chosen = self._selectors[selector](rows)
-                there = self._is_there(selector, rows)
+                chosen = self._number(selector.number)(rows)
+                there = None if selector.when is None else self.present(selector.when, rows)
                 for value, some in table:
                     here = chosen == value if there is None else (chosen == value) & there
                     mask[here] &= mask.dtype.type(full & ~some) if dtype is not None else full & ~some
@@ -463,17 +465,28 @@ def _exact(value: Array, scale: float, offset: float) -> Array:
     return value + offset if offset else value
 
 
+def extent_of(plan: p.MessagePlan) -> int:
+    """Where the last field of fixed size ends."""
+    ends = [0]
+    for _, _, node, *_ in leaves_of(plan):
+        if isinstance(node, (p.Scalar, p.Rest)) and node.size is not None:
+            ends.append(node.offset + node.size)
+        if isinstance(node, p.Scalar) and node.bits:
+            ends.append(max(node.bits) // 8 + 1)
+    return max(ends)
+
+
 def among(numbers: Array, values: Sequence[float] | range) -> Array:
-    """Where a number is one of `values`."""
+    """Where a number is one of `values`; NaN is NaN."""
     if isinstance(values, range) and len(values) > 16:
         inside: Array = (numbers >= values[0]) & (numbers <= values[-1])
         if values.step != 1:
             inside &= (numbers - values[0]) % values.step == 0
         return inside
-    if len(values) > 16:
+    if len(values) > 16 and all(value == value for value in values):
         found: Array = np.isin(numbers, np.array(list(values)))
         return found
     found = np.zeros(len(numbers), bool)
     for value in values:
-        found |= numbers == value
+        found |= numbers != numbers if value != value else numbers == value
     return found

@@ -142,6 +142,7 @@ class StreamScanner:
             self._overlaps[number] = names[f"failure_{number}"] = Overlaps(framing, sums, extras)
         if check is not None:
             names[f"crc_{number}"] = check.engine
+            names[f"text_{number}"] = check.text
             names[f"same_{number}"] = check.same
         if extras is not None:
             names[f"extras_{number}"] = extras.get

@@ -183,8 +183,8 @@ def demands(message: Message, length: int | None) -> Demands | None:
         for one in plan.one_of
     ]
     if plan.lengths_by is not None and length is not None:
-        name, table, other = plan.lengths_by
-        bits = dict(plan.selectors)[name].bits
+        selector, table, other = plan.lengths_by
+        bits = selector.number.bits
         known = {value & ((1 << len(bits)) - 1): size for value, size in table}
         if other == length:
             choices.append(

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 from construct import (
     Adapter,
+    Array,
     Bytes,
     BytesInteger,
     Construct,
@@ -41,6 +42,36 @@ class Field(Adapter):
     def __init__(self, subcon: Construct) -> None:
         super().__init__(subcon)
         self.place = caller()
+        self._check_subcon()
+
+    def _check_subcon(self) -> None:
+        """Raise `SpecError` where the field is given no number of the wire."""
+        mine = next((kind for kind in (*_OF_INTEGERS, Quantity) if isinstance(self, kind)), None)
+        if mine is None:
+            return
+        inner = self.subcon
+        while isinstance(inner, (Renamed, Default)):
+            inner = inner.subcon
+        for other in (
+            Quantity,
+            Enumeration,
+            Flags,
+            Text,
+            *((SignMagnitude,) if mine is SignMagnitude else ()),
+        ):
+            if isinstance(inner, other):
+                more = "; names of a quantity are its names={…}" if Quantity in (mine, other) else ""
+                raise SpecError(
+                    f"{self.place}: {mine.__name__} takes a number of the wire, not another {other.__name__}{more}"
+                )
+        inner = innermost(inner)
+        if isinstance(inner, (Bytes, GreedyBytes.__class__, Struct, Array, Text)):
+            raise SpecError(f"{self.place}: {mine.__name__} takes a number, not {type(inner).__name__}")
+        if mine is not Quantity and _is_float(inner):
+            raise SpecError(f"{self.place}: {mine.__name__} takes an integer, not a float")
+        signed = str(getattr(inner, "fmtstr", "")).endswith(("b", "h", "i", "l", "q"))
+        if mine is SignMagnitude and (signed or getattr(inner, "signed", False)):
+            raise SpecError(f"{self.place}: SignMagnitude has its sign itself: it takes an unsigned integer")
 
     def _decode(self, obj: Any, context: Any, path: str) -> Any:
         return obj if is_raw(context) else self.to_physical(obj)
@@ -106,11 +137,15 @@ class Quantity(Field):
         if isinstance(unknown, (str, numbers.Real)):
             raise SpecError(f"{self.place}: unknown lists raw values, as in ({unknown!r},)")
         self.unknown = tuple(self._number(value, "value that is unknown") for value in unknown)
+        self._nan_is_unknown = any(value != value for value in self.unknown)
         self.rounding = rounding
         self.docs = doc
         self.source = source
         # The subcon tells whether the wire carries a float; found once, when the spec is read.
         self.is_float = _is_float(subcon)
+        odd = next((value for value in self.unknown if value % 1 != 0), 0)
+        if odd != 0 and not self.is_float:
+            raise SpecError(f"{self.place}: unknown values are raw: an integer is never {odd}")
         self.names = dict(names or {})
         self.values = names_by_value(self.names, self.place)
         if self.names and self.is_float:
@@ -150,13 +185,12 @@ class Quantity(Field):
         return cls(subcon, scale=(high - low) / (2**bits - 1), offset=low, range=(low, high), **more)
 
     def to_physical(self, raw: Any) -> Any:
-        if self.unknown and raw in self.unknown:
+        if self.unknown and (raw in self.unknown or (self._nan_is_unknown and raw != raw)):
             return None
         if self.values and raw in self.values:
             return self.values[raw]
-        if self.offset:
-            return raw * self.scale + self.offset
-        return raw * self.scale if self.scale != 1 else raw
+        physical = raw * self.scale if self.scale != 1 else raw
+        return physical + self.offset if self.offset else physical
 
     def to_raw(self, value: Any, path: str = "") -> Any:
         if value is None:
@@ -432,6 +466,10 @@ class Text(Field):
         if len(data) > self.size:
             raise FieldError(f"{path}: {value!r} is longer than {self.size} bytes")
         return data.ljust(self.size, b"\0")
+
+
+#: The fields that take integers, an outer one of a pair first.
+_OF_INTEGERS = (SignMagnitude, Enumeration, Flags, Counter)
 
 
 def Reserved(size: int) -> Construct:

@@ -21,13 +21,14 @@ from .bits import BitLayout
 from .checks import Check, Extra
 from .delimited import Delimited
 from .examples import Example
-from .fields import Counter, Enumeration, innermost
+from .fields import Counter, Enumeration, Multiplexed, innermost
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
 from .normalise import check_name, normalised, sizes
 from .packet import Packet
 from .pattern import Pattern, describe_values
 from .place import Place
+from .selectors import check_selectors
 
 if TYPE_CHECKING:
     from .protocol import Protocol
@@ -145,8 +146,10 @@ class Message:
             )
         self.request_fields = self._request_fields()
         self.payload = normalised(payload, place, self._enumerations())
+        check_selectors(self.payload, place)
         self.lengths = self._lengths(length)
         self._check_fields()
+        self._check_branches()
         if self.extras is not None and not check_extra:
             raise SpecError(
                 f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra"
@@ -282,6 +285,34 @@ class Message:
             )
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
+
+    def _check_branches(self) -> None:
+        """Raise `SpecError` where no packet would be read, or a multiplexed field has no room in any frame."""
+        framing = self.framing
+        if framing is not None and framing.end and self.payload_start == len(framing.sync):
+            if not framing.check_size and sizes(self.payload)[1] == 0:
+                raise SpecError(f"{self.place}: with nothing before its end a packet of {self.name} is none")
+        if self.lengths is None or not isinstance(self.payload, c.Struct):
+            return
+        most = max(self.lengths)
+        items = [(i.name, i.subcon if isinstance(i, c.Renamed) else i) for i in self.payload.subcons]
+        always = self.payload_start + sum(sizes(body)[0] for _, body in items)
+        for name, body in items:
+            if not isinstance(body, Multiplexed):
+                continue
+            beside = [o for _, o in items if isinstance(o, Multiplexed) and o.selector == body.selector]
+            least = min(
+                (
+                    always + sum(sizes(one.body)[0] for one in beside if value in one.when)
+                    for value in body.when
+                ),
+                default=always,
+            )
+            if least > most:
+                raise SpecError(
+                    f"{self.place.of_field(name or '')}: with field {name!r} {self.name} has {least} bytes of data,"
+                    f" and its frames have {most} at most: the field would never be there"
+                )
 
     @cached_property
     def payload_names(self) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import io
 import keyword
+import unicodedata
 from typing import Any
 
 import construct as c
@@ -55,6 +56,10 @@ def check_name(name: str, place: Place) -> None:
     if not name.isidentifier() or keyword.iskeyword(name) or (keyword.issoftkeyword(name) and name != "type"):
         raise SpecError(
             f"{place.of_field(name)}: {name!r} cannot be a field name: it is not a plain Python name"
+        )
+    if unicodedata.normalize("NFKC", name) != name:
+        raise SpecError(
+            f"{place.of_field(name)}: Python reads {name!r} as {unicodedata.normalize('NFKC', name)!r}: write it so"
         )
     if name.startswith("_") or name in TAKEN:
         raise SpecError(f"{place.of_field(name)}: field name {name!r} is taken by the record itself")

@@ -271,6 +271,10 @@ class Packet(Construct):
             )
             packet += framing.check.encode(covered)
         if framing.end:
+            if len(packet) == len(framing.sync):
+                raise FieldError(
+                    f"{self.message.name}: with nothing before its end a packet would not be read as one"
+                )
             if framing.stuffing is not None:
                 packet = framing.sync + framing.stuffing.stuff(packet[len(framing.sync) :])
             if framing.end in packet[len(framing.sync) :]:

@@ -156,8 +156,8 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
         more = "" if isinstance(values, range) or len(values) <= 16 else ", …"
         yield "one of", f"{draw.bits_place(one.number.bits)}: {listed}{more}"
     if plan.lengths_by is not None:
-        name, table, other = plan.lengths_by
-        yield "length by", f"{name}: {', '.join(f'{value} → {size}' for value, size in table)}; else {other}"
+        selector, table, other = plan.lengths_by
+        yield "length by", f"{selector.name}: {', '.join(f'{value} → {size}' for value, size in table)}; else {other}"
     if plan.split is not None:
         yield "split", f"bytes {plan.split.start}…{plan.split.end} at {plan.split.separator!r}"
     if plan.is_checked:
