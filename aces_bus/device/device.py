@@ -115,6 +115,7 @@ ATTRIBUTES = frozenset(
         "readable",
         "last_heard",
         "is_silent",
+        "is_driven",
         "misses",
         "missing_since",
         "missed_at",

@@ -216,7 +216,10 @@ def _garbage(who: Cast, source: Source) -> bytes:
     if how == 2:
         pieces = [marks[: source.integer(0, len(marks))], source.bytes(1), framing.end, b"\xff", b"\x00"]
         return b"".join(source.choice(pieces) for _ in range(size))
-    return bytes([source.integer(0, 255)]) * size
+    byte = bytes([source.integer(0, 255)])
+    if framing.not_inside and byte not in framing.not_inside + framing.end:
+        return framing.sync + byte * framing.max_size  # chance alone hardly ever leaves out an end
+    return byte * size
 
 
 def adversary(wire: Wire, direction: Way, source: Source, *, size: int = 3000) -> bytes:
