@@ -300,14 +300,12 @@ def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Cal
     """
     send: Callable[..., bool] = gate.send
 
+    def on_clock(report: Told) -> Told:
+        return lambda fate, why: clock.call_soon(lambda: report(fate, why))
+
     def give(word: Any, age_ns: int, urgent: bool, topic: object, report: Told | None, *to: Any) -> bool:
         if gate.state != "open" and not urgent:
             return False
-
-        def left(fate: str, why: str) -> None:
-            if report is not None:
-                clock.call_soon(lambda: report(fate, why))
-
         try:
             return send(
                 word,
@@ -315,7 +313,7 @@ def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Cal
                 age_s=age_ns / 1e9 if age_ns else None,
                 urgent=urgent,
                 topic=topic,
-                report=None if report is None else left,
+                report=None if report is None else on_clock(report),
             )
         except CallerError:  # too much waits already, or not of this bus's kind
             return False

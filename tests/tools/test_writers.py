@@ -27,7 +27,7 @@ from aces_bus.testing import laws, strategies
 from aces_tools.output import Writer
 from aces_tools.output.columns import beside, columns
 from aces_tools.output.jsonl import JsonLines
-from aces_tools.output.shape import plans_of
+from aces_tools.output.shape import Plans, plans_of
 from aces_tools.output.sheet import Sheet
 from aces_tools.output.text import Text, decimals, make_paint, no_paint, printable
 from tests.specs.catalogue import SPECS
@@ -287,9 +287,9 @@ def test_paragraphs_beside_a_name() -> None:
 def test_writers_are_interchangeable() -> None:
     """All three fulfil the same protocol."""
     writers: list[Writer] = [
-        Text({}, None),
-        JsonLines({}, None),
-        Sheet({}, None, only=None, links=frozenset()),
+        Text(Plans([]), None),
+        JsonLines(Plans([]), None),
+        Sheet(Plans([]), None, only=None, links=frozenset()),
     ]
     for writer in writers:
         writer.begin("x", "can")

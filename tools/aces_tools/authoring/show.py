@@ -157,7 +157,10 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
         yield "one of", f"{draw.bits_place(one.number.bits)}: {listed}{more}"
     if plan.lengths_by is not None:
         selector, table, other = plan.lengths_by
-        yield "length by", f"{selector.name}: {', '.join(f'{value} → {size}' for value, size in table)}; else {other}"
+        yield (
+            "length by",
+            f"{selector.name}: {', '.join(f'{value} → {size}' for value, size in table)}; else {other}",
+        )
     if plan.split is not None:
         yield "split", f"bytes {plan.split.start}…{plan.split.end} at {plan.split.separator!r}"
     if plan.is_checked:

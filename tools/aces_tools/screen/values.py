@@ -51,7 +51,9 @@ class Fields:
         plan = self._plan = flatten(message)
         self.doc = plan.doc
         self.names = tuple(one.name for one in plan.fields)
-        decide = dict.fromkeys([head.name for head in message.heads] + [selector.name for selector in plan.selectors])
+        decide = dict.fromkeys(
+            [head.name for head in message.heads] + [selector.name for selector in plan.selectors]
+        )
         #: The fields that say what the rest means, or whom it is about.
         self.page = tuple(name for name in decide if name in self.names)
         self._short: list[tuple[p.PlanField, Callable[[Any], Any], Callable[[Any], str], str]] = [
