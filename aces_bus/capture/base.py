@@ -34,6 +34,9 @@ class Problem(NamedTuple):
     reason: str
     excerpt: str
 
+    def __str__(self) -> str:
+        return f"{self.line}: {self.reason}" + (f": {self.excerpt!r}" if self.excerpt else "")
+
 
 class Chunk(NamedTuple):
     """Bytes of a serial line. `time` is in seconds, None when the capture does not say; so is `direction`."""

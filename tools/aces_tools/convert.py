@@ -291,7 +291,7 @@ class Conversion:
         for place, capture in enumerate(self.captures):
             for problem in capture.problems[self.said.get(place, 0) : SHOWN]:
                 self.said[place] = self.said.get(place, 0) + 1
-                say(f"{capture.name}:{problem.line}: {problem.reason}: {problem.excerpt!r}")
+                say(f"{capture.name}:{problem}")
 
     def _summarise(self, writer: OpenWriter) -> None:
         for capture in self.captures:

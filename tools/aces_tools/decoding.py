@@ -299,7 +299,7 @@ class Decoding(ABC):
         for problem in capture.problems[self.shown : SHOWN]:
             self.shown += 1
             self._flush()
-            say(f"{capture.name}:{problem.line}: {problem.reason}: {problem.excerpt!r}")
+            say(f"{capture.name}:{problem}")
 
     def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
         """Two protocols claim a frame that has come: say so, once."""

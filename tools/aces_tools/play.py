@@ -159,7 +159,7 @@ class Playing:
 
     def _problems(self, capture: CanCapture | SerialCapture) -> None:
         for problem in capture.problems[:SHOWN]:
-            say(f"{capture.name}:{problem.line}: {problem.reason}: {problem.excerpt!r}")
+            say(f"{capture.name}:{problem}")
         if capture.lines_unreadable > SHOWN:
             say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
 
