@@ -9,8 +9,10 @@ import pytest
 from construct import Byte, GreedyBytes, Int16ul, Struct, this
 
 from aces_bus.protocol import Cobs, Crc, Fletcher, Protocol, Slip, Sum, Xor
-from aces_bus.protocol.scan.segments import Segments
+from aces_bus.protocol.scan.overlaps import Overlaps
+from aces_bus.protocol.scan.segments import CobsSegment, Segments, SlipSegment
 from aces_bus.protocol.scan.stream import StreamScanner, _judge
+from aces_bus.protocol.spec.checks import Check, Sums
 from aces_bus.protocol.spec.framing import Framing
 from aces_bus.testing import laws
 
@@ -128,3 +130,48 @@ def test_sums_of_sentences_read_a_byte_twice_at_most() -> None:
     assert scanner.counts.records == 2
     assert scanner.check_work <= 2 * len(data)
     laws.bounded(protocol.variant(), None, laws.Scene(data))
+
+
+VALID: dict[str, dict[str, Any]] = {
+    "slip": {"end": b"\xc0", "stuffing": Slip(), "check": Sum()},
+    "cobs": {"end": b"\0", "stuffing": Cobs(), "check": Crc("CRC32-ISO-HDLC")},
+    "sentences": {"sync": b"$", "end": b"\r\n", "check": Xor(text="*{:02X}")},
+    "two runs": {"sync": b"\xaa", "size": this.kind + 4, "check": CHECKS["two runs"]},
+}
+
+
+@pytest.mark.parametrize("name", VALID)
+def test_valid_packets_pay_nothing_for_hostile_ones(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is there for candidates that overlap is not asked, and a packet is unstuffed once, however it is cut."""
+    protocol = Protocol("valid", link="serial")
+    framing = protocol.framing(header=Struct("kind" / Byte), max_size=300, gap=0.1, **VALID[name])
+    framing("Any", payload=Struct("data" / GreedyBytes))
+    kind: dict[str, Any] = {} if name == "two runs" else {"kind": 65}
+    data = b"".join(protocol.encode("Any", **kind, data=b"%03dabc" % number) for number in range(100))
+
+    def unwanted(*args: Any, **more: Any) -> Any:
+        raise AssertionError("asked for a valid packet")
+
+    for owner, method in (
+        (Overlaps, "__call__"),
+        (SlipSegment, "suffix"),
+        (CobsSegment, "suffix"),
+        (Sums, "fail"),
+        (Check, "same"),
+        (Framing, "strays"),
+    ):
+        monkeypatch.setattr(owner, method, unwanted)
+    unstuffed: list[bytes] = []
+    for stuffing in (Slip, Cobs):
+
+        def unstuff(self: Any, wire: bytes, plain: Any = stuffing.unstuff) -> Any:
+            unstuffed.append(wire)
+            return plain(self, wire)
+
+        monkeypatch.setattr(stuffing, "unstuff", unstuff)
+    scanner = protocol.scanner()
+    assert isinstance(scanner, StreamScanner)
+    records = [record for at in range(0, len(data), 64) for record in scanner.feed(data[at : at + 64])]
+    assert [record.data for record in records] == [b"%03dabc" % number for number in range(100)]
+    assert len(unstuffed) == (100 if name in ("slip", "cobs") else 0)
+    assert protocol.scanner().feed(data) == records

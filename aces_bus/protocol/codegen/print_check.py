@@ -1,6 +1,6 @@
 """Prints the check of a framing's packets: a function that says why a packet's check fails, or None.
 
-1. It reads what stands on the wire, and agrees with `Framing.judge`. A sum that is known already may be given to it.
+1. It reads what stands on the wire, and agrees with `Framing.judge`.
 2. The names it uses: `crc_N`, `xor`, `fletcher` (numbers of bytes), `extras_N` (a message's bytes by its number),
    `text_N` (how a number is written), `texts_N` (numbers as characters), `same_N` (whether characters are the same number).
 """
@@ -22,8 +22,7 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
     if text is not None and check.bytes == 1:
         out.line(f'texts_{number} = [text_{number}.format(n).encode("ascii") for n in range(256)]')
         out.line()
-    given = check.kind != "crc"
-    out.line(f"def check_{number}(packet{', found=None' if given else ''}):")
+    out.line(f"def check_{number}(packet):")
     out.depth += 1
     out.line(f'"""Why the check of a packet fails ({one_line(check.describe)}), or None."""')
     if any(isinstance(part, Extra) for part in check.over or ()):
@@ -37,10 +36,6 @@ def print_check(out: Source, number: int, framing: Framing) -> None:
         out.line("if extra is None:")
         out.line("    return f'malformed: no message {message} to check by'")
     found = computed(check, number, _covered(check, len(framing.sync), back))
-    if given:
-        out.line("if found is None:")
-        out.line(f"    found = {found}")
-        found = "found"
     wanted, stored = _wanted(check, number, found), _stored(check, back)
     if check.digits is not None:
         out.line(f"wanted = {wanted}")

@@ -64,6 +64,9 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     )
     out.line("end = len(buffer)")
     out.line("starts = buffer.startswith")
+    for number, (framing, _) in enumerate(framings):
+        if _asks_sums(framing):
+            out.line(f"summed_{number} = sums_{number}.end - base")
     out.line("while i < stop:")
     out.depth = 2
     out.line("bad = None")
@@ -173,6 +176,11 @@ def _asks(framing: Framing) -> bool:
     return _has_sized_sync(framing) and (check.kind == "crc" or plain is None)
 
 
+def _asks_sums(framing: Framing) -> bool:
+    """Whether what the check of a failed candidate has summed is kept for the candidates in it."""
+    return _asks(framing) and framing.check is not None and framing.check.kind != "crc"
+
+
 def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Framings whose packets are closed by a mark."""
     sync, at, back = framing.sync, len(framing.sync), len(framing.end)
@@ -217,7 +225,7 @@ def _ended(out: Source, number: int, framing: Framing, decode: str, *, alone: bo
         out.line("    bad = bad or reason")
         out.line("else:")
         out.depth += 1
-    _accept(out, framing, decode, alone=alone)
+    _accept(out, framing, decode, alone=alone, cut=framing.check is not None)
     out.depth = depth
     if at > 1:
         out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
@@ -236,7 +244,7 @@ def _wait(out: Source) -> None:
 
 
 def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    check = framing.check
+    check, cut = framing.check, False
     end = f"j - {framing.check_size}" if framing.check_size else "j"
     failed = "bad = bad or 'malformed: checksum'"
     if check is not None:
@@ -262,26 +270,29 @@ def _checked(out: Source, number: int, framing: Framing, decode: str, *, alone: 
             out.line(f"    state.work += {size_expr(framing, plain)}")
         else:
             _asked(out, number, check)
-            failed = "bad = bad or reason"
+            failed, cut = "bad = bad or reason", True
         out.line(f"    {failed}")
         out.line("else:")
         out.depth += 1
-    _accept(out, framing, decode, alone=alone)
+    _accept(out, framing, decode, alone=alone, cut=cut)
 
 
 def _asked(out: Source, number: int, check: Check) -> None:
-    """Asks `check_N` of a packet, and begins the branch of a failure."""
+    """Cuts the packet out, asks `check_N` of it, and begins the branch of a failure."""
+    out.line("packet = buffer[i:j]")
     if check.kind == "crc":
-        out.line(f"reason = check_{number}(buffer[i:j])")
+        out.line(f"reason = check_{number}(packet)")
         out.line("if reason is not None:")
         out.line("    state.work += j - i")
         return
-    out.line(f"if base + i <= sums_{number}.end:")
-    out.line(f"    reason = failure_{number}(buffer, base, i, j)")
-    out.line("else:")
-    out.line(f"    reason = check_{number}(buffer[i:j])")
+    out.line(f"if i > summed_{number}:")
+    out.line(f"    reason = check_{number}(packet)")
     out.line("    if reason is not None:")
-    out.line(f"        sums_{number}.fail(buffer[i:j], base + i)")
+    out.line(f"        sums_{number}.fail(packet, base + i)")
+    out.line(f"        summed_{number} = j")
+    out.line("else:")
+    out.line(f"    reason = failure_{number}(buffer, base, i, j)")
+    out.line(f"    summed_{number} = sums_{number}.end - base")
     out.line("if reason is not None:")
 
 
@@ -290,8 +301,10 @@ def size_expr(framing: Framing, start: int) -> str:
     return f"j - i - {start + framing.check_size}"
 
 
-def _accept(out: Source, framing: Framing, decode: str, *, alone: bool) -> None:
-    out.line("packet = buffer[i:j]")
+def _accept(out: Source, framing: Framing, decode: str, *, alone: bool, cut: bool = False) -> None:
+    """Decodes the packet, which is `cut` out already or not."""
+    if not cut:
+        out.line("packet = buffer[i:j]")
     data = "packet"
     if framing.stuffing is not None:
         out.line(f"data = unstuff_{decode}(packet)")

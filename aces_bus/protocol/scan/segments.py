@@ -4,8 +4,8 @@
    the one byte that stuffing keeps out of them (SLIP by C0, COBS by 00).
 2. The first candidate behind a mark goes straight through the framing: good streams cost nothing more. Only when it failed
    is the segment looked at as a whole: which candidates can be unstuffed at all, and what they have in common.
-3. `work` counts the bytes and blocks that were unstuffed, `checked` the bytes that failed checks have read: unstuffing a
-   segment costs a few times its length, and a candidate that can be unstuffed its check.
+3. `work` counts the bytes and blocks that were unstuffed beside those of packets, `checked` the bytes that failed checks
+   have read: unstuffing a segment costs a few times its length, and a candidate that can be unstuffed its check.
 
 *Facts.* A candidate is a suffix of its segment. In SLIP a suffix can be unstuffed when it has no escape that is none, and
 its data are a suffix of the segment's. In COBS a suffix is a chain of blocks that must end at the mark; chains that meet go
@@ -126,29 +126,41 @@ class Segments:
     def reset(self) -> None:
         """As if nothing had been judged."""
         self.work = self.checked = 0
-        self._forget(b"")
+        self._data = b""
+        self._forget()
 
-    def _forget(self, buffer: bytes) -> None:
-        self._buffer = buffer
+    def _forget(self) -> None:
+        #: The buffer in which a candidate failed; empty while none did.
+        self._buffer = b""
         self._first, self._end = -1, -1
         self._segment: SlipSegment | CobsSegment | None = None
 
     def __call__(self, buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
         framing = self._framing
-        if buffer is not self._buffer:
-            self._forget(buffer)
-        if not self._first < start < self._end or self._has_not_next(buffer, start):
-            judged = framing.judge(buffer, start, silent=silent, extras=self._extras)
-            if judged.verdict is Verdict.WHOLE:
-                self.work += judged.size
-            elif judged.verdict is Verdict.BAD and judged.reason not in ("no end", "length"):
-                # What begins behind it, up to the same mark, is judged together.
-                self._first = start
-                self._end = buffer.index(framing.end, start)
-                self._segment = None
-                self.work += self._end - start
-                self.checked += self._end - start
-            return _said(judged, start)
+        if self._buffer:
+            if buffer is not self._buffer or start >= self._end:
+                self._forget()
+            elif start > self._first and not self._has_not_next(buffer, start):
+                return self._judge(buffer, start)
+        judged = framing.judge(buffer, start, silent=silent, extras=self._extras)
+        verdict = judged.verdict
+        if verdict is Verdict.WHOLE:
+            self._data = judged.data
+            return "whole", start + judged.size, ""
+        if verdict is Verdict.MORE:
+            return "more", 0, ""
+        if verdict is Verdict.BAD and judged.reason not in ("no end", "length"):
+            # What begins behind it, up to the same mark, is judged together.
+            self._buffer, self._first = buffer, start
+            self._end = buffer.index(framing.end, start)
+            self._segment = None
+            self.work += self._end - start
+            self.checked += self._end - start
+        return _said(judged, start)
+
+    def _judge(self, buffer: bytes, start: int) -> tuple[str, int, str]:
+        """Judges a candidate inside the segment."""
+        framing = self._framing
         if self._segment is None:
             wire = buffer[start : self._end]
             self._segment = SlipSegment(wire) if type(framing.stuffing) is Slip else CobsSegment(wire)
@@ -164,7 +176,12 @@ class Segments:
         )
         if judged.verdict is Verdict.BAD and judged.reason != "length":
             self.checked += len(data)
+        self._data = judged.data
         return _said(judged, start)
+
+    def unstuff(self, packet: bytes) -> bytes:
+        """The data of `packet`, the whole one that was judged last."""
+        return self._data
 
     def _has_not_next(self, buffer: bytes, start: int) -> bool:
         return bool(self._framing.not_next) and buffer[start] in self._framing.not_next

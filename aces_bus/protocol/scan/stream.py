@@ -86,9 +86,6 @@ class StreamScanner:
             names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
         space = load(self.source, f"aces {label} stream scanner {direction or ''}", names)
         self._scan: Callable[..., int] = space["scan"]
-        for number, overlaps in self._overlaps.items():
-            if f"check_{number}" in space:
-                overlaps.check = space[f"check_{number}"]
         # One framing alone on the wire: large chunks are searched at once.
         self._finder: Finder | None = None
         self._failure: Callable[[bytes], str | None] | None = None
@@ -149,9 +146,9 @@ class StreamScanner:
         if in_segments(framing):
             segments = Segments(framing, extras)
             self._segments.append(segments)
-            names[f"judge_{number}"] = segments
-        else:
-            names[f"judge_{number}"] = _judge(framing, extras)
+            names[f"judge_{number}"], names[f"unstuff_{decode}"] = segments, segments.unstuff
+            return
+        names[f"judge_{number}"] = _judge(framing, extras)
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
 
@@ -260,6 +257,7 @@ class StreamScanner:
             self._state.work += finder.summed
         decode, scan, emit = self._decode, self._scan, found.append
         state, failure, overlap = self._state, self._failure, self._overlap
+        summed = overlap.sums.end - base if overlap is not None else -1
         mark = self.framings[0].sync[:1]
         at = 0
         for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
@@ -270,17 +268,26 @@ class StreamScanner:
                     lose(base + at, start - at, "skipped")
                 else:
                     scan(buffer, base, at, start, False, time, emit, lose, state)
+                    if overlap is not None:
+                        summed = overlap.sums.end - base
             packet = buffer[start:end]
-            if overlap is not None:
-                reason = overlap(buffer, base, start, end)
-            elif failure is not None and (reason := failure(packet)) is not None:
-                state.work += end - start
-            else:
-                reason = None
-            if reason is not None:
-                lose(base + start, 1, reason)
-                at = start + 1
-                continue
+            if failure is not None:
+                if overlap is None:
+                    reason = failure(packet)
+                    if reason is not None:
+                        state.work += end - start
+                elif start > summed:
+                    reason = failure(packet)
+                    if reason is not None:
+                        overlap.sums.fail(packet, base + start)
+                        summed = end
+                else:
+                    reason = overlap(buffer, base, start, end)
+                    summed = overlap.sums.end - base
+                if reason is not None:
+                    lose(base + start, 1, reason)
+                    at = start + 1
+                    continue
             record = decode(packet, base + start, time, None, packet, None)
             if record is None:
                 lose(base + start, end - start, "unknown")
@@ -390,7 +397,9 @@ class StreamScanner:
     @property
     def unstuff_work(self) -> int:
         """How many bytes were unstuffed so far to find packets: those of packets, and of what was none."""
-        return sum(one.work for one in self._segments)
+        if not self._segments:
+            return 0
+        return self._counts.decoded + self._counts.unknown + sum(one.work for one in self._segments)
 
 
 def has_size(framing: Framing) -> bool:

@@ -129,7 +129,10 @@ class Check:
 
     def encode(self, data: bytes) -> bytes:
         """The bytes that stand in a packet whose covered bytes are `data`."""
-        number = self.compute(data)
+        return self.write(self.compute(data))
+
+    def write(self, number: int) -> bytes:
+        """The bytes that stand in a packet whose check is `number`."""
         if self.text is not None:
             return self.text.format(number).encode("ascii")
         return number.to_bytes(self.bytes, self.order)

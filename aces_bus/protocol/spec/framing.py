@@ -42,11 +42,15 @@ class Verdict(enum.Enum):
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict with the packet's size on the wire, or with the reason of a failure."""
+    """A verdict with the packet's size on the wire, or with the reason of a failure.
+
+    `data` is what the check of a whole packet is taken of: the packet, unstuffed where it is stuffed as a whole.
+    """
 
     verdict: Verdict
     size: int = 0
     reason: str = ""
+    data: bytes = b""
 
 
 DEAD = Judgement(Verdict.DEAD)
@@ -200,8 +204,10 @@ class Framing:
             return self._checked(data[start:], extras) if silent else MORE
         if self.end:
             at = data.find(self.end, start + len(self.sync), start + self.max_size)
-            if self.strays(data, start + len(self.sync), at if at >= 0 else start + self.max_size):
-                return BAD("a byte that no packet has")
+            if self.not_inside:
+                stop = at if at >= 0 else start + self.max_size
+                if self.strays(data, start + len(self.sync), stop):
+                    return BAD("a byte that no packet has")
             if at < 0:
                 return MORE if left < self.max_size else BAD("no end")
             packet = data[start : at + len(self.end)]
@@ -253,9 +259,10 @@ class Framing:
                     return BAD(f"no message {key} to check by")
                 extra = extras[key]
             want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
-            if not self.check.same(covered[end : end + self.check_size], want):
+            stored = covered[end : end + self.check_size]
+            if stored != want and not self.check.same(stored, want):
                 return BAD("checksum")
-        return Judgement(Verdict.WHOLE, len(packet))
+        return Judgement(Verdict.WHOLE, len(packet), "", covered)
 
     def strays(self, data: bytes, start: int, stop: int) -> bool:
         """Whether a byte of `not_inside` stands in [start, stop)."""
