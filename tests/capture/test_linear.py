@@ -9,7 +9,7 @@ import pytest
 from aces_bus.capture.open import open_capture
 from aces_bus.errors import CaptureError
 from tests.capture.formats import SAMPLES, Sample
-from tests.laws.test_hostile import calls_of
+from tests.counting import calls
 
 #: Bytes of damage behind a recording, once and twice.
 SIZE = 6_000
@@ -38,5 +38,5 @@ def test_damage_costs_in_proportion(sample: Sample) -> None:
     """Behind a recording stands what is none: twice as much of it, twice the calls."""
     for one, two in zip(damage(sample, SIZE), damage(sample, 2 * SIZE), strict=True):
         read(sample.content + one)  # what is imported and made once
-        work = [calls_of(lambda part=part: read(sample.content + part)) for part in (one, two)]  # type: ignore[misc]
+        work = [calls(lambda part=part: read(sample.content + part)) for part in (one, two)]  # type: ignore[misc]
         assert work[1] <= 2 * MARGIN * work[0] + 2000, (one[:20], work)

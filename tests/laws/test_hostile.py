@@ -5,8 +5,7 @@ Work is counted, not timed: the calls of Python functions. Twice the words may c
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pytest
@@ -17,6 +16,7 @@ from aces_bus.protocol.scan.columns import make_column_scanner
 from aces_bus.protocol.spec.framing import Framing
 from aces_bus.testing import laws
 from aces_bus.testing.laws import Way
+from tests.counting import calls
 from tests.laws.corners import CORNERS
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
@@ -87,24 +87,6 @@ def hostile(framings: Sequence[Framing]) -> list[tuple[str, bytes]]:
 # ---------------------------------------------------------------------- how much it costs
 
 
-def calls_of(work: Callable[[], Any]) -> int:
-    """How many calls of Python functions `work` makes."""
-    count = 0
-
-    def counted(frame: Any, event: str, argument: Any) -> None:
-        nonlocal count
-        if event == "call":
-            count += 1
-
-    before = sys.getprofile()
-    sys.setprofile(counted)
-    try:
-        work()
-    finally:
-        sys.setprofile(before)
-    return count
-
-
 def fed(scanner: StreamScanner, data: bytes) -> None:
     """All of a stream in chunks; what is held stays bounded, and every byte has its bin."""
     for at in range(0, len(data), CHUNK):
@@ -124,7 +106,7 @@ def test_a_hostile_stream_costs_in_proportion(variant: Variant, direction: Way) 
         work: list[int] = []
         for part in (data[: len(data) // 2], data):
             scanner.reset()
-            work.append(calls_of(lambda part=part: fed(scanner, part)))  # type: ignore[misc]
+            work.append(calls(lambda part=part: fed(scanner, part)))  # type: ignore[misc]
         assert work[1] <= 2 * MARGIN * work[0] + 400, (name, work)
 
 
@@ -207,7 +189,7 @@ def test_a_flood_of_frames_costs_in_proportion(variant: Variant, direction: Way)
         scanner.feed(frames)  # tables of what was met are made once
         for part in (frames[:FRAMES], frames):
             scanner.reset()
-            work.append(calls_of(lambda part=part: scanner.feed(part)))  # type: ignore[misc]
+            work.append(calls(lambda part=part: scanner.feed(part)))  # type: ignore[misc]
             assert scanner.counts.balance == 0
             assert scanner.counts.total == len(part)
         assert work[1] <= 2 * MARGIN * work[0] + 400, (name, work)

@@ -86,7 +86,8 @@ def test_a_wire_shrinks_to_little() -> None:
     def has_reset(scene: laws.Scene) -> bool:
         return any(p.message.name == "Reset" for p in scene.packets)
 
-    for seed in (1, 2):
+    # One seed in the short profile: most of the time goes into the shrinking of what is found.
+    for seed in (1, 2, 3) if settings().max_examples > 100 else (3,):
         scene = find(
             strategies.streams(variant, "to device"),
             has_reset,
