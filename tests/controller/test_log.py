@@ -216,7 +216,7 @@ def test_a_name_in_csv_is_no_formula(tmp_path: Path) -> None:
     logger.step(0)
     logger.stop(1)
     assert path.read_text().splitlines()[0] == "time,'=1+1,'@cmd,'-x,'quoted,plain"
-    assert read_log(path).names == names
+    assert tuple(read_log(path).names) == names
 
 
 def test_names_with_and_without_attributes_are_one(tmp_path: Path) -> None:
