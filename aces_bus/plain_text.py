@@ -47,4 +47,12 @@ def text_of_cell(cell: str) -> str:
     return cell[1:] if cell.startswith("'") and cell_text(cell[1:]) == cell else cell
 
 
-__all__ = ["FORMULA", "NUMBER", "cell_text", "printable", "printable_lines", "text_of_cell", "without_controls"]
+__all__ = [
+    "FORMULA",
+    "NUMBER",
+    "cell_text",
+    "printable",
+    "printable_lines",
+    "text_of_cell",
+    "without_controls",
+]

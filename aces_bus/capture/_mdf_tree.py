@@ -57,7 +57,9 @@ _LOCAL = 0x1
 
 _FRAMES = ("CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame")
 
-JOINED = "another MDF file begins behind it, at byte {}, and is not read; take them apart, and read each by itself"
+JOINED = (
+    "another MDF file begins behind it, at byte {}, and is not read; take them apart, and read each by itself"
+)
 CIRCLES = "its blocks are linked in circles, or one is named twice; it is damaged"
 _AGAIN = "its blocks lie over each other; it is damaged"
 

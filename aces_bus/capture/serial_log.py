@@ -78,7 +78,9 @@ class SerialLogCapture(SerialCapture):
                 said = (found[1], found[2]) if found else stamp
                 is_open, others = bool(kept), self.lines_unreadable
                 if kept and (not is_chunk or said != stamp or size + len(data) > CHUNK_BYTES):
-                    chunks.append(_chunk(b"".join(kept), stamp))  # what follows is another, or there is a hole
+                    chunks.append(
+                        _chunk(b"".join(kept), stamp)
+                    )  # what follows is another, or there is a hole
                     kept, size = [], 0
                 if found is None or not is_chunk:
                     self._other_line(number, line, found, len(data))
@@ -104,7 +106,9 @@ class SerialLogCapture(SerialCapture):
     def _missing(self, number: int, line: bytes) -> None:
         """Count a line that should have been there."""
         self.lines += 1
-        self._unreadable(number, "the chunk before goes on, as its + says, and its next line is missing", line)
+        self._unreadable(
+            number, "the chunk before goes on, as its + says, and its next line is missing", line
+        )
 
     def _other_line(self, number: int, line: bytes, found: re.Match[bytes] | None, size: int) -> None:
         """Count a line that gives no bytes."""

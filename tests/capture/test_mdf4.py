@@ -212,7 +212,12 @@ def test_an_empty_file_of_our_own() -> None:
 
 @pytest.mark.parametrize(
     "first",
-    [content_of(SOME), plain_file(RECORDS, 9), listed([RECORDS], 9, 0), plain_file(RECORDS, 0, COUNT_MISSING)],
+    [
+        content_of(SOME),
+        plain_file(RECORDS, 9),
+        listed([RECORDS], 9, 0),
+        plain_file(RECORDS, 0, COUNT_MISSING),
+    ],
     ids=["our own", "plain", "packed", "unfinished"],
 )
 @pytest.mark.parametrize("second", [content_of(SOME), b"UnFinMF " + content_of(SOME)[8:]])

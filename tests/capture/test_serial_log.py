@@ -132,7 +132,13 @@ def test_wrong_lines_are_named(line: bytes, says: str) -> None:
 
 @pytest.mark.parametrize(
     ("rest", "number"),
-    [(b"", 3), (b"(2.0) > [1] 22\n", 3), (b"(1.0) < [1] 22\n", 3), (b"# moved\n(1.0) > [1] 22\n", 3), (b"\n", 3)],
+    [
+        (b"", 3),
+        (b"(2.0) > [1] 22\n", 3),
+        (b"(1.0) < [1] 22\n", 3),
+        (b"# moved\n(1.0) > [1] 22\n", 3),
+        (b"\n", 3),
+    ],
     ids=["end", "time", "direction", "comment", "blank"],
 )
 def test_a_missing_continuation_is_counted(rest: bytes, number: int) -> None:

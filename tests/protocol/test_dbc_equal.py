@@ -247,7 +247,9 @@ def test_every_value_is_that_of_cantools(
 def groups(draw: st.DrawFn) -> dict[int, str]:
     """Identifiers of J1939 messages, some of one parameter group from several sources, and the messages' names."""
     found: dict[int, str] = {}
-    for group in draw(st.lists(st.sampled_from((0xFEC4, 0xFF12, 0xEF00, 0x0500)), min_size=1, max_size=3, unique=True)):
+    for group in draw(
+        st.lists(st.sampled_from((0xFEC4, 0xFF12, 0xEF00, 0x0500)), min_size=1, max_size=3, unique=True)
+    ):
         for source in draw(st.lists(st.integers(0, 253), min_size=1, max_size=4, unique=True)):
             found[6 << 26 | group << 8 | source] = f"m{len(found)}"
     return found
@@ -287,12 +289,16 @@ def test_a_declared_source_has_its_own_message(
     alone = next(n for n in range(254) if all(identifier & 0xFF != n for identifier in messages))
     others = [Frame(identifier & ~0xFF | alone, data, is_extended_id=True) for identifier in messages]
     for frame, record in zip(others, identified(path, text, others), strict=True):
-        group = {name for identifier, name in messages.items() if identifier >> 8 == frame.arbitration_id >> 8}
+        group = {
+            name for identifier, name in messages.items() if identifier >> 8 == frame.arbitration_id >> 8
+        }
         assert isinstance(record, Unknown) or record.meta.message in group
 
 
 @given(
-    identifiers=st.lists(st.integers(0x800, 0x1FFF_FFFF) | st.integers(0, 0x7FF), min_size=1, max_size=5, unique=True),
+    identifiers=st.lists(
+        st.integers(0x800, 0x1FFF_FFFF) | st.integers(0, 0x7FF), min_size=1, max_size=5, unique=True
+    ),
     data=st.binary(min_size=8, max_size=8),
 )
 def test_wide_identifiers_without_the_flag(

@@ -304,7 +304,7 @@ def test_quiet_prints_the_summary_only(aces: Aces, node: Node, opened: Opened) -
 def test_a_second_interrupt_loses_nothing_in_silence(
     aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
-    """Interrupted at once, what was shown is written all the same; where that fails it is said, once, and the status is 2."""
+    """Interrupted at once, what was shown is written; where that fails it is said, once, with status 2."""
     hear = aces_tools.sniff.Sniffing._hear
 
     def interrupted(sniffing: Any, items: Any) -> None:

@@ -86,7 +86,7 @@ class Output:
 
     def flush(self) -> None:
         file: Any = self._file if self._file is not None else sys.stdout
-        if file is not None and not (file is self._file and file.closed):
+        if file is not None and not (self._file is not None and self._file.closed):
             with self._checked():
                 file.flush()
 
