@@ -42,4 +42,17 @@ def cell_text(text: str) -> str:
     return f"'{text}" if _FORMULA.match(text) and not _NUMBER.match(text) else text
 
 
-__all__ = ["FORMULA", "NUMBER", "cell_text", "printable", "printable_lines", "without_controls"]
+def text_of_cell(cell: str) -> str:
+    """The text that `cell_text` made a cell of."""
+    return cell[1:] if cell.startswith("'") and cell_text(cell[1:]) == cell else cell
+
+
+__all__ = [
+    "FORMULA",
+    "NUMBER",
+    "cell_text",
+    "printable",
+    "printable_lines",
+    "text_of_cell",
+    "without_controls",
+]

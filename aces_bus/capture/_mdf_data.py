@@ -189,6 +189,8 @@ class Sorted:
     ) -> None:
         self.segments: dict[int, list[Segment]] = {number: [] for number in wanted}
         self.counts: dict[int, int] = {group.number: 0 for group in stream.groups}
+        #: Bytes at the end that are no whole record.
+        self.rest = 0
         self._variable = {group.number for group in stream.groups if group.flags & VARIABLE_GROUP}
         self.fault = ""
         self._out, self._most, self._end = out, most, out.seek(0, 2)
@@ -206,7 +208,7 @@ class Sorted:
             if not done and end == len(buffer):
                 self.fault = self.fault or f"a record of more than {end} bytes"
             if end < len(buffer):
-                self.fault = self.fault or source.fault
+                self.fault, self.rest = self.fault or source.fault, end - done
                 return
             buffer[: end - done] = buffer[done:end]
             kept = end - done

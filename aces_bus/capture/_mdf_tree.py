@@ -38,6 +38,11 @@ _TEXT = 1 << 12
 #: A packed block is unpacked as a whole. Writers pack 4 MiB at a time, as ASAM recommends.
 PACKED_MOST = 1 << 26
 
+#: How a file begins, finished or not.
+MAGIC = (b"MDF     ", b"UnFinMF ")
+#: Bytes that are looked through at once.
+_LOOK = 1 << 22
+
 # Of `Channel`.
 VALUE, VARIABLE, MASTER, VIRTUAL_MASTER, SIZED, VIRTUAL = 0, 1, 2, 3, 5, 6
 ALL_INVALID, HAS_INVALID = 0x1, 0x2
@@ -52,6 +57,9 @@ _LOCAL = 0x1
 
 _FRAMES = ("CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame")
 
+JOINED = (
+    "another MDF file begins behind it, at byte {}, and is not read; take them apart, and read each by itself"
+)
 CIRCLES = "its blocks are linked in circles, or one is named twice; it is damaged"
 _AGAIN = "its blocks lie over each other; it is damaged"
 
@@ -130,13 +138,17 @@ class Stream(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """A file. `start_ns` is when it begins, since 1970; `has_history` whether it was written to its end."""
+    """A file. `start_ns` is when it begins, since 1970; `has_history` whether it was written to its end.
+
+    `joined_at` is where another file begins behind it, 0 where none does.
+    """
 
     program: bytes
     unfinished: int
     start_ns: int
     has_history: bool
     streams: list[Stream]
+    joined_at: int = 0
 
 
 def start_of(time_ns: int, flags: int) -> int:
@@ -192,11 +204,44 @@ class Blocks:
             group = self._block(at, b"##DG", 4, 1)
             streams.append(self._stream(group))
             at = group.links[0]
+        joined = self.joined_at()
         if self._unfinished & _LAST_LENGTH:
             for stream in streams:
                 if stream.segments and stream.segments[-1].packing is None:
-                    stream.segments[-1] = self._stretched(stream.segments[-1])
-        return Tree(head[16:24], self._unfinished, start, bool(header.links[1]), streams)
+                    last = stream.segments[-1] = self._stretched(stream.segments[-1])
+                    if found := self._another_in(last):
+                        joined, size = found, found - last.at
+                        stream.segments[-1] = Segment(last.at, size, size)
+        return Tree(head[16:24], self._unfinished, start, bool(header.links[1]), streams, joined)
+
+    def joined_at(self) -> int:
+        """Where another file begins behind the last of the blocks that were met, and those that follow it; 0: nowhere."""
+        at = max(self._ends, default=_HEADER_AT)
+        for _ in range(BLOCKS):
+            self._file.seek(at)
+            head = self._file.read(_HEAD.size)
+            if head[:8] in MAGIC:
+                return at
+            if len(head) == _HEAD.size and head[:2] == b"##":
+                at += max(_HEAD.size, _HEAD.unpack(head)[2])
+            elif at % 8:
+                at += -at % 8
+            else:
+                break
+            if at >= self._size:
+                break
+        return 0
+
+    def _another_in(self, segment: Segment) -> int:
+        """Where another file begins in records of which the length is missing; 0: nowhere."""
+        end = segment.at + segment.size
+        for at in range(segment.at, end, _LOOK):
+            self._file.seek(at)
+            data = self._file.read(min(_LOOK + len(MAGIC[0]) + 2, end - at))
+            found = [place for magic in MAGIC if (place := data.find(magic + b"4.")) >= 0]
+            if found:
+                return at + min(found)
+        return 0
 
     # ---- blocks
 

@@ -30,7 +30,7 @@ import numpy as np
 from ..frame_table import Ints
 from ._mdf import PROGRAM
 from ._mdf_conversions import Conversion
-from ._mdf_tree import BUS_EVENT, VARIABLE_GROUP, Blocks, Channel, Group, start_of
+from ._mdf_tree import BUS_EVENT, JOINED, VARIABLE_GROUP, Blocks, Channel, Group, start_of
 from ._mf4_frames import Piece, group_kind, merged, no_log, other_words
 from ._mf4_group import GroupReader, Store, frames_of
 from ._mf4_links import is_tree
@@ -88,6 +88,9 @@ class Reader:
             n, width = len(piece.time), piece.data.shape[1]
             columns = (piece.time, piece.channel, piece.id, piece.flags, piece.length, piece.data)
             self.send(TABLE, SHAPE.pack(n, width) + b"".join(column.tobytes() for column in columns))
+        if joined := self.blocks.joined_at():
+            self.lines += 1
+            self._lose(self.lines, JOINED.format(joined), 1)
         self._tell()
 
     def _tell(self) -> None:

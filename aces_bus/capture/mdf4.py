@@ -23,6 +23,7 @@ from ._mdf_data import Bytes, Sorted, Variable, numbers_of, records
 from ._mdf_tree import (
     BUS_EVENT,
     COUNTS,
+    JOINED,
     VARIABLE,
     VARIABLE_GROUP,
     Channel,
@@ -139,6 +140,9 @@ class BusLog:
                 sources += self._sources(stream, frames, store, capture, lose)
             for piece in merged(sources):
                 yield FrameTable(*piece[1:], capture.channels)
+        if self._tree.joined_at:
+            capture.lines += 1
+            lose(capture.lines, JOINED.format(self._tree.joined_at), 1)
 
     def _sources(
         self,
@@ -160,6 +164,9 @@ class BusLog:
             wanted |= {number for at, number in number_at.items() if at in variable}
             done = Sorted(self._file, stream, sorted(wanted), store, _DISK + 4 * self._size)
             there, pieces, fault = done.counts, done.segments, done.fault
+            if is_open and done.rest and not fault:
+                capture.lines += 1
+                lose(sum(there.values()) + 1, f"of the last record only {done.rest} bytes are there", 1)
         elif len(stream.groups) == 1 and not number_at:
             step = stream.number_bytes + stream.groups[0].size
             there[stream.groups[0].number] = (
@@ -216,6 +223,8 @@ class BusLog:
             done += len(rows)
             if len(rows):
                 yield rows
+        if announced is None and not source.fault and (rest := source.size % size):
+            raise ValueError(f"of the last record only {rest} bytes are there")
         if source.fault and (announced is None or done < announced):
             raise ValueError(source.fault)
         if announced is not None and announced == done < there:

@@ -30,7 +30,7 @@ import numpy as np
 from ..errors import CaptureError
 from ..frame_table import FrameTable
 from . import _mf4_child as child
-from ._mdf_tree import Damaged, Unusual
+from ._mdf_tree import MAGIC, Damaged, Unusual
 from ._source import Source
 from ._spool import on_disk
 from .base import PROBLEMS_KEPT, CanCapture, Problem, printable
@@ -51,7 +51,7 @@ _START = (
 
 def looks_like_mf4(head: bytes) -> bool:
     """Whether these are the first bytes of an MDF file, of whatever version, finished or not."""
-    return head[:8] in (b"MDF     ", b"UnFinMF ")
+    return head[:8] in MAGIC
 
 
 class Mf4Capture(CanCapture):

@@ -11,7 +11,8 @@
 3. What is read is what was written: bytes, boundaries, directions, and times to the nanosecond.
 
 One file is one line; which one, a comment may say. Lines that begin with # are comments, the first among them. A chunk of
-more than `LINE_BYTES` takes several lines; all but its last have a +. The same time and direction stand on each.
+more than `LINE_BYTES` takes several lines; all but its last have a +. The same time and direction stand on each. Where
+one is missing, it counts as an unreadable line, and the chunk ends before it.
 
 *Choice*: text, like candump's, because a recording is looked at with the tools at hand first; hexadecimal digits cost twice
 the bytes, and `.slog.gz` takes that back.
@@ -64,23 +65,28 @@ class SerialLogCapture(SerialCapture):
 
     def _chunks(self) -> Iterator[Chunk]:
         kept: list[bytes] = []  # of a chunk that goes on
-        size = 0
+        size = number = 0
         stamp: tuple[bytes, bytes] = b"", b""
         for block in self._source.lines():
             chunks: list[Chunk] = []
             for line in block[:-1].split(b"\n"):
+                number += 1
                 self.lines += 1
                 found = _LINE.fullmatch(line) if len(line) <= MAX_LINE else None
                 data = unhexlify(found[5]) if found else b""
                 is_chunk = found is not None and len(data) == int(found[4]) > 0
                 said = (found[1], found[2]) if found else stamp
+                is_open, others = bool(kept), self.lines_unreadable
                 if kept and (not is_chunk or said != stamp or size + len(data) > CHUNK_BYTES):
                     chunks.append(
                         _chunk(b"".join(kept), stamp)
                     )  # what follows is another, or there is a hole
                     kept, size = [], 0
                 if found is None or not is_chunk:
-                    self._other_line(line, found, len(data))
+                    self._other_line(number, line, found, len(data))
+                if is_open and (said != stamp or not is_chunk) and self.lines_unreadable == others:
+                    self._missing(number, line)
+                if found is None or not is_chunk:
                     continue
                 self.bytes += len(data)
                 if found[3]:
@@ -94,12 +100,20 @@ class SerialLogCapture(SerialCapture):
                     chunks.append(_chunk(data, said))
             yield from chunks
         if kept:
+            self._missing(number + 1, b"")
             yield _chunk(b"".join(kept), stamp)
 
-    def _other_line(self, line: bytes, found: re.Match[bytes] | None, size: int) -> None:
+    def _missing(self, number: int, line: bytes) -> None:
+        """Count a line that should have been there."""
+        self.lines += 1
+        self._unreadable(
+            number, "the chunk before goes on, as its + says, and its next line is missing", line
+        )
+
+    def _other_line(self, number: int, line: bytes, found: re.Match[bytes] | None, size: int) -> None:
         """Count a line that gives no bytes."""
         if len(line) > MAX_LINE:
-            self._unreadable(self.lines, f"longer than {MAX_LINE} bytes", line)
+            self._unreadable(number, f"longer than {MAX_LINE} bytes", line)
         elif not line.strip():
             self.lines_blank += 1
         elif line.startswith(b"#"):
@@ -111,12 +125,12 @@ class SerialLogCapture(SerialCapture):
                 )
             self.lines_comment += 1
         elif found is None:
-            self._unreadable(self.lines, "not a line of a serial log: (SECONDS) > [BYTES] HEX", line)
+            self._unreadable(number, "not a line of a serial log: (SECONDS) > [BYTES] HEX", line)
         elif not size:
-            self._unreadable(self.lines, "a chunk without bytes", line)
+            self._unreadable(number, "a chunk without bytes", line)
         else:
             announced = int(found[4])
-            self._unreadable(self.lines, f"[{announced}] bytes are announced, {size} are there", line)
+            self._unreadable(number, f"[{announced}] bytes are announced, {size} are there", line)
 
 
 def _chunk(data: bytes, stamp: tuple[bytes, bytes]) -> Chunk:

@@ -169,7 +169,8 @@ def files_of_asammdf(tmp_path: Path) -> Iterator[bytes]:
 def test_the_same_as_with_asammdf(tmp_path: Path) -> None:
     """Every frame, count and problem of ordinary files, whoever wrote them, is what asammdf's way gives."""
     files = ordinary_files()
-    del files["less is announced"]  # asammdf does not say what is behind them
+    for name in ("less is announced", "unfinished, cut"):  # asammdf does not say what is behind them
+        del files[name]
     for level, content in enumerate(files_of_python_can(tmp_path)):
         files[f"python-can {level}"] = content
     for level, content in enumerate(files_of_asammdf(tmp_path)):
@@ -207,6 +208,73 @@ def test_an_empty_file_of_our_own() -> None:
     unfinished = content[:64] + mdf.header(0, 0, 0, 0) + content[64 + 104 :]
     with pytest.raises(CaptureError, match="was never finished"):
         read(unfinished)
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        content_of(SOME),
+        plain_file(RECORDS, 9),
+        listed([RECORDS], 9, 0),
+        plain_file(RECORDS, 0, COUNT_MISSING),
+    ],
+    ids=["our own", "plain", "packed", "unfinished"],
+)
+@pytest.mark.parametrize("second", [content_of(SOME), b"UnFinMF " + content_of(SOME)[8:]])
+def test_a_file_that_is_joined_behind_is_said(first: bytes, second: bytes) -> None:
+    """The first file's frames are read; that another follows, and where, is counted as one unreadable record."""
+    frames, lines, unreadable, *_ = read(first)
+    both = read(first + second)
+    assert (both[0], both[1], both[2]) == (frames, lines + 1, unreadable + 1)
+    assert f"another MDF file begins behind it, at byte {len(first)}," in both[5][-1].reason
+
+
+def test_a_file_joined_behind_records_without_an_end_is_no_record() -> None:
+    """Records of which the length is missing end where another file begins."""
+    whole = plain_file(RECORDS, 9)
+    frames = read(whole)[0]
+    build = Builder()
+    group = build.group(data_frames(build), 0, 21)
+    first = bytearray(build.finish(group, 0))
+    first[:8] = b"UnFinMF "
+    struct.pack_into("<HH", first, 60, COUNT_MISSING | LENGTH_MISSING, 0)
+    place = first.index(b"##DG") + 24 + 8 * 2
+    struct.pack_into("<Q", first, place, len(first))
+    first += mdf.data_block(b"") + RECORDS
+    got = read(bytes(first) + whole)
+    assert got[0] == frames
+    assert f"at byte {len(first)}," in got[5][-1].reason
+
+
+@needs_asammdf
+def test_a_file_that_is_joined_behind_is_said_by_asammdf_s_way() -> None:
+    """Whoever reads the first."""
+    with open_capture(io.BytesIO(later_file() + content_of(SOME)), link="can") as capture:
+        assert sum(map(len, capture.tables())) == 9
+        assert capture.lines_unreadable == 1
+        assert "another MDF file begins" in capture.problems[0].reason
+
+
+def test_a_piece_of_a_record_is_counted() -> None:
+    """An unfinished file that ends within a record gives the whole ones, and says that there is one more."""
+    for content in (
+        plain_file(RECORDS[:-4], 0, flags=COUNT_MISSING),
+        cut_stream(),
+    ):
+        frames, lines, unreadable, *_, problems = read(content)
+        assert (lines, unreadable) == (len(frames) + 1, 1)
+        assert "of the last record only" in problems[0].reason
+
+
+def cut_stream() -> bytes:
+    """Two groups of frames in one stream, the last record of which is not whole."""
+    content = bytearray(many(Builder(), [[0, 1] * 5], [8, 9], 1))
+    content[:8] = b"UnFinMF "
+    struct.pack_into("<HH", content, 60, COUNT_MISSING, 0)
+    at = content.index(b"##DT")
+    size = struct.unpack_from("<Q", content, at + 8)[0]
+    struct.pack_into("<Q", content, at + 8, size - 5)
+    return bytes(content)
 
 
 def test_bytes_as_long_as_another_field_says() -> None:

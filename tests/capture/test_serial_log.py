@@ -130,6 +130,35 @@ def test_wrong_lines_are_named(line: bytes, says: str) -> None:
     assert [(problem.line, problem.reason) for problem in capture.problems] == [(7, says)]
 
 
+@pytest.mark.parametrize(
+    ("rest", "number"),
+    [
+        (b"", 3),
+        (b"(2.0) > [1] 22\n", 3),
+        (b"(1.0) < [1] 22\n", 3),
+        (b"# moved\n(1.0) > [1] 22\n", 3),
+        (b"\n", 3),
+    ],
+    ids=["end", "time", "direction", "comment", "blank"],
+)
+def test_a_missing_continuation_is_counted(rest: bytes, number: int) -> None:
+    """A chunk that says that it goes on, and does not, is handed out as far as it is there, and the hole is counted."""
+    content = b"# aces serial capture 1\n(1.0) >+ [1] 11\n" + rest
+    got, capture = read(content)
+    assert [chunk.data for chunk in got] == [b"\x11", *([b"\x22"] if b"22" in rest else [])]
+    (problem,) = capture.problems
+    assert (problem.line, capture.lines_unreadable) == (number, 1)
+    assert "its next line is missing" in problem.reason
+    assert capture.lines == len(got) + capture.lines_unreadable + capture.lines_comment + capture.lines_blank
+
+
+def test_a_cut_continuation_is_one_unreadable_line() -> None:
+    """What is there and cannot be read is not missing as well."""
+    _, capture = read(b"# aces serial capture 1\n(1.0) >+ [1] 11\n(1.0) > [2] 22\n(2.0) > [3] 11\n")
+    assert [problem.line for problem in capture.problems] == [3, 4]
+    assert capture.lines_unreadable == 2
+
+
 def test_hostile_continuations_are_bounded() -> None:
     """Lines that all say that the chunk goes on give chunks of at most 64 KiB."""
     content = LOG + b"(1.0) >+ [1000] " + b"00" * 1000 + b"\n"

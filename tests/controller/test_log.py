@@ -205,6 +205,20 @@ def test_the_originals_logs_read_back(shared_captures: Path, name: str) -> None:
     assert whole.sum(0) == pytest.approx(table["col_sum"], abs=1e-5)
 
 
+def test_a_name_in_csv_is_no_formula(tmp_path: Path) -> None:
+    """A column's name that a spreadsheet would compute is written as text, and read back as the name that it is."""
+    names = ("=1+1", "@cmd", "-x", "'quoted", "plain")
+    path = tmp_path / "log.csv"
+    clock = VirtualClock()
+    logger = Logger(path, names, clock=clock)
+    logger.bind({name: [1.0] for name in names})
+    logger.start(0)
+    logger.step(0)
+    logger.stop(1)
+    assert path.read_text().splitlines()[0] == "time,'=1+1,'@cmd,'-x,'quoted,plain"
+    assert tuple(read_log(path).names) == names
+
+
 def test_names_with_and_without_attributes_are_one(tmp_path: Path) -> None:
     """`X(value)` is `X`, `X(diff)` is `X(rate)`; blanks may trail, lines may end in CR LF, numbers may be nan."""
     path = tmp_path / "old.txt"

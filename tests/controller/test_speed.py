@@ -1,16 +1,16 @@
-"""What a control cycle may cost, as a ratio to plain calls in the same process, so that a busy machine does not count.
+"""What a control cycle may cost, in calls of Python functions: the same on every machine, however busy it is.
 
-An empty call of a Python function takes some 0.04 µs where the promises were made: 25 of them are 1 µs.
+How long that takes is measured by `aces bench control`.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
 from aces_bus.controller import PID, Bounds, Guard, Phase, Player, Row, StateMachine, Trajectory
+from tests.counting import calls
 
 JOINTS = [f"J{n}" for n in range(21)]
 WAVE = Trajectory(
@@ -19,47 +19,37 @@ WAVE = Trajectory(
 PERIOD = 5_000_000
 
 
-def empty(now: int) -> None:
-    """What the others are measured by."""
+def most_calls(step: Callable[[int], object], count: int = 100) -> int:
+    """The most calls that one of so many steps needs, once some have been made; the step itself is one."""
+    for cycle in range(1, 6):
+        step(cycle * PERIOD)
+    return max(calls(lambda now=cycle * PERIOD: step(now)) for cycle in range(6, 6 + count)) - 1  # type: ignore[misc]
 
 
-def calls(step: Callable[[int], object], count: int = 400) -> float:
-    """The cost of one call of `step` in empty calls: processor time, taken in turns, the least of ten rounds each."""
-    best, cycle = [float("inf")] * 2, 0
-    for _ in range(10):
-        for i, one in enumerate((empty, step)):
-            begin = time.process_time_ns()
-            for _ in range(count):
-                cycle += 1
-                one(cycle * PERIOD)
-            best[i] = min(best[i], (time.process_time_ns() - begin) / count)
-    return best[1] / best[0]
-
-
-def test_a_player_of_21_joints_costs_less_than_30_us() -> None:
-    """Between rows, by cubic interpolation."""
+def test_a_player_calls_nothing_for_each_joint() -> None:
+    """Between rows, by cubic interpolation, 21 joints cost no more calls than one."""
     player = Player("p", WAVE, rate_hz=200, approach=None)
     player.start(0)
-    assert calls(player.step) < 750
+    assert most_calls(player.step) <= 10
     assert player.mode == "running"
 
 
-def test_with_its_guard_it_still_does() -> None:
+def test_a_guard_calls_one_function_for_each_joint() -> None:
     """Position, rate and acceleration of 21 joints, in motion."""
     player = Player("p", WAVE, rate_hz=200, approach=None)
     guard = Guard({joint: Bounds(-2, 2, 5.0, 500.0) for joint in JOINTS}, period_s=0.005)
     player.start(0)
-    assert calls(lambda now: guard.apply(now, player.step(now))) < 1_000
+    assert most_calls(lambda now: guard.apply(now, player.step(now))) <= 15 + len(JOINTS)
     assert guard.clips == {}
 
 
-def test_a_pid_costs_less_than_3_us() -> None:
+def test_a_pid_is_one_function() -> None:
     """With limits, anti-windup and a filtered derivative."""
     pid = PID(2.0, 1.0, 0.1, limits=(-1, 1), derivative_filter_s=0.01, setpoint=0.5)
-    assert calls(lambda now: pid.update(1e-9 * (now % 7), 0.005)) < 75
+    assert most_calls(lambda now: pid.update(1e-9 * (now % 7), 0.005)) <= 3
 
 
-def test_a_transition_costs_less_than_1_us() -> None:
+def test_a_transition_is_a_handful_of_calls() -> None:
     """A guard that is evaluated and a change of phase, each step."""
     machine = StateMachine(
         "m",
@@ -69,5 +59,5 @@ def test_a_transition_costs_less_than_1_us() -> None:
         table=[Row("a", "b", "n < 1"), Row("b", "a", "n < 1")],
     )
     machine.start(0)
-    assert calls(machine.step, 2_000) < 25
-    assert machine.transitions > 10_000
+    assert most_calls(machine.step) <= 9
+    assert machine.transitions > 100

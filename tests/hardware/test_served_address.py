@@ -139,3 +139,19 @@ def test_impossible_channels_are_refused(settings: dict[str, Any]) -> None:
     """Before anything is opened."""
     with pytest.raises(CallerError):
         ServedChannel(**settings)
+
+
+def test_a_server_that_is_slow_is_found(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:
+    """A server is given the time that it has for any answer, and one that gives none is waited for once, not per address."""
+    from aces_bus.hardware.served import stream
+
+    asked: list[float] = []
+
+    def hangs(address: object, timeout: float = 0.0) -> dict[str, object]:
+        asked.append(timeout)
+        raise TimeoutError("no answer in time")
+
+    monkeypatch.setattr(stream, "ask", hangs)
+    with serve(ServedChannel("left"), tcp=("127.0.0.1", 0)):
+        assert served.servers() == []
+    assert asked == [stream.ANSWER_S]

@@ -158,7 +158,7 @@ def test_a_socketcand_client_that_never_ends_a_command(opened: Open) -> None:
 def test_too_many_clients_and_silent_ones(monkeypatch: pytest.MonkeyPatch, opened: Open) -> None:
     """Connections are bounded, and those that do not say who they are make room."""
     monkeypatch.setattr(server_module, "CLIENTS", 3)
-    monkeypatch.setattr(server_module, "INTRODUCTION_S", 0.3)
+    monkeypatch.setattr(server_module, "INTRODUCTION_S", 1.5)
     with serve() as server:
         silent = [parse_address("unix:can0").connect(PATIENCE) for _ in range(3)]
         with pytest.raises(can.CanInitializationError):

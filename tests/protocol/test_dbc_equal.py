@@ -238,3 +238,83 @@ def test_every_value_is_that_of_cantools(
     path = tmp_path_factory.getbasetemp() / "drawn.dbc"
     path.write_text(text, encoding="utf-8")
     agree(path, frames=6, seed=seed)
+
+
+# ---------------------------------------------------------------------- identifiers
+
+
+@st.composite
+def groups(draw: st.DrawFn) -> dict[int, str]:
+    """Identifiers of J1939 messages, some of one parameter group from several sources, and the messages' names."""
+    found: dict[int, str] = {}
+    for group in draw(
+        st.lists(st.sampled_from((0xFEC4, 0xFF12, 0xEF00, 0x0500)), min_size=1, max_size=3, unique=True)
+    ):
+        for source in draw(st.lists(st.integers(0, 253), min_size=1, max_size=4, unique=True)):
+            found[6 << 26 | group << 8 | source] = f"m{len(found)}"
+    return found
+
+
+def text_of(messages: dict[int, str], mark: int, more: str = "") -> str:
+    """A DBC file in which each message has one signal, by which it can be told."""
+    lines = ['VERSION ""', "BU_: A"]
+    for identifier, name in messages.items():
+        lines += [f"BO_ {identifier | mark} {name}: 8 A", f' SG_ of_{name} : 0|16@1+ (0.5,0) [0|0] "" A']
+    return "\n".join([*lines, more, ""])
+
+
+J1939 = 'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "";\nBA_ "ProtocolType" "J1939";'
+
+
+def identified(path: Path, text: str, frames: list[Frame]) -> list[Any]:
+    """The records that frames are with a file."""
+    path.write_text(text, encoding="utf-8")
+    return list(_scanner(load_database(path).protocol, raw=False).feed(frames))
+
+
+@given(messages=groups(), data=st.binary(min_size=8, max_size=8))
+def test_a_declared_source_has_its_own_message(
+    messages: dict[int, str], data: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """A frame with a declared identifier is the message that cantools finds, whatever else is in its parameter group; one
+    from a source that no message has is never a message of another group."""
+    text = text_of(messages, 1 << 31, J1939)
+    path = tmp_path_factory.getbasetemp() / "groups.dbc"
+    database = cantools.database.load_string(text, "dbc")
+    frames = [Frame(identifier, data, is_extended_id=True) for identifier in messages]
+    for frame, record in zip(frames, identified(path, text, frames), strict=True):
+        theirs = database.get_message_by_frame_id(frame.arbitration_id)
+        assert record.meta.message == theirs.name
+        assert getattr(record, f"of_{theirs.name}") == theirs.decode(data)[f"of_{theirs.name}"]
+    alone = next(n for n in range(254) if all(identifier & 0xFF != n for identifier in messages))
+    others = [Frame(identifier & ~0xFF | alone, data, is_extended_id=True) for identifier in messages]
+    for frame, record in zip(others, identified(path, text, others), strict=True):
+        group = {
+            name for identifier, name in messages.items() if identifier >> 8 == frame.arbitration_id >> 8
+        }
+        assert isinstance(record, Unknown) or record.meta.message in group
+
+
+@given(
+    identifiers=st.lists(
+        st.integers(0x800, 0x1FFF_FFFF) | st.integers(0, 0x7FF), min_size=1, max_size=5, unique=True
+    ),
+    data=st.binary(min_size=8, max_size=8),
+)
+def test_wide_identifiers_without_the_flag(
+    identifiers: list[int], data: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Without bit 31 an identifier of more than 11 bits is one of 29 bits: what cantools reads of the file with the bit set
+    is what we read of it without; shorter ones stay 11 bits, and no frame of the other format is the message."""
+    messages = {identifier: f"m{number}" for number, identifier in enumerate(identifiers)}
+    path = tmp_path_factory.getbasetemp() / "wide.dbc"
+    marked = text_of({n | (1 << 31 if n > 0x7FF else 0): name for n, name in messages.items()}, 0)
+    database = cantools.database.load_string(marked, "dbc")
+    frames = [Frame(n, data, is_extended_id=n > 0x7FF) for n in identifiers]
+    for frame, record in zip(frames, identified(path, text_of(messages, 0), frames), strict=True):
+        theirs = database.get_message_by_frame_id(frame.arbitration_id)
+        assert theirs.is_extended_frame == frame.is_extended_id
+        assert record.meta.message == theirs.name
+        assert getattr(record, f"of_{theirs.name}") == theirs.decode(data)[f"of_{theirs.name}"]
+    short = [Frame(n, data, is_extended_id=True) for n in identifiers if n <= 0x7FF]
+    assert all(isinstance(one, Unknown) for one in identified(path, text_of(messages, 0), short))

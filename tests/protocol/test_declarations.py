@@ -574,3 +574,17 @@ def test_a_scanner_is_for_one_thread() -> None:
         scanner.feed(frames())
     assert [record.v for record in scanner.feed([Frame(1, b"\2")])] == [2]
     assert scanner.close() == []
+
+
+def test_a_message_over_nothing_is_not_compared_with_all_others() -> None:
+    """Declaring ten thousand messages of a database is linear: none goes through those before it."""
+
+    class Declared(list[Any]):
+        def __iter__(self) -> Any:
+            raise AssertionError("all messages are gone through")
+
+    protocol = Protocol("many", link="can")
+    protocol.declared = Declared()
+    for number in range(3):
+        protocol.message(f"M{number}", id=number, payload=Struct("a" / Byte))
+    assert len(protocol.declared) == 3

@@ -14,13 +14,14 @@ def test_contenders_agree() -> None:
     _, peer, _, inside = control.between()
     assert inside["omega[-1.2345], linear"]() == pytest.approx(inside[peer]())
     assert inside["omega[-1.2345], cubic"]() == pytest.approx(inside[peer](), abs=1e-3)
-    for _, _, _, contenders in (control.made_of(), control.samples(), control.filters()):
+    subjects = control.made_of, control.samples, control.filters, control.trajectories, control.laws
+    for _, _, _, contenders in (subject() for subject in subjects):
         for call in contenders.values():
             call()
 
 
 def test_rows_have_targets_and_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A contender of ours has the issue's target and, where the peer does the same work, a ratio; a peer has neither."""
+    """A contender of ours has the target and, where the peer does the same work, a ratio; a peer has neither."""
     monkeypatch.setattr(control, "fastest", lambda loops, rounds: dict.fromkeys(loops, 0.001))
     monkeypatch.setattr(control, "_turns", lambda call, most: most)
     rows = {row.contender: row for row in control.run(quick=True)}
@@ -30,4 +31,5 @@ def test_rows_have_targets_and_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rows["push"].target == "≤ 1,000 ns"
     assert rows["second order"].target == "≤ 2,000 ns"
     assert rows["median of 15"].ratio is None
+    assert rows["PID with limits and filter"].target == "≤ 3,000 ns"
     assert (rows["deque.append"].target, rows["deque.append"].ratio) == ("", None)

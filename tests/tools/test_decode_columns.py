@@ -372,10 +372,11 @@ def test_standard_input(arm: str, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} >= {"o.npz"}
 
 
+@pytest.mark.parametrize("is_second", [False, True])
 def test_an_interrupted_file_is_not_written(
-    aces: Aces, arm: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    aces: Aces, arm: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_second: bool
 ) -> None:
-    """Ctrl-C on a file: status 130, the summary of what was read, and what was there before."""
+    """Ctrl-C on a file, and a second one anywhere: status 130, the summary of what was read, and what was there before."""
     from aces_bus.capture import CanCapture
 
     out = tmp_path / "out.npz"
@@ -386,6 +387,8 @@ def test_an_interrupted_file_is_not_written(
         yield from whole(self)
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0)
+        if is_second:
+            raise KeyboardInterrupt
 
     monkeypatch.setattr(CanCapture, "tables", interrupted)
     result = aces("decode", log, "-p", arm, "-o", out)

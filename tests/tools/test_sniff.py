@@ -300,6 +300,30 @@ def test_quiet_prints_the_summary_only(aces: Aces, node: Node, opened: Opened) -
     assert found.summary["frames"] == 5
 
 
+@pytest.mark.parametrize("size", [0, 1 << 20])
+def test_a_second_interrupt_loses_nothing_in_silence(
+    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    """Interrupted at once, what was shown is written; where that fails it is said, once, with status 2."""
+    hear = aces_tools.sniff.Sniffing._hear
+
+    def interrupted(sniffing: Any, items: Any) -> None:
+        hear(sniffing, items)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(aces_tools.sniff.Sniffing, "_hear", interrupted)
+    opened.then(lambda: node.send(0x060, "0A"))
+    lines = tmp_path / "lines.txt"
+    with small_disk(size):
+        found = aces("sniff", *node.options, "-o", lines)
+    if size:
+        assert (found.status, found.messages) == (0, [])
+        assert lines.read_text().endswith("  060   [1]  0A\n")
+    else:
+        assert found.status == 2
+        assert found.messages == [f"{lines}: writing stopped: File too large"]
+
+
 # ---------------------------------------------------------------------- it cannot send
 
 

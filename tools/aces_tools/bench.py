@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=["live", "columns", "bus", "control"],
         help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole captures, beside "
         "cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can's; "
-        "control: what a control loop pays for states and filters, beside deque, np.interp and scipy",
+        "control: what a control loop pays for states, filters and controllers, beside deque, np.interp and scipy",
     )
     parser.add_argument(
         "--quick", action="store_true", help="a few seconds instead of a minute; rougher figures"

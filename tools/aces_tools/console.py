@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, BinaryIO, TypeVar
 
@@ -86,7 +86,7 @@ class Output:
 
     def flush(self) -> None:
         file: Any = self._file if self._file is not None else sys.stdout
-        if file is not None:
+        if file is not None and not (self._file is not None and self._file.closed):
             with self._checked():
                 file.flush()
 
@@ -104,7 +104,16 @@ class Output:
             ) from error
 
     def close(self) -> None:
-        self.flush()
+        """What has been written is in the file. Does nothing more once that has succeeded."""
+        if self._file is not None and self._file.closed:
+            return
+        try:
+            self.flush()
+        except (CallerError, BrokenPipeError):
+            if self._file is not None:
+                with suppress(OSError):
+                    self._file.close()
+            raise
         if self._file is not None:
             with self._checked():
                 self._file.close()

@@ -30,7 +30,7 @@ from aces_bus.frame_table import to_ns
 from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 
-from .console import Output, Patience, terminal_width, wants_colour
+from .console import Output, Patience, abandon_stdout, terminal_width, wants_colour
 from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Reading, Requests, Totals, utf8
 from .output import Writer
 from .output.chosen import LIVE, line_format, table_format
@@ -256,6 +256,19 @@ class LiveDecoding(Decoding):
 
     def _finish(self, *, is_whole: bool) -> None:
         self.output.close()
+
+    def _clean_up(self) -> None:
+        """The output is closed however the run ended, and what could not be written is said."""
+        try:
+            self.output.close()
+        except BrokenPipeError:
+            abandon_stdout()
+        except CallerError as error:
+            if str(error) != self.complaint:
+                self._complain(str(error))
+        except KeyboardInterrupt:  # whoever reads takes no more
+            abandon_stdout()
+            self._complain(f"{self.output.path or 'standard output'}: interrupted before all was written")
 
     def _flush(self) -> None:
         try:

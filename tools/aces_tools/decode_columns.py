@@ -50,7 +50,6 @@ class ColumnDecoding(Decoding):
         # Filters by frame and by time also refuse what is not decoded: they need to see it.
         self.everything = self.shows_losses or self.filter is not None or self.window is not None
         self.source: str | None = None
-        self.interrupted = False
         path: str = arguments.output
         for name in self.files:
             if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
@@ -130,6 +129,7 @@ class ColumnDecoding(Decoding):
         self.progress.close()
         self.export.abandon()  # nothing, once it is closed
         if self.interrupted:
+            self.status = self.status or 130
             say(f"interrupted: {self.arguments.output} is not written")
 
     def _scanner(self, direction: Direction | None, link: str) -> ColumnScanner:

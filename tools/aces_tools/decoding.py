@@ -154,6 +154,10 @@ class Decoding(ABC):
         self.absent = self.bound | {one.interface for one in named if one.interface}
         #: All that occurred, while one is missing.
         self.present: set[str] = set()
+        #: Ctrl-C ended the work before its end.
+        self.interrupted = False
+        #: What was last said to be wrong.
+        self.complaint = ""
         #: Unreadable lines of this file that have been named.
         self.shown = 0
 
@@ -211,7 +215,7 @@ class Decoding(ABC):
             except BrokenPipeError:
                 abandon_stdout()
             except KeyboardInterrupt:
-                patience.is_over = True
+                patience.is_over = self.interrupted = True
             except CallerError as error:  # the output, or a call that only shows itself wrong while decoding
                 self._complain(str(error))
             finally:
@@ -222,7 +226,7 @@ class Decoding(ABC):
         return self.status
 
     def _complain(self, message: str) -> None:
-        self.status = 2
+        self.status, self.complaint = 2, message
         self._flush()
         say(message)
 

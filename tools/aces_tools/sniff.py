@@ -208,7 +208,6 @@ class Sniffing(LiveDecoding):
                 if not self.is_done:
                     self._hear(inbox.get(0))
                     self._end()
-                self.output.close()
             except BrokenPipeError:
                 abandon_stdout()
             except KeyboardInterrupt:
@@ -217,6 +216,7 @@ class Sniffing(LiveDecoding):
                 self._complain(str(error))
             finally:
                 gate.stop()
+                self._clean_up()
             told.tell(last=True)
             self._close(recorder)
             self.total.count(self.scanner.counts)

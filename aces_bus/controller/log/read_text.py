@@ -17,6 +17,7 @@ from typing import IO
 
 import numpy as np
 
+from ...plain_text import text_of_cell
 from .base import About
 from .columns import MOST_COLUMNS
 from .table import MOST_NUMBERS, Log, LogError, made_log, named_columns
@@ -53,7 +54,7 @@ def _head(where: str, number: int, text: bytes, is_csv: bool) -> list[str]:
         raise LogError(f"{where}:{number}: not a text: is this a log?") from None
     if is_csv:
         try:
-            names = next(csv.reader([line], strict=True))
+            names = [text_of_cell(cell) for cell in next(csv.reader([line], strict=True))]
         except csv.Error as error:
             raise LogError(f"{where}:{number}: no line of names: {error}") from None
     else:

@@ -14,6 +14,7 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 
+from ...plain_text import cell_text
 from .base import About, AppendFile, Row, Sink, seconds_text
 
 
@@ -67,7 +68,7 @@ class CsvSink(Sink):
         super().__init__(path, about)
         self._file = AppendFile(path)
         head = io.StringIO()
-        csv.writer(head, lineterminator="\n").writerow(["time", *about.names])
+        csv.writer(head, lineterminator="\n").writerow(["time", *map(cell_text, about.names)])
         self._file.write(head.getvalue().encode())
 
     def append(self, rows: Sequence[Row]) -> None:

@@ -195,8 +195,11 @@ def read_status(body: bytes) -> dict[str, Any]:
     return found
 
 
-def servers(timeout: float = 0.5) -> list[dict[str, Any]]:
-    """The status of each server of this user on this machine. The notes of dead ones are removed."""
+def servers(timeout: float = ANSWER_S) -> list[dict[str, Any]]:
+    """The status of each server of this user on this machine that answers within `timeout` seconds.
+
+    A server that is dead refuses at once, and its note is removed; only one that hangs is waited for.
+    """
     found = []
     for path, content in notes():
         listed = content.get("addresses")
@@ -211,6 +214,8 @@ def servers(timeout: float = 0.5) -> list[dict[str, Any]]:
         for text in texts:
             try:
                 status = ask(parse_address(text), timeout)
+                break
+            except TimeoutError:  # at its other addresses the same one would be waited for
                 break
             except (OSError, AcesError):
                 continue

@@ -211,7 +211,7 @@ class Protocol:
             raise SpecError(f"{made.place}: message {made.name!r} cannot be over itself")
         while left:
             one = left.pop()
-            for other in self.declared:
+            for other in self.declared if one.over else ():
                 if other.name not in one.over or not share_dialect(made, other):
                     continue
                 if made.name in other.over:

@@ -1,4 +1,4 @@
-"""`aces bench control`: what a control loop pays for its states, beside deque, np.interp and scipy.
+"""`aces bench control`: what a control loop pays for its states, beside deque, np.interp and scipy, and for its controllers.
 
 1. Everything is measured as a controller would call it, in a plain `for` loop, whose own cost is counted in.
 2. Ratios are given where the peer does the same work on the same samples; where it is not installed, its row is missing.
@@ -24,6 +24,8 @@ from .timing import Row, fastest, optional
 HISTORY, PERIOD_NS = 1_000, 5_000_000
 #: What a control loop may spend (ns): a value, one between two samples, taking a sample, a filter's step.
 VALUE_NS, BETWEEN_NS, PUSH_NS, FILTER_NS = 300, 3_000, 1_000, 2_000
+#: The same of a step of controllers: of 21 joints with their limits, of one controller.
+JOINTS, JOINTS_NS, STEP_NS = 21, 40_000, 3_000
 #: Butterworth, 5 Hz of 200 Hz: second order, and the same four times over.
 SECTION = (
     0.005542717210280681,
@@ -45,7 +47,15 @@ Contenders = Mapping[str, Callable[[], Any]]
 def run(*, quick: bool = False) -> Iterable[Row]:
     """All rows; `quick` takes some two seconds and is rougher."""
     rounds, calls = (8, 2_000) if quick else (20, 5_000)  # short and many: some are left alone by others
-    for subject, peer, target, contenders in (values(), between(), made_of(), samples(), filters()):
+    for subject, peer, target, contenders in (
+        values(),
+        between(),
+        made_of(),
+        samples(),
+        filters(),
+        trajectories(),
+        laws(),
+    ):
         turns = {name: _turns(call, calls) for name, call in contenders.items()}
         loops = {name: _loop(call, turns[name]) for name, call in contenders.items()}
         best = {name: s / turns[name] * 1e9 for name, s in fastest(loops, rounds=rounds).items()}
@@ -191,6 +201,68 @@ def filters() -> tuple[str, str, int | None, Contenders]:
         out: Any = fed.filtered(whole, uneven=uneven)  # type: ignore[arg-type]
         contenders[f"omega.filtered(second order), {name}"] = _taken(out, instants)
     return "a sample through a filter", "scipy sosfilt, second order", FILTER_NS, contenders
+
+
+def trajectories() -> tuple[str, str, int | None, Contenders]:
+    """A step of a motion of many joints."""
+    import numpy as np
+
+    from aces_bus.controller import Bounds, Guard, Player, Trajectory
+
+    joints = [f"J{number}" for number in range(JOINTS)]
+    rows = np.sin(np.arange(3_000)[:, None] / 50 + np.arange(JOINTS))
+    wave = Trajectory(joints, rows, rate_hz=50, interpolation="cubic")
+    bounds = {joint: Bounds(-2, 2, 5.0, 500.0) for joint in joints}
+
+    def moving(*, is_guarded: bool) -> Callable[[], Any]:
+        player = Player("wave", wave, rate_hz=200, approach=None)
+        guard = Guard(bounds, period_s=PERIOD_NS / 1e9)
+        period = count(0, PERIOD_NS)
+
+        def step() -> object:
+            now = next(period)
+            if now % 50_000_000_000 == 0:  # before its end: once more
+                player.start(now)
+            points = player.step(now)
+            return guard.apply(now, points) if is_guarded else points
+
+        return step
+
+    return (
+        f"a step of a motion of {JOINTS} joints",
+        "",
+        JOINTS_NS,
+        {
+            "Player, cubic": moving(is_guarded=False),
+            "Player, cubic, and Guard": moving(is_guarded=True),
+        },
+    )
+
+
+def laws() -> tuple[str, str, int | None, Contenders]:
+    """A step of a controller of one joint, and of a state machine that changes its phase."""
+    from aces_bus.controller import PID, Phase, StateMachine
+    from aces_bus.controller import Row as Transition
+
+    pid = PID(2.0, 1.0, 0.1, limits=(-1, 1), derivative_filter_s=0.01, setpoint=0.5)
+    machine = StateMachine(
+        "machine",
+        rate_hz=200,
+        memory={"n": 0},
+        phases=[Phase("a"), Phase("b")],
+        table=[Transition("a", "b", "n < 1"), Transition("b", "a", "n < 1")],
+    )
+    machine.start(0)
+    instants = count(PERIOD_NS, PERIOD_NS)
+    return (
+        "a step of a controller",
+        "",
+        STEP_NS,
+        {
+            "PID with limits and filter": lambda: pid.update(0.4, 0.005),
+            "StateMachine, a transition": lambda: machine.step(next(instants)),
+        },
+    )
 
 
 def _step(step: Callable[[float, int], float], instants: count[int]) -> Callable[[], Any]:
