@@ -31,8 +31,8 @@ from .live import parse_duration
 from .robot_arg import VARIABLE, add_robot_arguments, chosen_robot
 
 EPILOG = """\
-exit status: 0; 1 when a controller was stopped, a device was not heard, a log is
-not whole or the end was not clean; 2 a wrong call, or a bus that cannot be
+exit status: 0; 1 when a controller was stopped, a device was not heard, a log
+is not whole or the end was not clean; 2 a wrong call, or a bus that cannot be
 opened; 130 when interrupted before it ran, or twice
 """
 
