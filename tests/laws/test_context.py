@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from construct import ConstructError
+from hypothesis import settings
 
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Message, Request, StreamScanner, Variant, as_dict
@@ -23,6 +24,10 @@ from aces_bus.testing._play import image_of
 from aces_bus.testing._source import spread
 from aces_bus.testing._values import draw_packet
 from tests.laws.wires import PROTOCOLS
+
+IS_LONG = settings().max_examples > 100
+#: Scenes of a bus, and of a stream, that are played.
+BUS_SCENES, STREAM_SCENES = (15, 59) if IS_LONG else (7, 25)
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,7 @@ def test_replies_are_told_by_the_rule(name: str, direction: laws.Way) -> None:
     told = 0
     variants = [v for v in PROTOCOLS[name].variants() if Model(v, direction).bound]
     for variant in variants[-2:]:
-        for seed in range(1, 16):
+        for seed in range(1, BUS_SCENES + 1):
             (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed), size=700)
             model = Model(variant, direction)
             given = laws.play(laws.scanner_of(variant, direction), scene)
@@ -170,7 +175,7 @@ def test_replies_in_a_stream_are_told_by_the_rule(name: str) -> None:
     variant = PROTOCOLS[name].variant()
     scanner = laws.scanner_of(variant, "both")
     told = 0
-    for seed in range(1, 60):
+    for seed in range(1, STREAM_SCENES + 1):
         source = spread(seed, 2000)
         model = Model(variant, "both")
         scanner.reset()

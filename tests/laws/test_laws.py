@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from aces_bus.protocol import make_scanner
 from aces_bus.testing import laws, strategies
-from aces_bus.testing._bench import Bench, bench_of
+from aces_bus.testing._bench import Bench
 from aces_bus.testing._saved import load, save
 from aces_bus.testing._source import spread
 from aces_bus.testing.fuzz import shrink
@@ -29,7 +30,7 @@ from tests import kept
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 
 #: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
-EXAMPLES = 10
+EXAMPLES = 8
 #: Shrinking is ours: it knows what a packet is.
 PHASES = (Phase.explicit, Phase.generate)
 #: Where scenes that break a law are kept: when they are drawn anew, for else they come again by themselves.
@@ -39,15 +40,25 @@ BOUNDED = LAWS[6]
 ANY_SCENE = tuple(law for law in LAWS if law is not BOUNDED)
 
 
+@cache
+def _bench(case: Case) -> Bench:
+    """The scanners of a case, made once; in the short profile construct is asked once of an image, as in `aces fuzz`."""
+    return Bench(case.wire, case.direction, remembers=not _is_long())
+
+
+def _is_long() -> bool:
+    return settings().max_examples > 100
+
+
 def _examples(case: Case) -> int:
-    profile = settings()
-    wanted = profile.max_examples if profile.max_examples > 100 else EXAMPLES
+    wanted = settings().max_examples if _is_long() else EXAMPLES
     return max(2, wanted // case.share)
 
 
 def _holds(asked: Sequence[Law], case: Case, folder: Path | None) -> None:
     """Draw scenes and ask laws of them; the scene that breaks one is kept in a folder, shrunk."""
     broken: list[tuple[Law, tuple[Any, ...]]] = []
+    bench = _bench(case)
 
     @settings(
         max_examples=_examples(case),
@@ -57,7 +68,7 @@ def _holds(asked: Sequence[Law], case: Case, folder: Path | None) -> None:
     )
     @given(strategies.arguments(asked[-1], case.wire, case.direction))
     def holds(arguments: tuple[Any, ...]) -> None:
-        trial = laws.Trial(bench_of(case.wire, case.direction), *arguments)
+        trial = laws.Trial(bench, *arguments)
         for law in asked:
             try:
                 law.judges(trial)

@@ -19,6 +19,7 @@ from aces_bus.testing._source import Entropy, spread
 from aces_bus.testing._values import Packet, UndrawableError, draw_packet
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
+IS_LONG = settings().max_examples > 100
 VARIANTS = [v for protocol in PROTOCOLS.values() for v in protocol.variants()]
 
 
@@ -27,7 +28,7 @@ def test_every_message_is_drawn_and_heard(variant: Any) -> None:
     """A scanner that hears nothing but a drawn packet, its request having been sent, hears that message."""
     scanner = make_scanner([variant], direction=laws.directions(variant)[0], everything=True)
     for message in variant.facing(None):
-        for seed in range(6):
+        for seed in range(6 if IS_LONG else 3):
             packet = draw_packet(message, spread(seed), variant)
             scanner.reset()
             assert [type(r).__name__ for r in _hear(scanner, packet)] == [message.name]
@@ -45,7 +46,7 @@ def _hear(scanner: Scanner, packet: Packet) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", [*REGISTERED, "ubx", "nmea0183", "opaque_corners", "can_corners"])
-@settings(max_examples=30)
+@settings(max_examples=30 if IS_LONG else 12)
 @given(st.data())
 def test_strategies_draw_valid_packets(name: str, data: st.DataObject) -> None:
     """`packets` and `fields` give what `message.struct` builds and reads."""
@@ -66,7 +67,7 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
         scanner = make_scanner([variant], direction=direction, everything=True)
         reasons: set[str] = set()
         decoded = total = 0
-        for seed in range(1, 20):
+        for seed in range(1, 20 if IS_LONG else 11):
             (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed))
             scanner.reset()
             given = laws.play(scanner, scene)
@@ -87,7 +88,7 @@ def test_a_wire_shrinks_to_little() -> None:
         return any(p.message.name == "Reset" for p in scene.packets)
 
     # One seed in the short profile: most of the time goes into the shrinking of what is found.
-    for seed in (1, 2, 3) if settings().max_examples > 100 else (3,):
+    for seed in (1, 2, 3) if IS_LONG else (3,):
         scene = find(
             strategies.streams(variant, "to device"),
             has_reset,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from construct import Byte, Float32l, Int16sl, Int16ul, Struct, this
+from hypothesis import settings
 
 from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
@@ -36,9 +37,9 @@ from aces_bus.testing._source import spread
 from tests.laws.wires import CASES, MIXED, Case
 
 #: Bytes of a scene, or sixteenths of a frame.
-SIZE = 3000
+SIZE = 2000
 #: Cases of a protocol that get a long scene: its first, and some of its other dialects, configurations, directions.
-LONG_CASES = 3
+LONG_CASES = 3 if settings().max_examples > 100 else 2
 
 
 def _some(cases: Sequence[Case]) -> list[Case]:

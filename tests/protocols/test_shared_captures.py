@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aces_bus.capture import open_capture
@@ -157,6 +157,9 @@ def cut(data: bytes, cuts: Iterable[int]) -> Iterator[bytes]:
     return (data[a:b] for a, b in pairwise(edges))
 
 
+IS_LONG = settings().max_examples > 100
+#: For tests that read a whole recording for each example.
+few = settings() if IS_LONG else settings(max_examples=4)
 every_file = pytest.mark.parametrize("name", FILES)
 
 
@@ -173,6 +176,7 @@ def test_byte_by_byte(known: Mapping[str, Known], name: str) -> None:
 
 
 @every_file
+@few
 @given(cuts=st.lists(st.integers(0, 1 << 20), max_size=40))
 def test_in_random_chunks(known: Mapping[str, Known], name: str, cuts: list[int]) -> None:
     """A recording that arrives in any chunks gives the same."""
@@ -180,6 +184,7 @@ def test_in_random_chunks(known: Mapping[str, Known], name: str, cuts: list[int]
 
 
 @every_file
+@few
 @given(
     junk=st.binary(max_size=300).map(lambda b: b.replace(b"\xff", b"\xfe")),
     cuts=st.lists(st.integers(0, 1 << 20), max_size=10),
@@ -238,7 +243,7 @@ def test_behind_any_junk(
 
 
 @every_file
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_whole_recording_behind_junk(known: Mapping[str, Known], name: str, seed: int) -> None:
     """The same for whole recordings, behind junk drawn from a seed."""
     rng = random.Random(seed)
