@@ -30,7 +30,7 @@ from tests import kept
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 
 #: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
-EXAMPLES = 8
+EXAMPLES = 6
 #: Shrinking is ours: it knows what a packet is.
 PHASES = (Phase.explicit, Phase.generate)
 #: Where scenes that break a law are kept: when they are drawn anew, for else they come again by themselves.
