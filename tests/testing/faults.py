@@ -19,6 +19,7 @@ from aces_bus.protocol.codegen import load
 from aces_bus.protocol.scan import can, decider, find, rows, stream
 from aces_bus.protocol.scan.context import Context
 from aces_bus.protocol.scan.counts import Counts
+from aces_bus.protocol.scan.segments import Segments
 from tests.testing.victims import (
     a_bus,
     a_line,
@@ -95,13 +96,9 @@ def checks_of_frames_are_not_looked_at(patch: Patch) -> None:
 
 
 def an_escape_is_left_in(patch: Patch) -> None:
-    good = stream._unstuffer
+    good = Segments.unstuff
 
-    def unstuffer(framing: Any) -> Any:
-        logical = good(framing)
-        return lambda packet: logical(packet.replace(b"\xdb\xdd", b"\xdb\xdc"))
-
-    patch.setattr(stream, "_unstuffer", unstuffer)
+    patch.setattr(Segments, "unstuff", lambda self, packet: good(self, packet).replace(b"\xdb", b"\xc0"))
 
 
 def an_end_mark_is_looked_for_too_late(patch: Patch) -> None:
