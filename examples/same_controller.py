@@ -21,7 +21,6 @@ from aces_bus.frame import Frame
 from aces_bus.hardware import Recorder
 from aces_devices.robots import load_robot as load_shipped
 
-SECONDS = 2.4
 HUBO = load_shipped("hubo2plus").part(*walk.writes)  # its legs and waist
 MINIHUBO = load_robot(Path(__file__).with_name("minihubo_like_hubo.toml"))
 
@@ -59,7 +58,7 @@ def said(where: str, notes: Notes, run: Runner) -> None:
     )
 
 
-def on_hubo() -> tuple[Notes, list[Frame], int]:
+def on_hubo(seconds: float) -> tuple[Notes, list[Frame], int]:
     """Over CAN; what was on both buses, and when (ns) the controller began."""
     hubo = VirtualRobot(HUBO, rate_hz=100)
     recorders = {name: Recorder(wire) for name, wire in hubo.wires.items()}
@@ -69,7 +68,7 @@ def on_hubo() -> tuple[Notes, list[Frame], int]:
         run.do("home")
         run.do("enable")
         began = run.clock.now()
-        run.run(SECONDS)
+        run.run(seconds)
     said("Hubo 2+, CAN", notes, run)
     heard = [(at, name, frame) for name, recorder in recorders.items() for at, frame in recorder.heard]
     frames = [
@@ -79,33 +78,33 @@ def on_hubo() -> tuple[Notes, list[Frame], int]:
     return notes, frames, began
 
 
-def on_minihubo() -> Notes:
+def on_minihubo(seconds: float) -> Notes:
     """Over serial."""
     notes = Notes()
     run = notes.run = run_virtual(MINIHUBO, [walk], loggers=[notes])
     with run:
         run.do("enable")
-        run.run(SECONDS)
+        run.run(seconds)
     said("MiniHubo, serial", notes, run)
     return notes
 
 
-def on_recording(frames: list[Frame], began: int) -> Notes:
+def on_recording(frames: list[Frame], began: int, seconds: float) -> Notes:
     """On what was recorded, from a little before the controller began."""
     since = [frame for frame in frames if (frame.timestamp or 0.0) > began / 1e9 - 0.1]
     notes = Notes()
     run = notes.run = run_replay(HUBO, since, [walk], loggers=[notes])
     with run:
         run.clock.wait(lambda: False, began - round((since[0].timestamp or 0.0) * 1e9))
-        run.run(SECONDS)
+        run.run(seconds)
     said(f"recording, {len(since)} frames", notes, run)
     return notes
 
 
-def main() -> tuple[Notes, Notes, Notes]:
+def main(seconds: float = 2.4) -> tuple[Notes, Notes, Notes]:
     print(f"{walk.name}: {walk.rate_hz:g} Hz, reads {', '.join(walk.states)}, sets {', '.join(walk.writes)}")
-    first, frames, began = on_hubo()
-    second, third = on_minihubo(), on_recording(frames, began)
+    first, frames, began = on_hubo(seconds)
+    second, third = on_minihubo(seconds), on_recording(frames, began, seconds)
     same = sum(a == b for a, b in zip(first.given, third.given, strict=False))
     print(f"on the recording it gave the same as on the robot in {same} of {len(first.given)} cycles")
     return first, second, third

@@ -253,7 +253,7 @@ def check_silence(stand: Stand) -> None:
                 if other is not device and other.polls:
                     assert not other.is_silent, f"{other.name} fell silent with {device.name}"
             twin.fault("silent", on=False)
-            robot.advance(SETTLE)
+            _recover(robot, device)
             assert not device.is_silent, f"{device.name} answers and counts as silent"
             fresh = [one for one in heard(device) if one.value is not UNKNOWN]
             assert fresh, f"nothing of {device.name} is fresh again"
@@ -281,18 +281,14 @@ def check_misbehaviour(stand: Stand) -> None:
             for fault, kinds in MISBEHAVIOUR.items():
                 if stand.is_excused("misbehaviour", f"{device.name} {fault}"):
                     continue
-                before = dict(robot.events.counts)
                 twin.fault(fault, 0.23 if fault == "late" else None)
-                robot.advance(SETTLE)
                 if kinds is not None and device.polls:
-                    told = {
-                        kind
-                        for (kind, who), count in robot.events.counts.items()
-                        if count > before.get((kind, who), 0)
-                    }
+                    told = _told(robot, kinds)
                     assert told & set(kinds), (
                         f"{device.name} is {fault}, and that is told as {told or 'nothing'}"
                     )
+                else:
+                    robot.advance(SETTLE)
                 twin.fault(fault, on=False)
                 _recover(robot, device)
                 assert not device.is_silent, f"{device.name} is silent after having been {fault}"
@@ -300,15 +296,35 @@ def check_misbehaviour(stand: Stand) -> None:
         _no_bug(robot)
 
 
-def _recover(robot: VirtualRobot, device: Device) -> None:
-    """Wait until a device is heard again, at most `SETTLE`; what was under way has a second to end in any case."""
-    since = robot.clock.now()
+def _told(robot: VirtualRobot, kinds: Sequence[str]) -> set[str]:
+    """What is told until it is one of these kinds, at most for `SETTLE`."""
+    before = dict(robot.events.counts)
+
+    def told() -> set[str]:
+        counts = robot.events.counts.items()
+        return {kind for (kind, who), count in counts if count > before.get((kind, who), 0)}
+
+    _until(robot, lambda: not told().isdisjoint(kinds))
+    return told()
+
+
+def _until(robot: VirtualRobot, is_so: Callable[[], bool]) -> None:
+    """Wait until something is so, at most `SETTLE`; what was under way has a second to end in any case."""
+    end = robot.clock.now() + SETTLE * 1e9
     robot.advance(1.0)
-    while robot.clock.now() - since < SETTLE * 1e9:
-        instants = [one.instant for one in heard(device) if one.instant is not None]
-        if not device.is_silent and max(instants, default=0) > since:
-            return
+    while robot.clock.now() < end and not is_so():
         robot.advance(0.5)
+
+
+def _recover(robot: VirtualRobot, device: Device) -> None:
+    """Wait until a device is heard again, at most `SETTLE`."""
+    since = robot.clock.now()
+
+    def is_back() -> bool:
+        instants = [one.instant for one in heard(device) if one.instant is not None]
+        return not device.is_silent and max(instants, default=0) > since
+
+    _until(robot, is_back)
 
 
 def check_two_of_one(stand: Stand) -> None:
@@ -349,7 +365,7 @@ def check_reboot(stand: Stand) -> None:
             twin.power(False)
             robot.advance(0.5)
             twin.power(True)
-            robot.advance(SETTLE)
+            _recover(robot, device)
             if heard(device):
                 assert not device.is_silent, f"{device.name} is silent after its reboot"
         _no_bug(robot)

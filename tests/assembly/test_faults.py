@@ -31,9 +31,9 @@ from tests.assembly.walking import (
 def test_nothing_goes_wrong() -> None:
     """Without a fault the leg swings to the end of its time, and is stopped then."""
     ended, walk, look, run = walk_into(lambda run: None)
-    assert (ended.reason, ended.tripped, ended.seconds) == ("", {}, 1.2)
+    assert (ended.reason, ended.tripped, ended.seconds) == ("", {}, 0.8)
     assert walk.told == []
-    assert len(look.rows) == 121
+    assert len(look.rows) == 81
     assert motors_are_off(run)
 
 
@@ -43,7 +43,7 @@ def test_a_silent_board() -> None:
     event = stopped_in_time("silent", ended, walk, look)
     assert event.source == "JMC1"
     assert "JMC1: silent" in ended.tripped["walk"]
-    assert 0.5 < ended.seconds < 0.8
+    assert 0.2 < ended.seconds < 0.5
     assert motors_are_off(run)
 
 
@@ -66,7 +66,7 @@ def test_a_board_that_reboots() -> None:
     ended, walk, look, run = walk_into(lambda run: run.world.twins["JMC2"].reboot(), seconds=4.0)
     event = stopped_in_time("rebooted", ended, walk, look)
     assert event.source == "JMC2"
-    assert ended.seconds < 1.5
+    assert ended.seconds < 1.2
     assert motors_are_off(run)
 
 
@@ -128,7 +128,7 @@ def test_bus_off() -> None:
     ended, walk, look, _ = walk_into(errors, reactions={"error-passive": IGNORE})
     event = stopped_in_time("bus-off", ended, walk, look)
     assert event.source == "lower"
-    assert ended.seconds == pytest.approx(0.5, abs=0.02)
+    assert ended.seconds == pytest.approx(0.2, abs=0.02)
 
 
 def babble(run: Runner) -> None:
@@ -187,7 +187,7 @@ def test_a_cable_that_is_pulled(is_serial: bool) -> None:
     kind = walk.kinds()[0]
     assert kind in ("silent", "not sent", "error-passive", "bus-off")
     stopped_in_time(kind, ended, walk, look)
-    assert ended.seconds < 0.8
+    assert ended.seconds < 0.5
     assert {name.partition(".")[0] for name in run.unknown_states()} >= set(joints)
     # Whoever is behind the cable has not stopped, as far as anybody knows, and is named.
     on_it = {joint.device for joint in robot.joints.values()} & set(run.rig.devices)
@@ -202,7 +202,7 @@ def test_a_servo_that_falls_silent() -> None:
     )
     event = stopped_in_time("silent", ended, walk, look)
     assert event.source == "S96"
-    assert ended.seconds < 0.8
+    assert ended.seconds < 0.5
     (text,) = ended.failed  # who does not answer cannot be told to stop
     assert text.startswith("S96: servos S96: no answer")
     assert list(ended.not_stopped) == ["S96"]
@@ -214,7 +214,7 @@ def test_a_servo_that_reboots() -> None:
         lambda run: run.world.twins["S96"].reboot(), mini_leg(), Walk(MINI), seconds=4.0
     )
     assert stopped_in_time("rebooted", ended, walk, look).source == "S96"
-    assert ended.seconds < 1.7
+    assert ended.seconds < 1.4
 
 
 def test_two_servos_of_one_number() -> None:

@@ -1,4 +1,4 @@
-"""Legs that swing in virtual time, until something goes wrong half a second later: for tests of faults.
+"""Legs that swing in virtual time, until something goes wrong a fifth of a second later: for tests of faults.
 
 A leg of Hubo 2+ (four boards and a force sensor, on CAN) and one of MiniHubo (three servos, on a serial line).
 """
@@ -18,7 +18,7 @@ from aces_devices.robots import load_robot
 
 MS = 1_000_000
 CYCLE = 10 * MS
-FAULT_AT = 500 * MS
+FAULT_AT = 200 * MS
 HUBO = ("RHR", "RHP", "RKN", "RAP", "RAR")
 MINI = ("RHP", "RKP", "RAP")
 
@@ -92,7 +92,7 @@ def walk_into(
     robot: Robot | VirtualRobot | None = None,
     walk: Walk | None = None,
     *,
-    seconds: float = 1.2,
+    seconds: float = 0.8,
     more_loggers: tuple[Any, ...] = (),
     **options: Any,
 ) -> tuple[Ended, Walk, Look, Runner]:

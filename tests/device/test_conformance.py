@@ -71,11 +71,27 @@ class Random(FanTwin):
         pass
 
 
+class Fragile(FanTwin):
+    """A twin that never answers again after a fault or without power."""
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        super().fault(name if on else "silent", amount if on else None)
+
+    def power(self, on: bool) -> None:
+        super().power(on)
+        if on:
+            super().fault("silent")
+
+
 @pytest.mark.parametrize(
     ("check", "broken"),
     [
         ("heard", replace(FAN, device=Deaf)),
         ("silence", replace(FAN, device=Careless)),
+        ("silence", replace(FAN, twin=Fragile)),
+        ("misbehaviour", replace(FAN, device=Careless)),
+        ("misbehaviour", replace(FAN, twin=Fragile)),
+        ("reboot", replace(FAN, twin=Fragile)),
         ("limits", replace(FAN, device=Unlimited)),
         ("quiet_before", replace(FAN, device=Eager, twin=Spinning)),
         ("same_again", replace(FAN, twin=Random)),

@@ -146,7 +146,7 @@ def test_the_reference_filter_arrives() -> None:
     with made(LIMB.replace("settings = {", "settings = { filter = 40,")) as robot:
         up(robot)
         robot["RHY.position"].set(0.2)
-        frames = references(robot, lambda: robot.advance(8.0))
+        frames = references(robot, lambda: robot.advance(5.0))
         steps = [int.from_bytes(data[:3], "little") for _, data in frames]
         assert steps[0] == 31830 // 40
         assert steps[-1] == 31830
@@ -319,11 +319,11 @@ def test_no_board_of_the_bus_is_sent_references_after_a_home_command() -> None:
 @pytest.mark.parametrize("fault", ["jam", "no_switch", "no_index"])
 def test_a_home_search_that_fails_says_why(fault: str) -> None:
     """A blocked motor, a switch that never closes, an index that never comes: no home within the time, with the reason."""
-    with made(LIMB.replace("settings = {", "settings = { home_timeout_s = 12,")) as robot:
+    with made(LIMB.replace("settings = {", "settings = { home_timeout_s = 6,")) as robot:
         robot.advance(0.5)
         robot.twins["JMC0"].fault(fault, 1)
         job = robot.devices["JMC0"].home("RHY")
-        with pytest.raises(DeviceError, match=r"JMC0: no home within 12 s: RHY \(home flag 0") as failed:
+        with pytest.raises(DeviceError, match=r"JMC0: no home within 6 s: RHY \(home flag 0") as failed:
             job.wait(30)
         assert fault != "jam" or "jam" in str(failed.value)
         robot.twins["JMC0"].fault(fault, on=False)

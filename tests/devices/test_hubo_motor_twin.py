@@ -26,8 +26,10 @@ def robot_of(text: str) -> Robot:
     return robot
 
 
-def made(text: str = D12, seed: int = 0) -> VirtualRobot:
-    return VirtualRobot(robot_of(text), rate_hz=100, seed=seed, load=lambda _: driver)
+def made(text: str = D12, seed: int = 0, board: str = "") -> VirtualRobot:
+    """The example's boards, or one of them."""
+    robot = robot_of(text)
+    return VirtualRobot(robot.part(board) if board else robot, rate_hz=100, seed=seed, load=lambda _: driver)
 
 
 def up(robot: VirtualRobot) -> None:
@@ -135,13 +137,15 @@ OF_THE_BOARD = {"driver_on", "control_on", "current_mode", "limit_switch"}
 @pytest.mark.parametrize(("bit", "cause"), BITS)
 def test_every_status_bit_can_be_reached(bit: str, cause: Callable[[VirtualRobot], None]) -> None:
     """Each bit of the status is set by something that happens to the motor, and read by the driver under its name."""
-    with made() as robot:
+    with made(board="JMC0") as robot:
         up(robot)
         seen: set[str] = set()
         cause(robot)
         for _ in range(8):
             robot.advance(0.25)
             seen |= set(robot["RHY.status"].last)
+            if bit in seen:
+                break
         assert bit in seen
         assert bit in OF_THE_BOARD or bit not in robot["RHR.status"].last
 
@@ -161,7 +165,7 @@ def test_the_bits_are_all_there_are() -> None:
 )
 def test_every_bit_of_a_finger_can_be_reached(bit: str) -> None:
     """A hand's status has one byte a motor: the same causes, the same names."""
-    with made() as robot:
+    with made(board="EJMC4") as robot:
         up(robot)
         twin = robot.twins["EJMC4"]
         channel = twin.channels[0]
@@ -178,6 +182,8 @@ def test_every_bit_of_a_finger_can_be_reached(bit: str) -> None:
         for _ in range(8):
             robot.advance(0.25)
             seen |= set(robot["RF1.status"].last)
+            if bit in seen:
+                break
         assert bit in seen
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from math import radians, sin
 
 import msgspec
@@ -39,6 +40,7 @@ class Still:
         return self.at
 
 
+@cache
 def sensors_of(name: str) -> Robot:
     """A shipped robot's sensor and power boards; its motors are away, its joints are `Still`."""
     robot = load_robot(name)

@@ -4,28 +4,37 @@ for fresh."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
 from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN
+from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import NoReplyError
 from aces_devices.robots import load_robot
+from tests.conftest import PROFILE
 
 RATE = 200.0
 #: A board of two motors, and another beside it.
 BOARD, JOINT, OTHER = "JMC0", "RHY", "RHP"
-
-
-@pytest.fixture(scope="module")
-def hubo() -> Any:
-    """The complete robot's file."""
-    return load_robot("hubo2plus")
+HIP = (JOINT, OTHER)
+LEGS = (*HIP, "RKN", "RAP", "LHY", "LHP", "LKN", "LAP")
 
 
 @pytest.fixture
-def robot(hubo: Any) -> Iterator[VirtualRobot]:
+def joints() -> tuple[str, ...]:
+    """The joints whose boards are there; a test that needs more than a hip names them."""
+    return HIP
+
+
+@pytest.fixture
+def hubo(joints: tuple[str, ...]) -> Robot:
+    """The file of Hubo 2+, in the short profile with these boards alone."""
+    robot = load_robot("hubo2plus")
+    return robot if PROFILE == "long" else robot.part(*joints)
+
+
+@pytest.fixture
+def robot(hubo: Robot) -> Iterator[VirtualRobot]:
     """Hubo 2+ with everybody heard."""
     with VirtualRobot(hubo, rate_hz=RATE) as robot:
         robot.advance(0.5)
@@ -97,6 +106,7 @@ def test_a_board_that_falls_silent_and_comes_back(robot: VirtualRobot) -> None:
     assert signal.value is not UNKNOWN
 
 
+@pytest.mark.parametrize("joints", [(*HIP, "LAP", "RSP")], ids=["both buses"])
 def test_a_wrong_number(robot: VirtualRobot) -> None:
     """A board that answers with a number that nobody has on this bus is a stranger by name; nothing of it is believed."""
     robot.twins["JMC7"].fault("wrong_number", 0x08)
@@ -109,6 +119,7 @@ def test_a_wrong_number(robot: VirtualRobot) -> None:
     still_lives(robot)
 
 
+@pytest.mark.parametrize("joints", [(*HIP, "LHY", "LHP")], ids=["hips"])
 def test_the_number_of_another_board(robot: VirtualRobot) -> None:
     """A board that answers with its neighbour's number makes two answers of one; both are told."""
     robot.twins["JMC4"].fault("wrong_number", robot.twins["JMC5"].credentials["board"])
@@ -144,7 +155,7 @@ def test_a_rebooted_board(robot: VirtualRobot) -> None:
     still_lives(robot)
 
 
-def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Any) -> None:
+def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
     """A second board with a number that is taken is told as such, and when it has gone all is as before."""
     from msgspec.structs import replace
 
@@ -195,6 +206,7 @@ def test_late_answers(robot: VirtualRobot) -> None:
     still_lives(robot)
 
 
+@pytest.mark.parametrize("joints", [LEGS], ids=["legs"])
 def test_everything_at_once(robot: VirtualRobot) -> None:
     """One board silent, one late, one doubled, one cut short, one lossy: the others answer every tick."""
     for name, fault in (
