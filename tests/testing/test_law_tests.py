@@ -64,7 +64,7 @@ def test_a_broken_spec_fails_with_a_drawing_and_a_capture(tmp_path: Path) -> Non
     """One law fails, as a test of its own; it shows the scene, and says what repeats it."""
     (tmp_path / "my_spec.py").write_text(SPEC)
     test = 'from aces_bus.testing import law_tests\n\ntest_laws = law_tests("my_spec.py", laws=[1, 8])\n'
-    done = _run(tmp_path, test, "--aces-failures", "found", "--aces-examples", "20")
+    done = _run(tmp_path, test, "--aces-failures", "found", "--aces-examples", "10")
     assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
     assert "test_laws[1-round-trip-mine-any]" in done.stdout
     assert "0000  AA 03 " in done.stdout  # the smallest packet there is
