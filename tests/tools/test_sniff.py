@@ -40,6 +40,13 @@ Aces = Callable[..., Any]
 IS_LONG = settings().max_examples > 100
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that ends waits for its gate's reader, which looks up so often."""
+    for module in ("can", "gate", "serial", "datagram"):
+        monkeypatch.setattr(f"aces_bus.hardware.{module}.POLL_S", 0.02)
+
+
 @pytest.fixture
 def node() -> Iterator[Node]:
     made = Node()
