@@ -21,7 +21,7 @@ FAULTS: set[str] = set()
 NODE = "tests/test_kept.py::sample"
 
 
-@settings(max_examples=200)
+@settings(max_examples=50)
 @given(st.integers(0, 1000), st.data())
 def sample(limit: int, number: int, data: Any) -> None:
     """Fails on numbers above a limit when "large" is among the faults."""

@@ -48,6 +48,9 @@ from tests.capture.mdf_files import (
 if importlib.util.find_spec("asammdf") is None:  # it is not imported: python-can must be first
     pytest.skip("asammdf is not installed", allow_module_level=True)
 
+#: In the short profile fewer files are drawn.
+MANY = 20 if settings().max_examples > 100 else 10
+
 Result = tuple[list[Frame], Mf4Capture] | CaptureError
 
 
@@ -114,7 +117,7 @@ def frames(draw: st.DrawFn) -> Frame:
 
 
 @settings(max_examples=2)
-@given(st.lists(st.lists(frames(), min_size=1, max_size=30), min_size=20, max_size=20))
+@given(st.lists(st.lists(frames(), min_size=1, max_size=30), min_size=MANY, max_size=MANY))
 def test_what_is_written_is_read_back(captures: list[list[Frame]]) -> None:
     """Any frames survive MF4: names, directions, instants, and their order whatever the instants are."""
     for (got, capture), some in zip(
@@ -321,9 +324,9 @@ def test_every_kind_of_damage(results: dict[str, Result]) -> None:
 def test_bombs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block that unpacks to, or claims, more than is allowed is an error or a counted loss; never the memory."""
     monkeypatch.setattr(child, "MEMORY", 96 << 20)
-    records = bytes(21) * 12_000_000
+    records = bytes(21) * 8_000_000
     claims = packed_file(bytes(21), 21, 1 << 40, claimed=1 << 45)
-    for result in read_all([packed_file(records, 21, 12_000_000), claims, content_of(SOME)]):
+    for result in read_all([packed_file(records, 21, 8_000_000), claims, content_of(SOME)]):
         if not isinstance(result, CaptureError):
             got, capture = result
             assert capture.lines_unreadable or got == SOME

@@ -96,6 +96,13 @@ class Bench:
         return self.adapters[-1]
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gate that stops waits for its reader, which looks up so often."""
+    for module in ("can", "gate"):
+        monkeypatch.setattr(f"aces_bus.hardware.{module}.POLL_S", 0.02)
+
+
 @pytest.fixture
 def bench() -> Iterator[Bench]:
     made = Bench()

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from aces_bus.capture import parts
 from aces_tools import decode_jobs
 from aces_tools.main import main
 
@@ -19,11 +20,11 @@ HUBO = Path(__file__).parents[2] / "examples" / "captures" / "hubo2plus.log"
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """A log of a few hundred kilobytes, with unreadable lines, comments and two channels."""
+    """A log of five thousand lines, with unreadable lines, comments and two channels."""
     lines = HUBO.read_bytes().splitlines(keepends=True)
     path = tmp_path / "walk.log"
     with path.open("wb") as file:
-        for number in range(8):
+        for number in range(4):
             part = [line.replace(b"can0", b"can1") if number % 3 == 0 else line for line in lines]
             part.insert(40 * number + 7, b"nonsense %d\n" % number)
             part.insert(11, b"# a remark\n")
@@ -34,7 +35,8 @@ def log(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pieces small enough that the log has many."""
-    monkeypatch.setattr(decode_jobs, "PIECE", 60_000)
+    monkeypatch.setattr(decode_jobs, "PIECE", 30_000)
+    monkeypatch.setattr(parts, "LEAST", 10_000)
 
 
 def decoded(log: Path, out: Path, *more: str, capfd: Any) -> tuple[int, list[str], dict[str, list[Any]]]:
@@ -82,9 +84,9 @@ def test_parts_are_in_order(log: Path, tmp_path: Path, capfd: Any) -> None:
     out = tmp_path / "two.parquet"
     decoded(log, out, "--jobs", "2", capfd=capfd)
     for name in ("Encoder.parquet", "ForceTorque.parquet", "Reference.parquet"):
-        parts = sorted((out / name).iterdir())
-        assert len(parts) > 3
-        assert [row for part in parts for row in parquet.read_table(part).to_pylist()] == one[name]
+        found = sorted((out / name).iterdir())
+        assert len(found) > 3
+        assert [row for part in found for row in parquet.read_table(part).to_pylist()] == one[name]
 
 
 def test_other_formats_are_read_here_and_decoded_there(log: Path, tmp_path: Path, capfd: Any) -> None:
@@ -102,7 +104,8 @@ def test_other_formats_are_read_here_and_decoded_there(log: Path, tmp_path: Path
 def test_an_earlier_output_is_replaced(log: Path, tmp_path: Path, capfd: Any) -> None:
     """Whole at once, whether parts or files stood there; other folders are left alone."""
     out = tmp_path / "walk.parquet"
-    for more in (("--jobs", "2"), (), ("--jobs", "2"), ("--jobs", "2", "--message", "Encoder")):
+    few = "--jobs", "2", "--message", "Encoder"
+    for more in (few, few[2:], ("--jobs", "2"), few):
         assert decoded(log, out, *more, capfd=capfd)[0] == 0
     assert all(path.name.startswith("part-") for path in out.iterdir())
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []

@@ -22,8 +22,8 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     used = {whole.joints[name].device for name in demo.knee_bends().names}
     devices = {name: replace(one, active=name in used) for name, one in whole.devices.items()}
     monkeypatch.setattr(robots, "load_robot", lambda name: replace(whole, devices=devices))
-    monkeypatch.setattr(demo, "BENDS", (0.0, 0.2, 0.0))
-    monkeypatch.setattr(demo, "MOVE_S", 0.5)
+    monkeypatch.setattr(demo, "BENDS", (0.0, 0.1, 0.0))
+    monkeypatch.setattr(demo, "MOVE_S", 0.35)
 
 
 def test_the_knees_are_bent_within_limits() -> None:

@@ -444,9 +444,12 @@ def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: Stand) -> None:
     assert (got.status, got.out) == (0, "TOE ping: none\n"), got.err
 
 
-def test_a_device_that_is_not_there(aces: Aces, leg: str, stand: Stand) -> None:
+def test_a_device_that_is_not_there(
+    aces: Aces, leg: str, stand: Stand, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """`get` says who does not answer and what to look at; `set` and actions do nothing; status 1."""
     stand.simulation["JMC0"].fault("silent")
+    monkeypatch.setattr(device_do, "HEARD_S", 1.0)
     got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
     assert (got.status, got.out) == (1, "YAW.position  unknown\n")
     assert len(got.messages) == 1

@@ -136,8 +136,8 @@ def test_json_says_everything(aces: Aces, here: Path) -> None:
 
 def test_several_processes_do_the_same_examples(aces: Aces, here: Path) -> None:
     """With --jobs, as many examples and words, and the same coverage."""
-    one = aces("fuzz", "good.py", "--examples", "256", "--seed", "9")
-    two = aces("fuzz", "good.py", "--examples", "256", "--seed", "9", "--jobs", "2")
+    one = aces("fuzz", "good.py", "--examples", "128", "--seed", "9")
+    two = aces("fuzz", "good.py", "--examples", "128", "--seed", "9", "--jobs", "2")
     assert (one.status, two.status) == (0, 0)
     assert (one.summary["words"], one.summary["checks"]) == (two.summary["words"], two.summary["checks"])
     assert one.out == two.out
