@@ -12,7 +12,6 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import pytest
 
@@ -82,14 +81,6 @@ class Stage:
         return svg.replace("&#160;", " ")
 
 
-async def at_rest(min_sleep: float = 0) -> None:
-    """Until nothing can be done at once; textual's own looks every 20 ms whether the processor is idle."""
-    loop: Any = asyncio.get_running_loop()
-    await asyncio.sleep(min_sleep)
-    while loop._ready:
-        await asyncio.sleep(0)
-
-
 Scene = Callable[[Stage], Awaitable[None]]
 
 
@@ -104,8 +95,7 @@ def play(scene: Scene, size: tuple[int, int] = (100, 24), **more: Any) -> None:
             await scene(Stage(app, pilot, gate, inbox))
 
     pytest.importorskip("textual")
-    with patch("textual.app.wait_for_idle", at_rest), patch("textual.pilot.wait_for_idle", at_rest):
-        asyncio.run(run())
+    asyncio.run(run())
 
 
 async def three(stage: Stage) -> None:
