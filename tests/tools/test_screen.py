@@ -66,6 +66,14 @@ class Stage:
         await self.pilot.press(*keys)
         await self.look()
 
+    async def until(self, holds: Callable[[], bool]) -> None:
+        """Look until it holds: what scrolls or is laid out anew takes more than one turn, as many as it likes."""
+        for _ in range(100):
+            if holds():
+                return
+            await self.look()
+        raise AssertionError("it never comes to that")
+
     @property
     def head(self) -> str:
         return str(self.app.query_one("#head").text)
@@ -194,10 +202,11 @@ def test_details_follow_the_selected_row_wherever_it_goes() -> None:
         about = stage.app.query_one("#detail")
         assert "061 Encoder" in about.text
         assert "position.0" in about.text
+        pane = stage.app.query_one("#pane")
         await stage.press("J", "J")
-        assert stage.app.query_one("#pane").scroll_offset.y > 0
+        await stage.until(lambda: pane.scroll_offset.y > 0)
         await stage.press("K", "K")
-        assert stage.app.query_one("#pane").scroll_offset.y == 0
+        await stage.until(lambda: pane.scroll_offset.y == 0)
         await stage.press("S")
         await stage.look()
         assert stage.app.table.selected.identifier == "061"
