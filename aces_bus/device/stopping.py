@@ -1,6 +1,6 @@
 """Stopping devices: at once, again and again until they have stopped, and by name those that have not.
 
-1. Every device is told before anything is waited for, whatever the drivers of others do.
+1. Every device is sent its stop before anything is waited for; one driver's fault does not delay the others.
 2. A stop counts when its words have left; where the device can be asked whether it has stopped, when it has said so.
 3. It has an end: who has not stopped within `STOP_NS` is named, with the reason.
 """
@@ -24,7 +24,7 @@ STOP_NS, PAUSE_NS, ATTEMPT_NS = 1_500_000_000, 20_000_000, 500_000_000
 def stop_devices(clock: EventClock, name: str, devices: Iterable[Device]) -> Job:
     """Stop what moves. The job fails with `NotStoppedError`; to be called on the clock's thread.
 
-    Devices that were never heard are told, and not asked whether they have.
+    Devices that have never answered are sent their stop, and not asked whether they have stopped.
     """
     jobs = {device.name: _Stop(device).begin() for device in devices}
 

@@ -375,7 +375,7 @@ class Gate(ABC, Generic[Item]):
         if item.report is not None:
             try:
                 item.report(fate, why)
-            except Exception:  # who asks costs nobody else his bus
+            except Exception:  # a fault of one caller's `report` must not stop the gate
                 self.events.failures += 1
         return True
 

@@ -122,11 +122,6 @@ class Quantity(Field):
         source: str = "",
     ) -> None:
         super().__init__(subcon)
-        inner = subcon
-        while isinstance(inner, (Renamed, Default, Field)):
-            inner = inner.subcon
-        if isinstance(inner, (Bytes, Struct)) or inner is GreedyBytes:
-            raise SpecError(f"{self.place}: a quantity is a number; {inner!r} is none")
         scale, offset = (self._number(value, what) for value, what in ((scale, "scale"), (offset, "offset")))
         if scale == 0 or not math.isfinite(scale) or not math.isfinite(offset):
             raise SpecError(f"{self.place}: a scale must be finite and not zero, and an offset finite")
