@@ -17,7 +17,7 @@
     └── BugError               aces-bus is wrong: please report it
 
 1. A message says who, where and what next.
-2. Bytes from a wire never raise: they are counted (see `aces_bus.protocol.scan`).
+2. Bytes from a wire never raise: they are counted (see `aces_bus.protocol.live`).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .frame import Frame
+from .frames import Frame
 
 #: What `time` holds where the capture gives none.
 NO_TIME = -(1 << 63)

@@ -8,10 +8,10 @@ After the original's demonstration (miniSM): 15 Hz, 0.02 rad a tick; there it wa
 
 from __future__ import annotations
 
-from aces_bus.assembly import run_virtual
-from aces_bus.controller import Phase, Row, StateMachine
+from aces_bus.controller import Phase, StateMachine, Transition
+from aces_bus.robot import run_virtual
 from aces_devices.robotis_rx.driver import STEP
-from aces_devices.robots import load_robot
+from aces_devices.robots import load_robot_by_name
 
 BEND = """
     LHP[0] = a
@@ -37,12 +37,12 @@ def crouching() -> StateMachine:
             Phase("done", final=True),
         ],
         table=[
-            Row("wait", "crouch", after_s=0.5),
-            Row("crouch", "rise", "LHP[0] > 1.2"),
-            Row("rise", "crouch", "LHP[0] < 0.02"),
-            Row("crouch", "stand", "RSP[0] > 0.3"),
-            Row("rise", "stand", "RSP[0] > 0.3"),
-            Row("stand", "done", "LHP[0] < 0.02"),
+            Transition("wait", "crouch", after_s=0.5),
+            Transition("crouch", "rise", "LHP[0] > 1.2"),
+            Transition("rise", "crouch", "LHP[0] < 0.02"),
+            Transition("crouch", "stand", "RSP[0] > 0.3"),
+            Transition("rise", "stand", "RSP[0] > 0.3"),
+            Transition("stand", "done", "LHP[0] < 0.02"),
         ],
     )
 
@@ -50,7 +50,7 @@ def crouching() -> StateMachine:
 def main() -> None:
     machine = crouching()
     print(machine.mermaid())
-    run = run_virtual(load_robot("minihubo_2"), [machine], rate_hz=15)
+    run = run_virtual(load_robot_by_name("minihubo_2"), [machine], rate_hz=15)
     with run:
         run.do("enable", devices=machine.writes)
         shoulder = run.rig.robot.joint("RSP")

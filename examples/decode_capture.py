@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from aces_bus.capture import open_capture
+from aces_bus.recordings import open_recording
 from aces_protocols.robotis.spec import control_table, robotis
 
 SESSION = Path(__file__).resolve().parent / "captures" / "robotis_session.dxconf.txt"
@@ -18,7 +18,7 @@ def main(file: Path = SESSION, servo: int = 2) -> None:
     # Requests and answers look alike; with both on the line, each answer is told by its request.
     scanner = robotis.scanner(direction="both")
     start = 0
-    for chunk in open_capture(file, link="serial"):
+    for chunk in open_recording(file, link="serial"):
         for record in scanner.feed(chunk.data):
             message = record.meta.message
             if message == "Read" and record.id == servo:

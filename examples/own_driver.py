@@ -13,15 +13,15 @@ from typing import Any, ClassVar
 
 from construct import Float32l, Int32ul, Struct
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Device, Driver, Job, Poll, Steps, Ticket, Twin, on, parse_robot, signal
+from aces_bus.device import Device, Driver, Job, Poll, Steps, Ticket, Twin, on, signal
 from aces_bus.errors import DeviceError
-from aces_bus.protocol import Capture, Enumeration, Protocol, Quantity
+from aces_bus.protocol import Enumeration, IdField, Protocol, Quantity
+from aces_bus.robot import VirtualRobot, parse_robot
 
 # ---------------------------------------------------------------------- the spec
 
 odrive = Protocol("odrive", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst")
-Node = Capture("node", range(0x3F)) << 5
+Node = IdField("node", range(0x3F)) << 5
 Estimate = Struct("position" / Quantity(Float32l, unit="rev"), "velocity" / Quantity(Float32l, unit="rev/s"))
 State = Enumeration(Int32ul, idle=1, closed_loop=8)
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from construct import Byte, Const, Int32sl, Struct
 
 from aces_bus.errors import FieldError
-from aces_bus.frame import Frame
-from aces_bus.protocol import CanScanner, Capture, Flags, Protocol, Quantity, Unknown
+from aces_bus.frames import Frame
+from aces_bus.protocol import CanScanner, Flags, IdField, Protocol, Quantity, Unknown
 
 scale = Protocol("scale", link="can", bitrate=500_000)
-Node = Capture("node", range(1, 16))  # a part of the identifier becomes a field like any other
+Node = IdField("node", range(1, 16))  # a part of the identifier becomes a field like any other
 
 Weight = scale.message(
     "Weight",
@@ -30,13 +30,13 @@ def main() -> None:
     # Encode: fields in the sheet's units, out comes a python-can message.
     print(scale.encode("Tare", node=3))
 
-    # Scan: frames in, records out; with `everything`, what is no message comes too, with the reason.
+    # Scan: frames in, records out; with `include_unknown`, what is no message comes too, with the reason.
     frames = [
         Frame(0x183, bytes.fromhex("D4300000 01")),
         Frame(0x183, bytes.fromhex("D430")),
         Frame(0x700, b""),
     ]
-    scanner = scale.scanner(everything=True)
+    scanner = scale.scanner(include_unknown=True)
     assert isinstance(scanner, CanScanner)  # of a serial protocol it is a StreamScanner, and takes bytes
     for record in scanner.feed(frames):
         if isinstance(record, Unknown):

@@ -15,11 +15,10 @@ from typing import Any
 
 from walk_controller import LEGS, walk
 
-from aces_bus.assembly import Runner, VirtualRobot, run_replay, run_virtual
-from aces_bus.device import load_robot
-from aces_bus.frame import Frame
-from aces_bus.hardware import Recorder
-from aces_devices.robots import load_robot as load_shipped
+from aces_bus.frames import Frame
+from aces_bus.hardware import ListeningNode
+from aces_bus.robot import Runner, VirtualRobot, load_robot, run_replay, run_virtual
+from aces_devices.robots import load_robot_by_name as load_shipped
 
 HUBO = load_shipped("hubo2plus").part(*walk.writes)  # its legs and waist
 MINIHUBO = load_robot(Path(__file__).with_name("minihubo_like_hubo.toml"))
@@ -61,7 +60,7 @@ def said(where: str, notes: Notes, run: Runner) -> None:
 def on_hubo(seconds: float) -> tuple[Notes, list[Frame], int]:
     """Over CAN; what was on both buses, and when (ns) the controller began."""
     hubo = VirtualRobot(HUBO, rate_hz=100)
-    recorders = {name: Recorder(wire) for name, wire in hubo.wires.items()}
+    recorders = {name: ListeningNode(wire) for name, wire in hubo.wires.items()}
     notes = Notes()
     run = notes.run = run_virtual(hubo, [walk], loggers=[notes])
     with run:

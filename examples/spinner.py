@@ -18,11 +18,11 @@ from typing import Any
 
 from construct import Byte, Float64l, Struct, this
 
-from aces_bus.assembly import VirtualRobot, run_virtual
 from aces_bus.controller import Equations
 from aces_bus.controller.log import Logger
-from aces_bus.device import Device, Driver, Twin, on, parse_robot
+from aces_bus.device import Device, Driver, Twin, on
 from aces_bus.protocol import InvertedSum, Protocol
+from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 
 # ---------------------------------------------------------------------- a device that sends back what it is told
 

@@ -1,6 +1,6 @@
 """Failures of drawn tests as files: the long profile writes them, every profile replays them first.
 
-    # tests/capture/test_serial.py::test_a_raw_file_is_its_bytes
+    # tests/recordings/test_serial.py::test_a_raw_file_is_its_bytes
     # AssertionError: assert b'' == b'\xa1\xb2'
     data = b'\xa1\xb2'
 
@@ -20,7 +20,7 @@ from typing import Any
 
 from hypothesis.errors import UnsatisfiedAssumption
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 
 FAILURES = Path(__file__).resolve().parent / "data" / "failures"
 

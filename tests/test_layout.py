@@ -30,31 +30,24 @@ PACKAGES: dict[str, tuple[Path, set[str]]] = {
 #: What a floor of the core may import of the core, beside itself and what everyone may: errors and frames.
 FLOORS: dict[str, set[str]] = {
     "errors": set(),
-    "frame": set(),
+    "frames": set(),
     "frame_table": set(),  # the same frames as columns
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
+    "_lazy": set(),  # public names imported on use
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
-    "capture": {"protocol"},
+    "recordings": {"protocol"},
     "export": {"protocol"},  # decoded tables on disk
-    "hardware": {"runtime", "capture"},  # replays captures; knows no protocol
+    "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},
     "kinematics": set(),  # bodies as chains; numbers only
-    "controller": {"runtime", "device", "state", "capture", "kinematics"},  # touches no frame and no byte
+    "controller": {"runtime", "device", "state", "recordings", "kinematics"},  # touches no frame and no byte
     "access": {"runtime", "device", "state"},  # states for other programs
-    "assembly": {
-        "runtime",
-        "protocol",
-        "hardware",
-        "device",
-        "state",
-        "controller",
-        "capture",
-    },  # floors put together
-    "testing": {"runtime", "protocol", "capture", "hardware", "device", "state", "controller", "assembly"},
+    "robot": {"runtime", "protocol", "hardware", "device", "state", "controller", "recordings"},  # floors put together
+    "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
-EVERYONE = {"errors", "frame", "frame_table", "plain_text"}
+EVERYONE = {"errors", "frames", "frame_table", "plain_text", "_lazy"}
 
 
 def module_name(path: Path) -> tuple[str, bool]:
@@ -137,14 +130,14 @@ def test_imports_point_one_way(package: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("aces_bus.frame", "import aces_protocols"),
-        ("aces_bus.protocol.scan.can", "from aces_bus.hardware import can"),
-        ("aces_bus.protocol.scan.can", "from ...hardware.can import Bus"),
-        ("aces_bus.protocol.scan.can", "from ... import capture"),
-        ("aces_bus.protocol.scan.can", "def f():\n    from aces_bus import state"),
-        ("aces_bus.protocol.scan.can", "if TYPE_CHECKING:\n    import aces_bus.controller"),
-        ("aces_bus.protocol.scan.can", "import_module('aces_bus.device')"),
-        ("aces_bus.protocol.scan.can", "importlib.import_module('...device', __package__)"),
+        ("aces_bus.frames", "import aces_protocols"),
+        ("aces_bus.protocol.live.can", "from aces_bus.hardware import can"),
+        ("aces_bus.protocol.live.can", "from ...hardware.can import Bus"),
+        ("aces_bus.protocol.live.can", "from ... import recordings"),
+        ("aces_bus.protocol.live.can", "def f():\n    from aces_bus import state"),
+        ("aces_bus.protocol.live.can", "if TYPE_CHECKING:\n    import aces_bus.controller"),
+        ("aces_bus.protocol.live.can", "import_module('aces_bus.device')"),
+        ("aces_bus.protocol.live.can", "importlib.import_module('...device', __package__)"),
         ("aces_bus.novelty.thing", "import os"),
         ("aces_protocols.hubo.spec", "from aces_devices import hubo"),
         ("aces_devices.hubo.driver", "import aces_tools.main"),
@@ -159,12 +152,12 @@ def test_a_wrong_import_is_seen(module: str, source: str) -> None:
     ("module", "source"),
     [
         (
-            "aces_bus.protocol.scan.can",
+            "aces_bus.protocol.live.can",
             "from ..spec import fields\nfrom ...frame import Frame\nimport aces_bus.errors",
         ),
-        ("aces_bus.capture.table", "from ..protocol import Protocol"),
+        ("aces_bus.recordings.table", "from ..protocol import Protocol"),
         ("aces_protocols.hubo.spec", "from aces_bus import Protocol\nfrom .boards import BOARDS"),
-        ("aces_tools.decode", "import aces_bus.capture, aces_protocols.hubo.spec"),
+        ("aces_tools.decode", "import aces_bus.recordings, aces_protocols.hubo.spec"),
     ],
 )
 def test_a_right_import_passes(module: str, source: str) -> None:
@@ -175,7 +168,7 @@ def test_a_right_import_passes(module: str, source: str) -> None:
 def test_a_package_may_import_its_own_modules() -> None:
     """In an `__init__` one dot is the package itself."""
     assert [name for _, name in imports_of("from .frame import Frame", "aces_bus", True)] == [
-        "aces_bus.frame.Frame"
+        "aces_bus.frames.Frame"
     ]
     assert faults_of("from .frame import Frame\nfrom .protocol import Protocol", "aces_bus", True) == []
 

@@ -24,7 +24,7 @@ class AccessEvent(msgspec.Struct, frozen=True):
 Listener = Callable[[AccessEvent], None]
 
 
-class Events:
+class AccessEvents:
     """The last events, and who wants to know. Telling never raises."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from .events import AccessEvent, Events
+from .events import AccessEvent, AccessEvents
 
 
 class Soon(Protocol):
@@ -31,7 +31,7 @@ class Inlet:
     """Takes set-points (`put`) and sample requests (`ask`) from any thread. `taken` and `refused` count set-points."""
 
     def __init__(
-        self, clock: Soon, states: Mapping[str, Any], events: Events, name: str, *, plans: bool = True
+        self, clock: Soon, states: Mapping[str, Any], events: AccessEvents, name: str, *, plans: bool = True
     ) -> None:
         self.clock, self.states, self.events, self.name = clock, states, events, name
         #: Whether it plans on the clock by itself; else somebody calls `flush` on the clock's thread.

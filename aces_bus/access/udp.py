@@ -22,7 +22,7 @@ from typing import Any, Self
 
 from ..errors import CallerError, UnknownNameError
 from ..runtime import EventClock, Timer, VirtualClock
-from .events import Events
+from .events import AccessEvents
 from .inlet import Inlet
 
 #: The longest request.
@@ -68,7 +68,7 @@ class UdpStates:
             raise CallerError("two states have one UDP port")
         self.states = {name: states[name] for name in ports}
         self.clock, self.address, self.allow_set = clock, address, allow_set
-        self.events = Events()
+        self.events = AccessEvents()
         self.gets = self.samples = self.sets = self.junk = self.unanswered = 0
         self._asked = dict(ports)
         self._inlet = Inlet(clock, self.states, self.events, "udp")

@@ -29,7 +29,7 @@ import msgspec
 from ..errors import CallerError, NoReplyError, UnknownNameError
 from ..runtime import Clock, RealClock, VirtualClock
 from ..state import UNKNOWN, State
-from .events import AccessEvent, Events
+from .events import AccessEvent, AccessEvents
 from .inlet import Inlet
 from .remote import RemoteClock, RemoteState
 from .zenoh_wire import (
@@ -40,12 +40,12 @@ from .zenoh_wire import (
     AboutStates,
     Options,
     StateAbout,
-    Values,
+    StateValues,
     closed,
     decoded,
-    heard,
-    key_of,
-    opened,
+    open_session,
+    robot_key,
+    subscribe,
 )
 
 
@@ -82,7 +82,7 @@ class Publisher:
                 f"{self.name}: 1 to {MOST_STATES} states can be published, not {len(self.states)}"
             )
         self.allow_set, self.dead_man_s, self.on_lost = allow_set, dead_man_s, on_lost
-        self.events = Events()
+        self.events = AccessEvents()
         #: Messages sent; that zenoh did not take; that were no set-points.
         self.sent = self.failed = self.bad = 0
         self._clock = clock
@@ -122,7 +122,7 @@ class Publisher:
         """Listen and publish."""
         if not self._bound:
             raise CallerError(f"{self.name}: give it its states first: bind(states)")
-        key = key_of(self.robot)
+        key = robot_key(self.robot)
         # A number that no other run has, and that fits JSON in every language.
         self._number = int.from_bytes(os.urandom(6))
         about = AboutStates(self._number, self.rate_hz, self._clock.name, {}, self.allow_set)
@@ -133,16 +133,16 @@ class Publisher:
                 state.stale_after_s,
             )
         self._about = msgspec.json.encode(about)
-        self._session = opened([self.endpoint], [], self._options)
+        self._session = open_session([self.endpoint], [], self._options)
         atexit.register(self.stop, 0)
         self._publisher = self._session.declare_publisher(f"{key}/values")
         if self.allow_set:
             # Virtual time has one thread, and it is not zenoh's: there, each step takes what has come.
             plans = not isinstance(self._clock, VirtualClock)
             self._inlet = Inlet(self._clock, self._bound, self.events, self.name, plans=plans)
-            self._threads.append(heard(self._session.declare_subscriber, f"{key}/set", self._set))
+            self._threads.append(subscribe(self._session.declare_subscriber, f"{key}/set", self._set))
         # Last: whoever is answered knows of the others by then, as zenoh tells them in order.
-        self._threads.append(heard(self._session.declare_queryable, f"{key}/about", self._tell_about))
+        self._threads.append(subscribe(self._session.declare_queryable, f"{key}/about", self._tell_about))
         self.step(now)
 
     def step(self, now: int) -> None:
@@ -150,7 +150,7 @@ class Publisher:
         publisher = self._publisher
         if publisher is None:
             return
-        cycle = Values(self._number, now, {})
+        cycle = StateValues(self._number, now, {})
         for name, state in self._bound.items():
             try:
                 value = float(state[0])
@@ -231,7 +231,7 @@ class RemoteStates(Mapping[str, State]):
     ) -> None:
         self.endpoint, self.robot, self.timeout_s = endpoint, robot, timeout_s
         self.name = f"zenoh {endpoint} {robot}"
-        self._key = key_of(robot)
+        self._key = robot_key(robot)
         if isinstance(clock, VirtualClock):
             raise CallerError(
                 f"{self.name}: virtual time does not wait for another machine; use a real clock"
@@ -239,7 +239,7 @@ class RemoteStates(Mapping[str, State]):
         self.local = RealClock() if clock is None else clock
         self.clock = RemoteClock(self.local, self.name)
         self.history = history
-        self.events = Events()
+        self.events = AccessEvents()
         self.cycles = self.bad = self.strangers = 0
         self.takes = False
         self._lost_s = lost_s
@@ -256,7 +256,7 @@ class RemoteStates(Mapping[str, State]):
         self._wants = threading.Event()
         self._patience_s = ANSWER_S
         self._was_lost = False
-        self._decode = msgspec.json.Decoder(Values).decode
+        self._decode = msgspec.json.Decoder(StateValues).decode
         self._decode_about = msgspec.json.Decoder(AboutStates).decode
 
     # ------------------------------------------------------------------ opening
@@ -266,9 +266,9 @@ class RemoteStates(Mapping[str, State]):
         if self._session is not None:
             return self
         self._closing.clear()
-        self._session = opened([], [self.endpoint], self._options)
+        self._session = open_session([], [self.endpoint], self._options)
         atexit.register(self.close)
-        self._threads = [heard(self._session.declare_subscriber, f"{self._key}/values", self._heard)]
+        self._threads = [subscribe(self._session.declare_subscriber, f"{self._key}/values", self._heard)]
         self._wants.set()
         self._patience_s = ANSWER_S
         self._watcher = threading.Thread(target=self._watch, name=self.name, daemon=True)

@@ -28,7 +28,7 @@ ANSWER_S, MOST_ANSWER_S = 0.1, 2.0
 Options = Mapping[str, Any]
 
 
-class Values(msgspec.Struct):
+class StateValues(msgspec.Struct):
     """One cycle of a publisher: by state the value (None where unknown) and its instant."""
 
     session: int
@@ -65,7 +65,7 @@ def zenoh() -> Any:
     return library
 
 
-def opened(listen: Iterable[str], connect: Iterable[str], options: Options) -> Any:
+def open_session(listen: Iterable[str], connect: Iterable[str], options: Options) -> Any:
     """A session with these endpoints and no others; raises `CallerError` when that cannot be."""
     library = zenoh()
     told = {
@@ -89,7 +89,7 @@ def opened(listen: Iterable[str], connect: Iterable[str], options: Options) -> A
         raise CallerError(f"zenoh at {', '.join([*listen, *connect])}: {why[:300]}") from None
 
 
-def heard(declare: Callable[..., Any], key: str, take: Callable[[Any], None]) -> threading.Thread:
+def subscribe(declare: Callable[..., Any], key: str, take: Callable[[Any], None]) -> threading.Thread:
     """Have `take` called with all that comes at a key, until the session is closed; the oldest of too many is left out.
 
     On a thread of our own: a program that ends with one of the library's (eclipse-zenoh 1.10) does not end.
@@ -115,7 +115,7 @@ def closed(session: Any, threads: list[threading.Thread]) -> None:
     threads.clear()
 
 
-def key_of(robot: str) -> str:
+def robot_key(robot: str) -> str:
     """The beginning of a robot's keys; raises `CallerError` for a name that cannot be in one."""
     if not robot or len(robot) > 100 or set(robot) & set("*$?#/ ") or not robot.isprintable():
         raise CallerError(

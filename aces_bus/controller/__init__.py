@@ -14,7 +14,7 @@ from .events import ControlEvent, EventLike
 from .function import FunctionController, controller
 from .guard import Bounds, Clipped, Guard, Trip, bounds_of
 from .language import EquationError
-from .machine import MachineError, Phase, Row, StateMachine
+from .machine import MachineError, Phase, StateMachine, Transition
 from .motion import Motion, Trajectory, sampled
 from .motion_file import TrajectoryError, read_trajectory
 from .pid import PID, PIDController
@@ -45,12 +45,12 @@ __all__ = [
     "Phase",
     "Player",
     "Reaction",
-    "Row",
     "StateLike",
     "StateMachine",
     "Supervisor",
     "Trajectory",
     "TrajectoryError",
+    "Transition",
     "Trip",
     "ViaPath",
     "bounds_of",

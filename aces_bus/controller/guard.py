@@ -30,7 +30,7 @@ from .base import NOTHING, StateLike, known_value
 from .events import ControlEvent, Listeners
 
 if TYPE_CHECKING:
-    from ..device.robot import Robot
+    from ..device.config import Robot
 
 Action = Literal["hold", "zero duty", "disable"]
 ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")

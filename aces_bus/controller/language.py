@@ -301,14 +301,14 @@ def flush(text: str) -> str:
 
 
 @dataclass
-class Block:
+class EquationBlock:
     """Printed equations or a printed condition; `setpoints` are the states it sets."""
 
     source: list[str]
     setpoints: tuple[str, ...] = ()
 
 
-def equations(scope: Scope, place: str, text: str) -> Block:
+def equations(scope: Scope, place: str, text: str) -> EquationBlock:
     """Check and print lines of equations: a function's body that returns set-points."""
     text = flush(text)
     tree = _parsed(scope, place, text, "exec")
@@ -320,16 +320,16 @@ def equations(scope: Scope, place: str, text: str) -> Block:
     except RecursionError:
         raise EquationError(f"{scope.owner}: {place}: nested too deeply") from None
     pairs = ", ".join(f"{state!r}: {target}" for state, target in printer.setpoints.items())
-    return Block([*printer.lines, f"return {{{pairs}}}"], tuple(printer.setpoints))
+    return EquationBlock([*printer.lines, f"return {{{pairs}}}"], tuple(printer.setpoints))
 
 
-def condition(scope: Scope, place: str, text: str) -> Block:
+def condition(scope: Scope, place: str, text: str) -> EquationBlock:
     """Check and print one expression: a function's body that returns its value."""
     text = flush(text).strip()
     tree = _parsed(scope, place, text, "eval")
     assert isinstance(tree, ast.Expression)
     try:
-        return Block([f"return {_Printer(scope, place, text).expression(tree.body)}"])
+        return EquationBlock([f"return {_Printer(scope, place, text).expression(tree.body)}"])
     except RecursionError:
         raise EquationError(f"{scope.owner}: {place}: nested too deeply") from None
 
@@ -344,7 +344,7 @@ class Program:
     States are closed over, not looked up: an access costs what the state's own `[0]` costs.
     """
 
-    def __init__(self, scope: Scope, blocks: Mapping[str, Block]) -> None:
+    def __init__(self, scope: Scope, blocks: Mapping[str, EquationBlock]) -> None:
         self.scope = scope
         names = [*scope.used.values(), *scope.derived.values()]
         lines = [f"def bind({', '.join([*names, 'm'])}):"]

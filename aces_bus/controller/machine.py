@@ -24,7 +24,7 @@ from ..errors import AcesError, CallerError, UnknownNameError
 from .base import NOTHING, Controller, StateLike
 from .diagram import dot, mermaid
 from .events import EventLike
-from .language import Block, Compiled, Program, Scope, as_states, condition, equations
+from .language import Compiled, EquationBlock, Program, Scope, as_states, condition, equations
 
 #: A function in place of a text: takes the machine (its `bound` states, `values`, `phase_s`).
 Action = Callable[["StateMachine"], Mapping[str, float] | None]
@@ -48,7 +48,7 @@ class Phase:
 
 
 @dataclass(frozen=True)
-class Row:
+class Transition:
     """A transition of the table; `source` "*" is any phase that is not final. `after_s` in seconds."""
 
     source: str
@@ -71,7 +71,7 @@ class _Arrow:
     """A row as the interpreter walks it."""
 
     target: _Room
-    row: Row
+    row: Transition
     test: Callable[[float, float], object] | None = None
     after_ns: int = -1
 
@@ -126,18 +126,18 @@ class StateMachine(Controller):
         name: str,
         *,
         phases: Sequence[Phase],
-        table: Sequence[Row],
+        table: Sequence[Transition],
         rate_hz: float,
         states: Iterable[str] | None = None,
         parameters: Mapping[str, float] | None = None,
         memory: Mapping[str, float] | None = None,
     ) -> None:
         self.phases, self.table = tuple(phases), tuple(table)
-        faults = faults_of(self.phases, self.table)
+        faults = table_faults(self.phases, self.table)
         if faults:
             raise MachineError(f"state machine {name!r}: " + "; ".join(faults))
         self._scope = Scope(name, as_states(states), dict(parameters or {}), dict(memory or {}))
-        blocks: dict[str, Block] = {}
+        blocks: dict[str, EquationBlock] = {}
         for i, phase in enumerate(self.phases):
             for part, text in (("each", phase.each), ("entry", phase.entry), ("exit", phase.exit)):
                 if isinstance(text, str) and text.strip():
@@ -331,7 +331,7 @@ class StateMachine(Controller):
         return {**given, **more} if given and more else more or given
 
 
-def faults_of(phases: Sequence[Phase], table: Sequence[Row]) -> list[str]:
+def table_faults(phases: Sequence[Phase], table: Sequence[Transition]) -> list[str]:
     """What is wrong with a table, one line each."""
     names = [phase.name for phase in phases]
     final = {phase.name for phase in phases if phase.final}

@@ -251,6 +251,6 @@ def smooth_step(u: float) -> float:
     return u * u * u * (10.0 + u * (6.0 * u - 15.0))
 
 
-def between(low: Sequence[float], high: Sequence[float], part: float) -> list[float]:
+def interpolate(low: Sequence[float], high: Sequence[float], part: float) -> list[float]:
     """The values `part` (0 … 1) of the way."""
     return [a + (b - a) * part for a, b in zip(low, high, strict=True)]

@@ -21,7 +21,7 @@ from typing import Any, Literal
 from ..errors import CallerError
 from .base import NOTHING, Controller, StateLike, known_value
 from .events import ControlEvent
-from .motion import Motion, between, smooth_step
+from .motion import Motion, interpolate, smooth_step
 from .motion_file import MOST_RAD, read_trajectory
 from .via import QUINTIC_PEAKS, Limits
 
@@ -263,7 +263,7 @@ class Player(Controller):
         first = self.motion.at(0.0)
         done = (now - self._began) / 1e9
         if done < self._approach_s:
-            return between(self._from, first, smooth_step(done / self._approach_s))
+            return interpolate(self._from, first, smooth_step(done / self._approach_s))
         self.mode, self._base_s = "running", 0.0
         # What the cycle is late belongs to the motion.
         self._base_ns = self._began + round(self._approach_s * 1e9)

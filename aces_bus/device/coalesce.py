@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .device import Device
 
 
-class Want(msgspec.Struct, frozen=True, gc=False):
+class Setpoint(msgspec.Struct, frozen=True, gc=False):
     """One set-point that one device is to be given: `value` at `path` ("position.1") of `message`, in the sheet's unit."""
 
     device: Any
@@ -25,7 +25,7 @@ class Want(msgspec.Struct, frozen=True, gc=False):
     value: Any
 
 
-class Outgoing(msgspec.Struct, frozen=True, gc=False):
+class OutgoingMessage(msgspec.Struct, frozen=True, gc=False):
     """One message that is to go out, of a device (or of all, with the first one's credentials overridden by `fields`)."""
 
     device: Any
@@ -33,28 +33,28 @@ class Outgoing(msgspec.Struct, frozen=True, gc=False):
     fields: dict[str, Any]
 
 
-Rule = Callable[[Sequence[Want]], Iterable[Outgoing]]
+CoalescingRule = Callable[[Sequence[Setpoint]], Iterable[OutgoingMessage]]
 
 
-def a_device(wants: Sequence[Want]) -> Iterable[Outgoing]:
+def per_device(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
     """One word a device, with all its channels: both motors of a board in one reference frame. The default.
 
     A channel that was never given a set-point has none: its device waits until all have one, unless it says what to send
     in its place (`Device.default_of`).
     """
-    grouped: dict[int, list[Want]] = {}
+    grouped: dict[int, list[Setpoint]] = {}
     for want in wants:
         grouped.setdefault(id(want.device), []).append(want)
     for mine in grouped.values():
         device: Device = mine[0].device
         fields = device.gathered(mine[0].message, mine)
         if fields is not None:
-            yield Outgoing(device, mine[0].message, fields)
+            yield OutgoingMessage(device, mine[0].message, fields)
 
 
-def one_each(wants: Sequence[Want]) -> Iterable[Outgoing]:
+def uncoalesced(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
     """One word a want: what it costs not to coalesce. Other channels repeat what they were given last."""
     for want in wants:
         fields = want.device.gathered(want.message, [want])
         if fields is not None:
-            yield Outgoing(want.device, want.message, fields)
+            yield OutgoingMessage(want.device, want.message, fields)

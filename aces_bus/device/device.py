@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
-from .coalesce import Rule, Want
-from .robot import DeviceConfig, Joint, Robot, Sensor
+from .coalesce import CoalescingRule, Setpoint
+from .config import DeviceConfig, Joint, Robot, Sensor
 from .shadowing import refuse_hidden, refuse_shadowing
 from .signals import UNKNOWN, Signal
 from .ticket import Job, Steps, Ticket
@@ -141,7 +141,7 @@ class Device:
     protocol: ClassVar[str | Protocol]
     provides: ClassVar[Sequence[SignalSpec]] = ()
     polls: Sequence[Poll] = ()
-    rules: ClassVar[Mapping[str, Rule]] = {}
+    rules: ClassVar[Mapping[str, CoalescingRule]] = {}
     streams: ClassVar[Collection[str]] = ()
     actions: ClassVar[Mapping[str, str]] = {}
     asking: ClassVar[Collection[str]] = ()
@@ -397,11 +397,11 @@ class Device:
         """Send none of a message for a while; set-points given meanwhile are kept."""
         self._held[message] = self.clock.now() + round(duration_s * 1e9)
 
-    def wants(self, now: int) -> list[Want]:
+    def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick."""
         if not self._given:
             return []
-        out: list[Want] = []
+        out: list[Setpoint] = []
         for message, given in self._given.items():
             if message not in self._dirty and message not in self.streams:
                 continue
@@ -410,10 +410,10 @@ class Device:
             self._held.pop(message, None)
             self._dirty.discard(message)
             for path, value in given.items():
-                out.append(Want(self, message, path, value))
+                out.append(Setpoint(self, message, path, value))
         return out
 
-    def gathered(self, message: str, wants: Sequence[Want]) -> dict[str, Any] | None:
+    def gathered(self, message: str, wants: Sequence[Setpoint]) -> dict[str, Any] | None:
         """The fields of a message from what is wanted, what was given before and defaults; None: something is missing."""
         given = self._given.get(message, {})
         fields: dict[str, Any] = {}

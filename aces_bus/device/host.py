@@ -20,14 +20,14 @@ from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyErr
 from ..protocol import Unknown as UnknownWord
 from ..protocol import Variant
 from ..runtime import Timer
-from .coalesce import Rule, Want, a_device
+from .coalesce import CoalescingRule, Setpoint, per_device
+from .config import DeviceConfig, Robot
 from .device import Device
 from .events import DeviceEvent, EventLog, Kind
+from .poll import HostCounts, PollSlot
 from .port import Left, Port
-from .robot import DeviceConfig, Robot
-from .station import Station
+from .station import BusEndpoint
 from .ticket import Ticket
-from .turn import HostCounts, Turn
 
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
@@ -48,7 +48,7 @@ STRANGERS = 10_000
 BUDGET = 0.9
 
 
-class Host(Station[Device]):
+class Host(BusEndpoint[Device]):
     """Devices on one bus. Made by `connect`, or by hand: `Host(port, [hubo.variant()], rate_hz=200)`.
 
     `rate_hz` None: no ticks; set-points go out as they are given, nothing is polled unless `poll()` says so. `budget` is
@@ -62,7 +62,7 @@ class Host(Station[Device]):
         *,
         rate_hz: float | None = None,
         budget: float = BUDGET,
-        rules: Mapping[str, Rule] | None = None,
+        rules: Mapping[str, CoalescingRule] | None = None,
         events: EventLog | None = None,
         name: str = "",
     ) -> None:
@@ -78,7 +78,7 @@ class Host(Station[Device]):
         #: Who is shown the words that were not understood: scans, which do not know yet what is there.
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.strangers: Counter[str] = Counter()
-        self.turns: deque[Turn] = deque()
+        self.turns: deque[PollSlot] = deque()
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
@@ -125,7 +125,7 @@ class Host(Station[Device]):
                     f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
                     f" {self._who(member) or 'none'}"
                 ) from error
-            turn = Turn(member, poll, word, 2 * self.port.wire_ns(word))
+            turn = PollSlot(member, poll, word, 2 * self.port.wire_ns(word))
             if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self.turns) % 1))
             if self._half and not self._period:
@@ -155,7 +155,7 @@ class Host(Station[Device]):
                 f"{self.name}: nothing here speaks {protocol} (the bus has {', '.join(self.variants)})"
             )
         made = Device(self, config, NOBODY, self.variants[protocol])
-        Station.add(self, made)
+        BusEndpoint.add(self, made)
         return made
 
     def remove(self, name: str) -> None:
@@ -253,7 +253,7 @@ class Host(Station[Device]):
                     self._take_turn(turn, now)
         self._pump()
 
-    def _take_turn(self, turn: Turn, now: int) -> None:
+    def _take_turn(self, turn: PollSlot, now: int) -> None:
         if self._half and not self._period:
             turn.due = NEVER
         elif turn.every_ns:
@@ -280,7 +280,7 @@ class Host(Station[Device]):
 
     def _send_set_points(self, now: int) -> int:
         """What is wanted, as few words; how long they occupy the bus (ns)."""
-        wanted: dict[str, list[Want]] = {}
+        wanted: dict[str, list[Setpoint]] = {}
         for device in self.members.values():
             for want in device.wants(now):
                 found = wanted.get(want.message)
@@ -290,7 +290,7 @@ class Host(Station[Device]):
                     found.append(want)
         used = 0
         for message, wants in wanted.items():
-            rule = self.rules.get(message) or wants[0].device.rules.get(message, a_device)
+            rule = self.rules.get(message) or wants[0].device.rules.get(message, per_device)
             for out in rule(wants):
                 try:
                     word = self.word(out.device, out.message, out.fields)
@@ -485,7 +485,7 @@ class Host(Station[Device]):
         latency = instant - ticket.sent_at
         if latency > counts.latency_ns:
             counts.latency_ns = latency
-        turn: Turn | None = ticket.poll
+        turn: PollSlot | None = ticket.poll
         if turn is not None:
             turn.waiting = None
             self._learn(turn, record, instant)
@@ -493,7 +493,7 @@ class Host(Station[Device]):
             self._free(ticket)
         ticket.finish(record)
 
-    def _learn(self, turn: Turn, record: Any, instant: int) -> None:
+    def _learn(self, turn: PollSlot, record: Any, instant: int) -> None:
         """What a poll costs with its answer, and how long the round takes."""
         counts = self.counts
         cycle = instant - turn.asked_at
@@ -587,7 +587,7 @@ class Host(Station[Device]):
         if identifier is None:
             return self._speaking.device if self._speaking is not None else None
         for variant in self.variants.values():
-            for message in variant.facing("from device"):
+            for message in variant.messages_for("from device"):
                 captures = message.identifier.match(identifier)
                 if not captures:
                     continue

@@ -23,7 +23,7 @@ import construct as c
 
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import RegisterMap
-from .coalesce import Outgoing, Want
+from .coalesce import OutgoingMessage, Setpoint
 from .device import Device, Poll
 from .signals import Signal
 from .ticket import Job, Steps, Ticket
@@ -32,7 +32,7 @@ from .ticket import Job, Steps, Ticket
 AGAIN = 3
 
 
-class Codec:
+class RegisterCodec:
     """One register's bytes as a raw number, and that number as its value."""
 
     __slots__ = ("_values", "address", "name", "pack", "register", "size", "unpack_from")
@@ -65,12 +65,12 @@ class Codec:
         return number
 
 
-class Span:
+class RegisterSpan:
     """Registers that stand side by side: what one request reads."""
 
     __slots__ = ("codecs", "count", "start")
 
-    def __init__(self, start: int, count: int, codecs: Iterable[Codec]) -> None:
+    def __init__(self, start: int, count: int, codecs: Iterable[RegisterCodec]) -> None:
         self.start, self.count = start, count
         #: Each register and where it stands in the answer.
         self.codecs = tuple(
@@ -106,7 +106,7 @@ class RegisterDevice(Device):
     acknowledges: bool = True
     answers: bool = True
     #: By register map: its registers' codecs, made once for all devices.
-    _all_codecs: ClassVar[dict[int, tuple[RegisterMap, dict[str, Codec]]]] = {}
+    _all_codecs: ClassVar[dict[int, tuple[RegisterMap, dict[str, RegisterCodec]]]] = {}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -117,13 +117,13 @@ class RegisterDevice(Device):
     def __init__(self, *args: Any) -> None:
         found = self._all_codecs.get(id(self.registers))
         if found is None or found[0] is not self.registers:
-            made = {name: Codec(self.registers, name) for name in self.registers}
+            made = {name: RegisterCodec(self.registers, name) for name in self.registers}
             found = self._all_codecs[id(self.registers)] = (self.registers, made)
-        self.codecs: Mapping[str, Codec] = found[1]
+        self.codecs: Mapping[str, RegisterCodec] = found[1]
         #: The last raw number heard of each register, and when.
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
-        self._spans: dict[Any, Span] = {}
+        self._spans: dict[Any, RegisterSpan] = {}
         #: Set-points that were given: register → raw number.
         self.goals: dict[str, int] = {}
         self._fresh: dict[str, None] = {}
@@ -134,7 +134,7 @@ class RegisterDevice(Device):
 
     # ------------------------------------------------------------------ declaring
 
-    def codec(self, name: str) -> Codec:
+    def codec(self, name: str) -> RegisterCodec:
         """A register's codec; raises `UnknownNameError`."""
         found = self.codecs.get(name)
         if found is None:
@@ -296,7 +296,7 @@ class RegisterDevice(Device):
                 self._take(span, data, instant)
         super().receive(record, instant)
 
-    def _take(self, span: Span, data: bytes, instant: int) -> None:
+    def _take(self, span: RegisterSpan, data: bytes, instant: int) -> None:
         known, watches, kept = self.known, self._watches, self._kept
         lost: dict[str, tuple[int, int]] | None = None
         for at, codec in span.codecs:
@@ -360,7 +360,7 @@ class RegisterDevice(Device):
         elif self.goals.pop(message, None) is None:
             super().drop(message)
 
-    def wants(self, now: int) -> list[Want]:
+    def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick."""
         out = super().wants(now) if self._given else []
         goals = self.goals
@@ -372,13 +372,13 @@ class RegisterDevice(Device):
         fresh, streamed = self._fresh, self.streamed
         for name, value in goals.items():
             if name in fresh or name in streamed:
-                out.append(Want(self, message, name, value))
+                out.append(Setpoint(self, message, name, value))
         fresh.clear()
         return out
 
     # ------------------------------------------------------------------ inside
 
-    def _ask(self, message: str, span: Span | None, **fields: Any) -> Ticket:
+    def _ask(self, message: str, span: RegisterSpan | None, **fields: Any) -> Ticket:
         """A request; what it is answered with is remembered by its word."""
         if span is not None:
             self._spans[self.host.word(self, message, fields)] = span
@@ -390,12 +390,12 @@ class RegisterDevice(Device):
         yield ticket
         yield self.host.port.wire_ns(ticket.word)
 
-    def _span(self, first: str, last: str) -> tuple[Span, dict[str, int]]:
+    def _span(self, first: str, last: str) -> tuple[RegisterSpan, dict[str, int]]:
         one, other = self.codec(first), self.codec(last)
         count = other.address + other.size - one.address
         if count <= 0:
             raise CallerError(f"{self.name}: register {last} stands before {first}")
-        return Span(one.address, count, self.codecs.values()), {"start": one.address, "count": count}
+        return RegisterSpan(one.address, count, self.codecs.values()), {"start": one.address, "count": count}
 
     def _must_answer(self, doing: str) -> None:
         if not self.answers:
@@ -413,7 +413,7 @@ class RegisterDevice(Device):
             if poll.message == self._read_message:
                 start, count = poll.fields["start"], poll.fields["count"]
                 word = self.host.word(self, poll.message, poll.fields)
-                self._spans[word] = Span(start, count, self.codecs.values())
+                self._spans[word] = RegisterSpan(start, count, self.codecs.values())
 
     @property
     def _read_message(self) -> str:
@@ -430,9 +430,9 @@ class RegisterDevice(Device):
         return self.registers.sync_message or ""
 
 
-def together_rule(wants: Sequence[Want]) -> Iterable[Outgoing]:
+def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
     """One packet a register for all devices that want it, cut where the smallest receive buffer is full."""
-    by_register: dict[str, list[Want]] = {}
+    by_register: dict[str, list[Setpoint]] = {}
     for want in wants:
         by_register.setdefault(want.path, []).append(want)
     for name, mine in by_register.items():
@@ -446,7 +446,7 @@ def together_rule(wants: Sequence[Want]) -> Iterable[Outgoing]:
                 for want in mine[at : at + each]
             ]
             fields = {"start": codec.address, "size": codec.size, "servos": servos}
-            yield Outgoing(first, mine[0].message, fields)
+            yield OutgoingMessage(first, mine[0].message, fields)
 
 
-__all__ = ["Codec", "RegisterDevice", "Span", "together_rule"]
+__all__ = ["RegisterCodec", "RegisterDevice", "RegisterSpan", "together_rule"]

@@ -16,7 +16,7 @@ from ..errors import CallerError
 from ..runtime import Clock
 
 
-class Unknown:
+class UnknownType:
     """The type of `UNKNOWN`. It is false, and equal to itself only."""
 
     def __bool__(self) -> bool:
@@ -30,7 +30,7 @@ class Unknown:
 
 
 #: What a quantity is before anything was heard of it, and when what was heard is stale.
-UNKNOWN: Final = Unknown()
+UNKNOWN: Final = UnknownType()
 
 Listener = Callable[[Any, int], None]
 

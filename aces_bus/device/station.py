@@ -16,11 +16,11 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 from ..errors import CallerError
 from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
-from ..protocol.spec.message import Message
+from ..protocol.declare.message import Message
 from .port import Port
 
 
-class Member(Protocol):
+class EndpointMember(Protocol):
     """Who stands at a station: a device or a twin."""
 
     @property
@@ -43,12 +43,12 @@ class Member(Protocol):
         ...
 
 
-M = TypeVar("M", bound=Member)
+M = TypeVar("M", bound=EndpointMember)
 #: A record's type: the credential field to look at (None: it has none), who is meant by its values, and all of them.
 _Route = tuple[str | None, dict[int, list[M]], int | None]
 
 
-class Station(Generic[M]):
+class BusEndpoint(Generic[M]):
     """One side of a bus; see `Host` and `Twins`."""
 
     def __init__(
@@ -64,7 +64,7 @@ class Station(Generic[M]):
         self.port, self.clock, self.name = port, port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
         self.direction = direction
-        self.scanner = make_scanner(list(variants), direction=direction, everything=True)
+        self.scanner = make_scanner(list(variants), direction=direction, include_unknown=True)
         self.members: dict[str, M] = {}
         self._routes: dict[type, _Route[M]] = {}
         #: By member and message: the message, the credentials that it has fields for, the encoder.
@@ -204,7 +204,7 @@ class Station(Generic[M]):
         return encode(found, {**tags, **fields})
 
 
-def tags_of(member: Member, message: Message) -> dict[str, int]:
+def tags_of(member: EndpointMember, message: Message) -> dict[str, int]:
     """The credentials that a message has fields for."""
     return {name: value for name, value in member.credentials.items() if name in message.fields}
 

@@ -24,10 +24,10 @@ from typing import Protocol as Interface
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..protocol import Protocol, Variant
 from ..runtime import EventClock, Timer
+from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
-from .robot import DeviceConfig, Joint, Robot, Sensor
 from .shadowing import refuse_hidden, refuse_shadowing
-from .station import Station
+from .station import BusEndpoint
 
 #: Bytes that are kept of a stream, for twins that answer what is not understood.
 TAIL = 512
@@ -277,7 +277,7 @@ class Twin:
         return f"<{type(self).__name__} {self.name}: {tags}>"
 
 
-class Twins(Station[Twin]):
+class Twins(BusEndpoint[Twin]):
     """The simulated devices of one bus: they share its port, as boards share a backplane.
 
     Two twins that must collide on the wire, or be unplugged alone, stand at ports of their own.

@@ -15,11 +15,11 @@
 
 from __future__ import annotations
 
-from ..protocol.scan.dataframes import to_arrow as to_arrow
-from ..protocol.scan.dataframes import to_pandas as to_pandas
-from ..protocol.scan.dataframes import to_polars as to_polars
+from ..protocol.columns.dataframes import to_arrow as to_arrow
+from ..protocol.columns.dataframes import to_pandas as to_pandas
+from ..protocol.columns.dataframes import to_polars as to_polars
 from .base import Export as Export
-from .open import format_of as format_of
+from .open import export_format as export_format
 from .open import open_export as open_export
 
-__all__ = ["Export", "format_of", "open_export", "to_arrow", "to_pandas", "to_polars"]
+__all__ = ["Export", "export_format", "open_export", "to_arrow", "to_pandas", "to_polars"]

@@ -1,7 +1,7 @@
 """What every export does: takes tables piece by piece, keeps little, stands at the end or not at all.
 
 1. `write` keeps copies of values and no table. All pieces that wait together are at most about `BUDGET` bytes.
-2. A message's schema is the same in every piece; see `aces_bus.protocol.scan.layout`.
+2. A message's schema is the same in every piece; see `aces_bus.protocol.columns.layout`.
 3. `close` puts the export in its place; leaving the `with` block by an exception, or `abandon`, leaves nothing behind.
 """
 
@@ -14,10 +14,19 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from ..errors import CallerError
-from ..protocol.scan.dataframes import is_absolute
-from ..protocol.scan.layout import Block, Labels, Layout, Objects, concat, cut, empty_table, size_of
-from ..protocol.scan.message_table import MessageTable
-from ..protocol.spec.protocol import Variant
+from ..protocol.columns.dataframes import is_absolute
+from ..protocol.columns.layout import (
+    Block,
+    DatasetLayout,
+    Labels,
+    Objects,
+    concat,
+    cut_runs,
+    empty_table,
+    size_of,
+)
+from ..protocol.columns.table import MessageTable
+from ..protocol.declare.protocol import Variant
 from .files import Staging, telling
 from .naming import Naming
 
@@ -44,7 +53,7 @@ class Dataset:
     """One message on its way into an export."""
 
     name: str
-    layout: Layout
+    layout: DatasetLayout
     pieces: list[Block] = field(default_factory=list)
     waiting: int = 0
     size: int = 0
@@ -141,7 +150,7 @@ class Export(ABC):
         for dataset in some:
             if dataset.layout.fits(table):
                 return dataset
-        layout = Layout.of(
+        layout = DatasetLayout.of(
             table,
             self._objects.of(table),
             columns=columns.get(table.message),
@@ -259,7 +268,7 @@ class Buffered(Export):
         dataset.pieces, dataset.waiting, dataset.size = [], 0, 0
         for start in range(0, rows, self.rows_at_once):
             whole = rows <= self.rows_at_once
-            self._emit(dataset, block if whole else cut(block, start, start + self.rows_at_once))
+            self._emit(dataset, block if whole else cut_runs(block, start, start + self.rows_at_once))
 
     def _finish(self) -> None:
         for dataset in self._all():

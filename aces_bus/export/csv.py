@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from ..plain_text import FORMULA, NUMBER, cell_text
-from ..protocol.scan.arrow import ArrowLayout, field_metadata
-from ..protocol.scan.layout import Block
-from ..protocol.spec.protocol import Variant
+from ..protocol.columns.arrow import ArrowLayout, field_metadata
+from ..protocol.columns.layout import Block
+from ..protocol.declare.protocol import Variant
 from .base import Options
-from .files import Sink
+from .files import ExportFile
 from .folder import Folder
 
 COLUMNS = "_columns"
@@ -42,7 +42,7 @@ class CsvExport(Folder):
     def _reserved(self) -> Sequence[str]:
         return [COLUMNS]
 
-    def _open(self, arrow: ArrowLayout, sink: Sink) -> Any:
+    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
         import pyarrow as pa
         import pyarrow.csv
 

@@ -155,7 +155,7 @@ class FilePool:
                 pass
 
 
-class Sink(io.RawIOBase):
+class ExportFile(io.RawIOBase):
     """A file of a pool as libraries want one: it is written to, and knows where it stands."""
 
     def __init__(self, pool: FilePool, path: str) -> None:

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..errors import CallerError
-from ..protocol.scan.arrow import ArrowLayout, pyarrow
-from ..protocol.scan.layout import Block
-from ..protocol.spec.protocol import Variant
+from ..protocol.columns.arrow import ArrowLayout, load_pyarrow
+from ..protocol.columns.layout import Block
+from ..protocol.declare.protocol import Variant
 from .base import Buffered, Dataset, Options
-from .files import FilePool, Sink
+from .files import ExportFile, FilePool
 
 
 class Folder(Buffered):
@@ -25,7 +25,7 @@ class Folder(Buffered):
     is_folder = True
 
     def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
-        pyarrow()
+        load_pyarrow()
         self._pool = FilePool(path)
         self._writers: dict[str, tuple[ArrowLayout, Any, str]] = {}
         super().__init__(path, options, variants)
@@ -51,7 +51,7 @@ class Folder(Buffered):
                 names=self.options.names,
             )
             path = self._file(dataset)
-            writer = self._open(arrow, Sink(self._pool, path))
+            writer = self._open(arrow, ExportFile(self._pool, path))
             found = self._writers[dataset.name] = (arrow, writer, path)
         return found
 
@@ -74,7 +74,7 @@ class Folder(Buffered):
         self._writers.clear()
 
     @abstractmethod
-    def _open(self, arrow: ArrowLayout, sink: Sink) -> Any:
+    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
         """A writer into the sink, which has `close`."""
 
     @abstractmethod

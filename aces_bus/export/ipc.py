@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..protocol.scan.arrow import ArrowLayout
-from ..protocol.scan.layout import Block
-from .files import Sink
+from ..protocol.columns.arrow import ArrowLayout
+from ..protocol.columns.layout import Block
+from .files import ExportFile
 from .folder import Folder
 
 
@@ -19,7 +19,7 @@ class ArrowExport(Folder):
     format = "Arrow"
     suffix = ".arrow"
 
-    def _open(self, arrow: ArrowLayout, sink: Sink) -> Any:
+    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
         import pyarrow as pa
 
         options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)

@@ -21,10 +21,10 @@ import numpy as np
 
 from ..errors import CallerError
 from ..frame_table import NO_TIME
-from ..protocol.scan.arrow import json_text, schema_metadata
-from ..protocol.scan.layout import Layout, Slot, plain_json
-from ..protocol.scan.message_table import Column, MessageTable
-from ..protocol.spec.protocol import Variant
+from ..protocol.columns.arrow import json_text, schema_metadata
+from ..protocol.columns.layout import DatasetColumn, DatasetLayout, plain_json
+from ..protocol.columns.table import Column, MessageTable
+from ..protocol.declare.protocol import Variant
 from .base import Dataset, Export, Options
 
 Tree = dict[str, Any]
@@ -115,7 +115,9 @@ class McapExport(Export):
                 f"{self.path}: cannot be written: {self._file.refused.strerror or self._file.refused}"
             )
 
-    def _objects_of(self, table: MessageTable, layout: Layout, source: str | None) -> list[dict[str, Any]]:
+    def _objects_of(
+        self, table: MessageTable, layout: DatasetLayout, source: str | None
+    ) -> list[dict[str, Any]]:
         tree: Tree = {}
         for slot in layout.slots:
             if slot.kind is not None:
@@ -136,7 +138,7 @@ class McapExport(Export):
             ]
         return values
 
-    def _meta(self, table: MessageTable, layout: Layout, source: str | None) -> list[dict[str, Any]]:
+    def _meta(self, table: MessageTable, layout: DatasetLayout, source: str | None) -> list[dict[str, Any]]:
         parts: dict[str, list[Any]] = {}
         block = layout.block(table, self.labels, self.sources, source)
         for slot, (values, absent) in zip(layout.slots, block, strict=True):
@@ -232,7 +234,7 @@ def _joined(tree: Tree, n: int) -> list[Any]:
     return [dict(zip(tree, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _schema(layout: Layout, *, names: bool, has_source: bool) -> dict[str, Any]:
+def _schema(layout: DatasetLayout, *, names: bool, has_source: bool) -> dict[str, Any]:
     tree: Tree = {}
     for slot in layout.slots:
         if slot.kind is not None:
@@ -270,7 +272,7 @@ def _branch(one: Any) -> dict[str, Any]:
     return _object(one)
 
 
-def _leaf(slot: Slot, *, names: bool) -> _Leaf:
+def _leaf(slot: DatasetColumn, *, names: bool) -> _Leaf:
     kind = slot.kind
     assert kind is not None
     found = _Leaf()

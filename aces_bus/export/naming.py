@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from ..protocol.spec.protocol import Variant
+from ..protocol.declare.protocol import Variant
 
 LOST = "_lost"
 LONGEST = 120
@@ -37,7 +37,7 @@ class Naming:
             return self._free(LOST)
         owners = self._owners.setdefault(message.casefold(), set())
         owners.add(protocol)
-        wanted = safe(f"{protocol}.{message}" if len(owners) > 1 else message)
+        wanted = safe_name(f"{protocol}.{message}" if len(owners) > 1 else message)
         return self._free(f"{wanted}_" if wanted.casefold() == LOST else wanted)
 
     def _free(self, wanted: str) -> str:
@@ -49,7 +49,7 @@ class Naming:
         return name
 
 
-def safe(name: str) -> str:
+def safe_name(name: str) -> str:
     """A name that every file system takes."""
     name = _ODD.sub("_", name)[:LONGEST].strip(".") or "_"
     return f"_{name}" if _DEVICES.fullmatch(name) else name

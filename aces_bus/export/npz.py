@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from ..protocol.scan.arrow import field_metadata, json_text, schema_metadata
-from ..protocol.scan.layout import Block, Slot
-from ..protocol.spec.protocol import Variant
+from ..protocol.columns.arrow import field_metadata, json_text, schema_metadata
+from ..protocol.columns.layout import Block, DatasetColumn
+from ..protocol.declare.protocol import Variant
 from .base import Buffered, Dataset, Options
 from .files import FilePool
 
@@ -98,7 +98,7 @@ class NpzExport(Buffered):
                     self._add(f"{name}/ends", np.zeros(0, np.int64))
 
     @staticmethod
-    def _dtype(slot: Slot) -> Any:
+    def _dtype(slot: DatasetColumn) -> Any:
         return slot.dtype or {"bool": np.bool_, "label": np.int32}.get(slot.holds, np.int64)
 
     def _finish(self) -> None:

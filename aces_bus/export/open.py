@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 
 from ..errors import CallerError, UnknownNameError
-from ..protocol.spec.protocol import Variant
+from ..protocol.declare.protocol import Variant
 from .base import Export, Options
 
 #: Format → its module here and its class.
@@ -38,7 +38,7 @@ SUFFIXES: Mapping[str, str] = {
 }
 
 
-def format_of(path: str | os.PathLike[str]) -> str | None:
+def export_format(path: str | os.PathLike[str]) -> str | None:
     """The format that a path asks for, None when it asks for none of these.
 
     >>> format_of("walk.parquet"), format_of("walk.csv/"), format_of("walk.csv")
@@ -74,7 +74,7 @@ def open_export(
     `UnknownNameError` for a format that does not exist.
     """
     text = os.fspath(path)
-    chosen = format or format_of(text)
+    chosen = format or export_format(text)
     if chosen is None:
         raise CallerError(
             f"{text}: its suffix says no format; use one of {', '.join(SUFFIXES)}, or .csv/ for a folder"

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..protocol.scan.arrow import ArrowLayout
-from ..protocol.scan.layout import Block, Slot
-from .files import Sink
+from ..protocol.columns.arrow import ArrowLayout
+from ..protocol.columns.layout import Block, DatasetColumn
+from .files import ExportFile
 from .folder import Folder
 
 
-def _is_repetitive(slot: Slot) -> bool:
+def _is_repetitive(slot: DatasetColumn) -> bool:
     if slot.holds in ("label", "bool") or slot.role == "id":
         return True
     if slot.kind is None or slot.holds != "number":
@@ -29,7 +29,7 @@ def _is_repetitive(slot: Slot) -> bool:
 _ENCODINGS = {"rising": "DELTA_BINARY_PACKED", "float": "BYTE_STREAM_SPLIT"}
 
 
-def _kind(slot: Slot) -> str | None:
+def _kind(slot: DatasetColumn) -> str | None:
     """Which encoding of its own a column has."""
     if slot.role in ("time", "offset"):
         return "rising"
@@ -43,7 +43,7 @@ class ParquetExport(Folder):
     format = "Parquet"
     suffix = ".parquet"
 
-    def _open(self, arrow: ArrowLayout, sink: Sink) -> Any:
+    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
         import pyarrow.parquet as pq
 
         slots = arrow.layout.slots

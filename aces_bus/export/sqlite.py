@@ -17,9 +17,9 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from ..errors import CallerError
-from ..protocol.scan.arrow import Names, field_metadata, schema_metadata
-from ..protocol.scan.layout import Block, Slot
-from ..protocol.spec.protocol import Variant
+from ..protocol.columns.arrow import GrowingDictionary, field_metadata, schema_metadata
+from ..protocol.columns.layout import Block, DatasetColumn
+from ..protocol.declare.protocol import Variant
 from .base import Buffered, Dataset, Options
 
 #: Columns of a table and of a statement, as SQLite is usually built.
@@ -45,7 +45,7 @@ class SqliteExport(Buffered):
         super().__init__(path, options, variants)
         self._pending = 0
         self._inserts: dict[str, str] = {}
-        self._enumerations: dict[str, dict[str, Names]] = {}
+        self._enumerations: dict[str, dict[str, GrowingDictionary]] = {}
         try:
             self._base = sqlite3.connect(self.place, isolation_level=None)
             self._base.executescript(
@@ -68,7 +68,7 @@ class SqliteExport(Buffered):
         names = _column_names(slots)
         if self.options.names:
             self._enumerations[dataset.name] = {
-                slot.name: Names(slot.kind.names)
+                slot.name: GrowingDictionary(slot.kind.names)
                 for slot in slots
                 if slot.holds == "number" and slot.kind is not None and slot.kind.names is not None
             }
@@ -88,7 +88,7 @@ class SqliteExport(Buffered):
         )
 
     @staticmethod
-    def _about(dataset: Dataset, name: str, slot: Slot) -> tuple[str | None, ...]:
+    def _about(dataset: Dataset, name: str, slot: DatasetColumn) -> tuple[str | None, ...]:
         known = field_metadata(slot)
         path = slot.kind.name if slot.kind is not None else None
         return (_table(dataset), name, path, *map(known.get, ("unit", "doc", "names", "flags", "holds")))
@@ -107,7 +107,9 @@ class SqliteExport(Buffered):
                 self._base.execute("BEGIN")
                 self._pending = 0
 
-    def _plain(self, slot: Slot, values: Any, absent: Any, names: Names | None) -> list[Any]:
+    def _plain(
+        self, slot: DatasetColumn, values: Any, absent: Any, names: GrowingDictionary | None
+    ) -> list[Any]:
         plain: list[Any]
         if slot.holds == "label":
             labels = self.sources.names if slot.role == "source" else self.labels.names
@@ -167,7 +169,7 @@ def _table(dataset: Dataset) -> str:
     return f"_{name}" if name.casefold().startswith("sqlite_") else name
 
 
-def _column_names(slots: Sequence[Slot]) -> list[str]:
+def _column_names(slots: Sequence[DatasetColumn]) -> list[str]:
     """Names of columns, which SQLite compares without case."""
     taken: set[str] = set()
     names: list[str] = []
@@ -186,7 +188,7 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""').replace("\0", "") + '"'
 
 
-def _type(slot: Slot) -> str:
+def _type(slot: DatasetColumn) -> str:
     if slot.holds == "bytes":
         return "BLOB"
     if slot.holds in ("label", "text", "wide", "json"):

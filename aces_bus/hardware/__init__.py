@@ -7,89 +7,62 @@ needed.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .can import CanGate as CanGate
-    from .can import Received as Received
-    from .datagram import Datagram as Datagram
-    from .datagram import DatagramGate as DatagramGate
-    from .datagram_wire import DatagramWire as DatagramWire
-    from .events import BusEvent as BusEvent
-    from .faults import Faults as Faults
-    from .frame_time import FrameBits as FrameBits
-    from .frame_time import frame_bits as frame_bits
-    from .ports import CanPort as CanPort
-    from .ports import DatagramPort as DatagramPort
-    from .ports import SerialPort as SerialPort
-    from .ports import port_of as port_of
-    from .serial import Heard as Heard
-    from .serial import SerialGate as SerialGate
-    from .serial_wire import SerialWire as SerialWire
-    from .virtual import AcesBus as AcesBus
-    from .virtual import virtual_clock as virtual_clock
-    from .wire import Babbler as Babbler
-    from .wire import Node as Node
-    from .wire import Recorder as Recorder
-    from .wire import Wire as Wire
-    from .wire import WireEvent as WireEvent
-
-_PLACES = {
-    "AcesBus": "virtual",
-    "Babbler": "wire",
-    "BusEvent": "events",
-    "CanGate": "can",
-    "CanPort": "ports",
-    "Datagram": "datagram",
-    "DatagramGate": "datagram",
-    "DatagramPort": "ports",
-    "DatagramWire": "datagram_wire",
-    "Faults": "faults",
-    "FrameBits": "frame_time",
-    "Heard": "serial",
-    "Node": "wire",
-    "Received": "can",
-    "Recorder": "wire",
-    "SerialGate": "serial",
-    "SerialPort": "ports",
-    "SerialWire": "serial_wire",
-    "Wire": "wire",
-    "WireEvent": "wire",
-    "frame_bits": "frame_time",
-    "port_of": "ports",
-    "virtual_clock": "virtual",
-}
+    from .can import CanGate, Received
+    from .datagram import Datagram, DatagramGate
+    from .events import BusEvent
+    from .ports import CanPort, DatagramPort, SerialPort, port_of
+    from .serial import ReceivedBytes, SerialGate
+    from .simulated.backend import AcesBus, virtual_clock
+    from .simulated.bus import Babbler, BusNode, ListeningNode, SimulatedBus, SimulatedBusEvent
+    from .simulated.datagrams import SimulatedDatagrams
+    from .simulated.faults import Faults
+    from .simulated.frame_time import FrameBits, frame_bits
+    from .simulated.serial_line import SimulatedSerialLine
 
 __all__ = [
     "AcesBus",
     "Babbler",
     "BusEvent",
+    "BusNode",
     "CanGate",
     "CanPort",
     "Datagram",
     "DatagramGate",
     "DatagramPort",
-    "DatagramWire",
     "Faults",
     "FrameBits",
-    "Heard",
-    "Node",
+    "ListeningNode",
     "Received",
-    "Recorder",
+    "ReceivedBytes",
     "SerialGate",
     "SerialPort",
-    "SerialWire",
-    "Wire",
-    "WireEvent",
+    "SimulatedBus",
+    "SimulatedBusEvent",
+    "SimulatedDatagrams",
+    "SimulatedSerialLine",
     "frame_bits",
     "port_of",
     "virtual_clock",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _PLACES:
-        from importlib import import_module
-
-        return getattr(import_module(f".{_PLACES[name]}", __name__), name)
-    raise AttributeError(f"module 'aces_bus.hardware' has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        ".can": "CanGate Received",
+        ".datagram": "Datagram DatagramGate",
+        ".events": "BusEvent",
+        ".ports": "CanPort DatagramPort SerialPort port_of",
+        ".serial": "ReceivedBytes SerialGate",
+        ".simulated.backend": "AcesBus virtual_clock",
+        ".simulated.bus": "Babbler BusNode ListeningNode SimulatedBus SimulatedBusEvent",
+        ".simulated.datagrams": "SimulatedDatagrams",
+        ".simulated.faults": "Faults",
+        ".simulated.frame_time": "FrameBits frame_bits",
+        ".simulated.serial_line": "SimulatedSerialLine",
+    },
+)

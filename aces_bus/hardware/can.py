@@ -16,9 +16,9 @@ from typing import Any
 
 import msgspec
 
-from ..capture.filters import CanFilter
 from ..errors import CallerError
-from ..frame import Frame
+from ..frames import Frame
+from ..recordings.filters import CanFilter
 from ..runtime import Clock
 from .backends import (
     DATAGRAMS,
@@ -32,7 +32,7 @@ from .backends import (
 from .gate import POLL_S, Gate
 from .inbox import LIMIT, Inbox, Listener
 from .outbox import Report
-from .wire import arbitration
+from .simulated.bus import arbitration
 
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
 BATCH = 256

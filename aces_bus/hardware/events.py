@@ -53,7 +53,7 @@ class BusEvent(msgspec.Struct, frozen=True):
 Handler = Callable[[BusEvent], None]
 
 
-class Events:
+class BusEvents:
     """The handlers of one bus. `failures` counts what they raised."""
 
     def __init__(self) -> None:

@@ -21,10 +21,10 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from ..errors import CallerError
 from ..runtime import Clock, RealClock
-from .events import BusEvent, Events, Handler, Kind
+from .events import BusEvent, BusEvents, Handler, Kind
 from .inbox import LIMIT, Inbox, Listener
 from .outbox import AGE_S, Fate, Outbox, Report
-from .outbox import Item as Outgoing
+from .outbox import OutboxItem as Outgoing
 
 Item = TypeVar("Item")
 
@@ -37,7 +37,7 @@ DRAIN_S, JOIN_S = 1.0, 5.0
 
 
 @dataclass
-class Counters:
+class GateCounters:
     """What went through a gate, and what did not: frames of CAN, bytes of a serial line, datagrams.
 
     `dropped` came faster than a reader took it. `kernel_dropped` is what the system says it dropped before we could read.
@@ -93,8 +93,8 @@ class Gate(ABC, Generic[Item]):
     def __init__(self, name: str, *, listen_only: bool, reopen: bool, clock: Clock | None) -> None:
         self.name, self.listen_only, self.reopen = name, listen_only, reopen
         self.clock: Clock = clock if clock is not None else RealClock()
-        self.counters = Counters()
-        self.events = Events()
+        self.counters = GateCounters()
+        self.events = BusEvents()
         self.state: Literal["new", "open", "lost", "closed"] = "new"
         self._bus: Any = None
         self._inboxes: tuple[Inbox[Item], ...] = ()

@@ -25,7 +25,7 @@ Report = Callable[[Fate, str], object]
 AGE_S = 1.0
 
 
-class Item(Generic[Word]):
+class OutboxItem(Generic[Word]):
     """One word that is to be sent: `size` in the gate's unit, `until` the last instant (ns) at which it may leave."""
 
     __slots__ = ("fate", "report", "size", "topic", "until", "urgent", "word")
@@ -42,7 +42,7 @@ class Outbox(Generic[Word]):
     """Words by priority, the lowest first; equal ones by age."""
 
     def __init__(self) -> None:
-        self._heap: list[tuple[bool, int, int, Item[Word]]] = []
+        self._heap: list[tuple[bool, int, int, OutboxItem[Word]]] = []
         self._count = 0
         #: What waits, in the gate's unit.
         self.size = 0
@@ -50,22 +50,22 @@ class Outbox(Generic[Word]):
     def __len__(self) -> int:
         return len(self._heap)
 
-    def push(self, item: Item[Word], priority: int) -> None:
+    def push(self, item: OutboxItem[Word], priority: int) -> None:
         """Queue a word."""
         self._count += 1
         heapq.heappush(self._heap, (not item.urgent, priority, self._count, item))
         self.size += item.size
 
-    def pop(self) -> Item[Word]:
+    def pop(self) -> OutboxItem[Word]:
         """The next word."""
         item = heapq.heappop(self._heap)[3]
         self.size -= item.size
         return item
 
-    def take(self, which: Callable[[Item[Word]], bool]) -> list[Item[Word]]:
+    def take(self, which: Callable[[OutboxItem[Word]], bool]) -> list[OutboxItem[Word]]:
         """Take out all those words, in order."""
-        kept: list[tuple[bool, int, int, Item[Word]]] = []
-        taken: list[Item[Word]] = []
+        kept: list[tuple[bool, int, int, OutboxItem[Word]]] = []
+        taken: list[OutboxItem[Word]] = []
         for entry in sorted(self._heap, key=_order):
             if which(entry[3]):
                 taken.append(entry[3])
@@ -80,4 +80,4 @@ def _order(entry: tuple[bool, int, int, Any]) -> tuple[bool, int, int]:
     return entry[:3]
 
 
-__all__ = ["AGE_S", "Fate", "Item", "Outbox", "Report"]
+__all__ = ["AGE_S", "Fate", "Outbox", "OutboxItem", "Report"]

@@ -14,17 +14,17 @@ from typing import Any, Literal
 from msgspec.structs import replace
 
 from ..errors import CallerError
-from ..frame import Frame
+from ..frames import Frame
 from ..runtime import EventClock, Loop
 from .can import CanGate, Received
 from .datagram import Datagram, DatagramGate
-from .datagram_wire import DatagramWire
 from .events import BusEvent
-from .frame_time import INTERMISSION, frame_bits
 from .outbox import AGE_S
-from .serial import Heard, SerialGate
-from .serial_wire import BITS, SerialWire
-from .wire import Node, Wire, WireEvent
+from .serial import ReceivedBytes, SerialGate
+from .simulated.bus import BusNode, SimulatedBus, SimulatedBusEvent
+from .simulated.datagrams import SimulatedDatagrams
+from .simulated.frame_time import INTERMISSION, frame_bits
+from .simulated.serial_line import BITS, SimulatedSerialLine
 
 Handler = Callable[[Any, int], Any]
 #: Told what became of a word ("sent", "failed", "expired", "dropped", "unsent"), and why.
@@ -47,7 +47,7 @@ class CanPort:
 
     def __init__(
         self,
-        bus: Wire | CanGate,
+        bus: SimulatedBus | CanGate,
         loop: Loop | None = None,
         *,
         name: str = "",
@@ -56,7 +56,7 @@ class CanPort:
         self._bus = bus
         self._handler: BusHandler | None = None
         self._costs: dict[tuple[int, bool, bool], int] = {}
-        if isinstance(bus, Wire):
+        if isinstance(bus, SimulatedBus):
             self.clock: EventClock = bus.clock
             self.bitrate = bus.bitrate
             self.data_bitrate = bus.data_bitrate
@@ -68,7 +68,7 @@ class CanPort:
 
     def open(self, received: Handler) -> None:
         """Begin to hear."""
-        if isinstance(self._bus, Wire):
+        if isinstance(self._bus, SimulatedBus):
             self.node = self._bus.attach(
                 self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART
             )
@@ -94,7 +94,7 @@ class CanPort:
         if isinstance(self._bus, CanGate):
             _forward(self._bus, self.clock, handler)
 
-    def _happened(self, event: WireEvent) -> None:
+    def _happened(self, event: SimulatedBusEvent) -> None:
         if self._handler is not None and event.kind in STATES:
             self._handler(event.kind, "")
 
@@ -129,7 +129,7 @@ class CanPort:
 
     def close(self) -> None:
         """Hear no more; a gate is stopped."""
-        if isinstance(self._bus, Wire):
+        if isinstance(self._bus, SimulatedBus):
             self._bus.detach(self.node)
         else:
             if self._inbox is not None:
@@ -144,7 +144,7 @@ class SerialPort:
 
     def __init__(
         self,
-        line: SerialWire | SerialGate,
+        line: SimulatedSerialLine | SerialGate,
         loop: Loop | None = None,
         *,
         name: str = "",
@@ -152,7 +152,7 @@ class SerialPort:
         half_duplex: bool | None = None,
     ) -> None:
         self._line = line
-        if isinstance(line, SerialWire):
+        if isinstance(line, SimulatedSerialLine):
             self.clock: EventClock = line.clock
             self.baud, self.half_duplex = line.baud, line.half_duplex
         else:
@@ -164,13 +164,13 @@ class SerialPort:
 
     def open(self, received: Handler) -> None:
         """Begin to hear."""
-        if isinstance(self._line, SerialWire):
+        if isinstance(self._line, SimulatedSerialLine):
             # An adapter for half-duplex lines takes its own echo out.
             self.node = self._line.attach(self.name, received, echo=False, whole=True)
             return
         loop, handle = self.clock, received
 
-        def heard(items: list[Heard]) -> None:
+        def heard(items: list[ReceivedBytes]) -> None:
             def hand_over() -> None:
                 for item in items:
                     handle(item.data, item.host_ns)
@@ -196,7 +196,7 @@ class SerialPort:
         report: Told | None = None,
     ) -> bool:
         """Send bytes; False when they cannot be (the line is lost, too much waits). See `aces_bus.device.port.Port`."""
-        if isinstance(self._line, SerialWire):
+        if isinstance(self._line, SimulatedSerialLine):
             end = self.node.send(word)
             if report is not None:
                 self.clock.call_at(end, lambda: report("sent", ""))
@@ -209,7 +209,7 @@ class SerialPort:
 
     def close(self) -> None:
         """Hear no more; a gate is stopped."""
-        if isinstance(self._line, SerialWire):
+        if isinstance(self._line, SimulatedSerialLine):
             self.node.is_connected = False
             if self.node in self._line.nodes:
                 self._line.nodes.remove(self.node)
@@ -226,17 +226,17 @@ class DatagramPort:
     half_duplex = False
 
     def __init__(
-        self, network: DatagramWire | DatagramGate, loop: Loop | None = None, *, name: str = ""
+        self, network: SimulatedDatagrams | DatagramGate, loop: Loop | None = None, *, name: str = ""
     ) -> None:
         self._network = network
-        self.clock: EventClock = network.clock if isinstance(network, DatagramWire) else _loop_of(loop)
+        self.clock: EventClock = network.clock if isinstance(network, SimulatedDatagrams) else _loop_of(loop)
         self.name = name or getattr(network, "name", "") or "udp"
         self._inbox: Any = None
         self._last_source: tuple[str, int] | None = None
 
     def open(self, received: Handler) -> None:
         """Begin to hear."""
-        if isinstance(self._network, DatagramWire):
+        if isinstance(self._network, SimulatedDatagrams):
             self.node = self._network.attach(self.name, received)
             return
         loop, handle = self.clock, received
@@ -268,7 +268,7 @@ class DatagramPort:
         report: Told | None = None,
     ) -> bool:
         """Send a datagram: to the peer, or to whom was heard last; False when there is neither. See `Port`."""
-        if isinstance(self._network, DatagramWire):
+        if isinstance(self._network, SimulatedDatagrams):
             self.node.send(word)
             if report is not None:
                 report("sent", "")
@@ -284,7 +284,7 @@ class DatagramPort:
 
     def close(self) -> None:
         """Hear no more; a gate is stopped."""
-        if isinstance(self._network, DatagramWire):
+        if isinstance(self._network, SimulatedDatagrams):
             if self.node in self._network.nodes:
                 self._network.nodes.remove(self.node)
         else:
@@ -321,7 +321,7 @@ def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Cal
     return give
 
 
-def _on_wire(node: Node) -> Callable[..., bool]:
+def _on_wire(node: BusNode) -> Callable[..., bool]:
     """What sends from a simulated node, whose frames wait in its mailboxes as in a controller's."""
     send = node.send
 
@@ -333,11 +333,11 @@ def _on_wire(node: Node) -> Callable[..., bool]:
 
 def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
     """The port of a wire or gate of any kind; options are those of the port. Raises `CallerError` for anything else."""
-    if isinstance(bus, (Wire, CanGate)):
+    if isinstance(bus, (SimulatedBus, CanGate)):
         return CanPort(bus, loop, **options)
-    if isinstance(bus, (SerialWire, SerialGate)):
+    if isinstance(bus, (SimulatedSerialLine, SerialGate)):
         return SerialPort(bus, loop, **options)
-    if isinstance(bus, (DatagramWire, DatagramGate)):
+    if isinstance(bus, (SimulatedDatagrams, DatagramGate)):
         return DatagramPort(bus, loop, **options)
     raise CallerError(f"a {type(bus).__name__} is neither a wire nor a gate")
 

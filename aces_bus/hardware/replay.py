@@ -12,14 +12,14 @@ from typing import Any
 
 from can import BusABC, CanInitializationError, CanOperationError, CanProtocol, Message
 
-from ..capture import CanCapture, open_capture
 from ..errors import AcesError, CallerError
-from ..frame import Frame
 from ..frame_table import NO_TIME, to_ns
+from ..frames import Frame
+from ..recordings import CanRecording, open_recording
 from ..runtime import Clock, RealClock, VirtualClock
-from .virtual import to_message
+from .simulated.backend import frame_to_message
 
-Frames = CanCapture | Iterable[Frame]
+Frames = CanRecording | Iterable[Frame]
 
 
 class Pace:
@@ -140,7 +140,7 @@ class ReplayBus(BusABC):
         super().__init__(channel, can_filters, **more)
 
     def _opened(self) -> Iterator[Frame]:
-        self._capture = open_capture(self._path, link="can")
+        self._capture = open_recording(self._path, link="can")
         return iter(self._capture)
 
     def _look(self) -> None:
@@ -171,7 +171,7 @@ class ReplayBus(BusABC):
             self._look()
         except AcesError as error:
             raise CanOperationError(str(error)) from error
-        message = to_message(frame, frame.timestamp or 0.0, frame.channel or self._path)
+        message = frame_to_message(frame, frame.timestamp or 0.0, frame.channel or self._path)
         message.is_rx = frame.is_rx is not False
         return message, False
 

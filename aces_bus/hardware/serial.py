@@ -26,7 +26,7 @@ ENOUGH = 2
 ECHO_S = 0.5
 
 
-class Heard(msgspec.Struct, frozen=True, gc=False):
+class ReceivedBytes(msgspec.Struct, frozen=True, gc=False):
     """Bytes of a line, and the host's monotonic clock when they were read (ns). `is_own`: sent by this gate."""
 
     data: bytes
@@ -34,7 +34,7 @@ class Heard(msgspec.Struct, frozen=True, gc=False):
     is_own: bool = False
 
 
-class SerialGate(Gate[Heard]):
+class SerialGate(Gate[ReceivedBytes]):
     """One serial line and its only owner.
 
     with SerialGate("/dev/ttyUSB0", baud=57_600, half_duplex=True) as gate:
@@ -131,7 +131,7 @@ class SerialGate(Gate[Heard]):
         if data:
             self._heard_at = now
             self.counters.received += len(data)
-            self._put([Heard(data, now)])
+            self._put([ReceivedBytes(data, now)])
 
     def _find_out(self, data: bytes, now: int) -> bytes:
         """Whether these bytes are our own, coming back; what of them is others'."""
@@ -215,7 +215,7 @@ class SerialGate(Gate[Heard]):
                 self._echo_until = self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
         self._bus.write(word)
         if self.keep_own:
-            self._put([Heard(word, self.clock.now(), True)])
+            self._put([ReceivedBytes(word, self.clock.now(), True)])
 
     def _still_held(self) -> int:
         try:

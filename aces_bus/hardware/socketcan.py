@@ -21,7 +21,7 @@ import socket
 import struct
 from typing import Any, Literal
 
-from ..frame import Frame
+from ..frames import Frame
 
 #: The receive buffer that is asked for, in bytes; the kernel doubles it, and a frame takes some 770: 2.7 s of 1 Mbit/s.
 RECEIVE_BUFFER = 8 << 20

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .body import Body, Chain, Fixed, Move, Pose, Slide, Step, Turn
+from .body import Body, Chain, Fixed, Move, Pose, Prismatic, Revolute, Step
 from .inverse import Goal, Solution, solve
 
 __all__ = [
@@ -12,9 +12,9 @@ __all__ = [
     "Goal",
     "Move",
     "Pose",
-    "Slide",
+    "Prismatic",
+    "Revolute",
     "Solution",
     "Step",
-    "Turn",
     "solve",
 ]

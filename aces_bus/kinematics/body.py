@@ -27,7 +27,7 @@ Angles = Mapping[str, float] | Sequence[float] | Floats
 
 
 @dataclass(frozen=True)
-class Turn:
+class Revolute:
     """A joint that turns by sign × its angle about an axis."""
 
     axis: Axis
@@ -36,7 +36,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Slide:
+class Prismatic:
     """A joint that moves by sign × its value (m) along an axis."""
 
     axis: Axis
@@ -61,7 +61,7 @@ class Fixed:
     angle: float
 
 
-Step = Turn | Slide | Move | Fixed
+Step = Revolute | Prismatic | Move | Fixed
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,10 @@ class Body:
         self.name = name
         self.chains = {chain.tip: chain for chain in chains}
         used = [
-            s.joint for chain in self.chains.values() for s in chain.steps if isinstance(s, (Turn, Slide))
+            s.joint
+            for chain in self.chains.values()
+            for s in chain.steps
+            if isinstance(s, (Revolute, Prismatic))
         ]
         self.joints = tuple(dict.fromkeys(used if joints is None else joints))
         self.index = {joint: i for i, joint in enumerate(self.joints)}
@@ -137,9 +140,9 @@ class Body:
 
     def _walk(self, step: Step) -> _Walk:
         match step:
-            case Turn(axis, joint, sign):
+            case Revolute(axis, joint, sign):
                 return (_TURN, AXES[axis], self.index[joint], float(sign), (0.0, 0.0, 0.0))
-            case Slide(axis, joint, sign):
+            case Prismatic(axis, joint, sign):
                 return (_SLIDE, AXES[axis], self.index[joint], float(sign), (0.0, 0.0, 0.0))
             case Move(x, y, z):
                 return (_MOVE, 0, -1, 1.0, (float(x), float(y), float(z)))

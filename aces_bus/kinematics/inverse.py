@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CallerError, UnknownNameError
-from .body import Angles, Body, Floats, Slide, Turn
+from .body import Angles, Body, Floats, Prismatic, Revolute
 
 Mask = npt.NDArray[np.bool_]
 
@@ -122,7 +122,9 @@ class _Task:
         if not self.goals:
             raise CallerError("no goal")
         chains = [body.chains[tip] for tip, *_ in self.goals]
-        joints = {step.joint for chain in chains for step in chain.steps if isinstance(step, (Turn, Slide))}
+        joints = {
+            step.joint for chain in chains for step in chain.steps if isinstance(step, (Revolute, Prismatic))
+        }
         self.moving: Mask = np.array([joint in joints for joint in body.joints])
 
     def look(self, q: Floats) -> _Look:

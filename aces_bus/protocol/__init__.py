@@ -5,59 +5,90 @@ A spec imports its words from here; they are construct's own beside ours. See th
 
 from __future__ import annotations
 
-from ..frame import Frame as Frame
-from .records import record_types as record_types
-from .scan.can import CanScanner as CanScanner
-from .scan.counts import Counts as Counts
-from .scan.record import Meta as Meta
-from .scan.record import Part as Part
-from .scan.record import Record as Record
-from .scan.record import Unknown as Unknown
-from .scan.record import as_dict as as_dict
-from .scan.reference import Reference as Reference
-from .scan.scanner import Scanner as Scanner
-from .scan.scanner import list_protocols as list_protocols
-from .scan.scanner import load_protocol as load_protocol
-from .scan.scanner import make_scanner as make_scanner
-from .scan.stream import StreamScanner as StreamScanner
-from .spec.bits import BitLayout as BitLayout
-from .spec.bits import Split as Split
-from .spec.bits import Tuple as Tuple
-from .spec.bits import bits as bits
-from .spec.bits import float_bits as float_bits
-from .spec.checks import Check as Check
-from .spec.checks import Crc as Crc
-from .spec.checks import Extra as Extra
-from .spec.checks import Fletcher as Fletcher
-from .spec.checks import IdBytes as IdBytes
-from .spec.checks import InvertedSum as InvertedSum
-from .spec.checks import Sum as Sum
-from .spec.checks import Xor as Xor
-from .spec.delimited import AsciiDegrees as AsciiDegrees
-from .spec.delimited import AsciiEnumeration as AsciiEnumeration
-from .spec.delimited import AsciiInteger as AsciiInteger
-from .spec.delimited import AsciiNumber as AsciiNumber
-from .spec.delimited import AsciiText as AsciiText
-from .spec.delimited import Delimited as Delimited
-from .spec.fields import Counter as Counter
-from .spec.fields import Enumeration as Enumeration
-from .spec.fields import Field as Field
-from .spec.fields import Flags as Flags
-from .spec.fields import FlagSet as FlagSet
-from .spec.fields import Multiplexed as Multiplexed
-from .spec.fields import Quantity as Quantity
-from .spec.fields import Reserved as Reserved
-from .spec.fields import SignMagnitude as SignMagnitude
-from .spec.fields import Text as Text
-from .spec.framing import Framing as Framing
-from .spec.message import Message as Message
-from .spec.message import Request as Request
-from .spec.packet import can_image as can_image
-from .spec.pattern import Capture as Capture
-from .spec.protocol import Protocol as Protocol
-from .spec.protocol import Variant as Variant
-from .spec.registers import Register as Register
-from .spec.registers import RegisterMap as RegisterMap
-from .spec.stuffing import Cobs as Cobs
-from .spec.stuffing import Insert as Insert
-from .spec.stuffing import Slip as Slip
+from ..frames import Frame
+from .counts import ScanCounts
+from .declare.bits import BitLayout, Split, Tuple, bits, float_bits
+from .declare.checks import Check, Crc, Extra, Fletcher, IdBytes, InvertedSum, Sum, Xor
+from .declare.delimited import AsciiDegrees, AsciiEnumeration, AsciiInteger, AsciiNumber, AsciiText, Delimited
+from .declare.fields import (
+    Counter,
+    Enumeration,
+    Field,
+    Flags,
+    FlagSet,
+    Multiplexed,
+    Quantity,
+    Reserved,
+    SignMagnitude,
+    Text,
+)
+from .declare.framing import Framing
+from .declare.message import Message, Request
+from .declare.pattern import IdField
+from .declare.protocol import Protocol, Variant
+from .declare.registers import Register, RegisterMap
+from .declare.stuffing import Cobs, Insert, Slip
+from .live.can import CanScanner
+from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
+from .live.stream import StreamScanner
+from .record import Meta, Part, Record, Unknown, as_dict
+from .record_types import record_types
+from .reference import Reference
+
+__all__ = [
+    "AsciiDegrees",
+    "AsciiEnumeration",
+    "AsciiInteger",
+    "AsciiNumber",
+    "AsciiText",
+    "BitLayout",
+    "CanScanner",
+    "Check",
+    "Cobs",
+    "Counter",
+    "Crc",
+    "Delimited",
+    "Enumeration",
+    "Extra",
+    "Field",
+    "FlagSet",
+    "Flags",
+    "Fletcher",
+    "Frame",
+    "Framing",
+    "IdBytes",
+    "IdField",
+    "Insert",
+    "InvertedSum",
+    "Message",
+    "Meta",
+    "Multiplexed",
+    "Part",
+    "Protocol",
+    "Quantity",
+    "Record",
+    "Reference",
+    "Register",
+    "RegisterMap",
+    "Request",
+    "Reserved",
+    "ScanCounts",
+    "Scanner",
+    "SignMagnitude",
+    "Slip",
+    "Split",
+    "StreamScanner",
+    "Sum",
+    "Text",
+    "Tuple",
+    "Unknown",
+    "Variant",
+    "Xor",
+    "as_dict",
+    "bits",
+    "float_bits",
+    "list_protocols",
+    "load_protocol",
+    "make_scanner",
+    "record_types",
+]

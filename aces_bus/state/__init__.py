@@ -6,29 +6,44 @@ a second before; `power = torque * omega` is a quantity like any other. See docs
 
 from __future__ import annotations
 
-from ..device.signals import UNKNOWN as UNKNOWN
-from ..device.signals import Reading as Reading
-from .derived import Derived as Derived
-from .derived import derived as derived
-from .design import butterworth as butterworth
-from .design import iir as iir
-from .design import notch as notch
-from .errors import StateError as StateError
-from .estimators import ConstantAcceleration as ConstantAcceleration
-from .estimators import ConstantVelocity as ConstantVelocity
-from .estimators import Estimation as Estimation
-from .estimators import Estimator as Estimator
-from .estimators import Hold as Hold
-from .filters import Filter as Filter
-from .filters import LowPass as LowPass
-from .filters import Median as Median
-from .filters import MovingAverage as MovingAverage
-from .filters import RateLimit as RateLimit
-from .filters import Sos as Sos
-from .kalman import Kalman as Kalman
-from .quantity import Quantity as Quantity
-from .source import Counts as Counts
-from .source import Source as Source
-from .spectrum import Spectrum as Spectrum
-from .state import State as State
-from .window import Window as Window
+from ..device.signals import UNKNOWN, Reading
+from .derived import Derived, derived
+from .design import butterworth, iir, notch
+from .errors import StateError
+from .estimators import ConstantAcceleration, ConstantVelocity, Estimation, Estimator, Hold
+from .filters import Filter, LowPass, Median, MovingAverage, RateLimit, Sos
+from .kalman import Kalman
+from .quantity import TimeSeries
+from .source import SampleCounts, SignalSource
+from .spectrum import Spectrum
+from .state import State
+from .window import SampleWindow
+
+__all__ = [
+    "UNKNOWN",
+    "ConstantAcceleration",
+    "ConstantVelocity",
+    "Derived",
+    "Estimation",
+    "Estimator",
+    "Filter",
+    "Hold",
+    "Kalman",
+    "LowPass",
+    "Median",
+    "MovingAverage",
+    "RateLimit",
+    "Reading",
+    "SampleCounts",
+    "SampleWindow",
+    "SignalSource",
+    "Sos",
+    "Spectrum",
+    "State",
+    "StateError",
+    "TimeSeries",
+    "butterworth",
+    "derived",
+    "iir",
+    "notch",
+]

@@ -20,17 +20,17 @@ from ..device.signals import UNKNOWN
 from ..runtime import Clock, RealClock
 from . import units
 from .errors import StateError
-from .quantity import Listener, Quantity
+from .quantity import Listener, TimeSeries
 
 _INFINITY = math.inf
 _NEVER = -(1 << 63)
 
 
-class Derived(Quantity):
+class Derived(TimeSeries):
     """A function of other quantities."""
 
     def __init__(
-        self, name: str, function: Callable[..., Any], inputs: Sequence[Quantity], unit: str | None
+        self, name: str, function: Callable[..., Any], inputs: Sequence[TimeSeries], unit: str | None
     ) -> None:
         super().__init__(name, unit, _common_clock(name, inputs))
         self.function, self.inputs = function, tuple(inputs)
@@ -179,7 +179,7 @@ class Derived(Quantity):
             listener(value, instant)
 
 
-def derived(name: str, function: Callable[..., Any], *inputs: Quantity, unit: str | None = None) -> Derived:
+def derived(name: str, function: Callable[..., Any], *inputs: TimeSeries, unit: str | None = None) -> Derived:
     """The quantity `function(*inputs)`, in `unit`.
 
     >>> import math
@@ -195,7 +195,7 @@ def derived(name: str, function: Callable[..., Any], *inputs: Quantity, unit: st
     0.0
     """
     given: tuple[Any, ...] = inputs
-    if not given or not all(isinstance(one, Quantity) for one in given):
+    if not given or not all(isinstance(one, TimeSeries) for one in given):
         raise StateError(f"state {name!r}: give the quantities that it is computed from")
     return Derived(name, function, inputs, unit)
 
@@ -203,14 +203,14 @@ def derived(name: str, function: Callable[..., Any], *inputs: Quantity, unit: st
 def combined(symbol: str, function: Callable[..., Any], left: Any, right: Any) -> Derived:
     """What an operator between two quantities, or one and a number, gives; a number is in the quantity's unit."""
     for one in (left, right):
-        if not isinstance(one, Quantity | numbers.Real):
+        if not isinstance(one, TimeSeries | numbers.Real):
             raise StateError(f"{one!r} is neither a state nor a number: states are combined with those")
-    names = [one.name if isinstance(one, Quantity) else f"{one:g}" for one in (left, right)]
+    names = [one.name if isinstance(one, TimeSeries) else f"{one:g}" for one in (left, right)]
     name = f"({names[0]} {symbol} {names[1]})"
-    if isinstance(left, Quantity) and isinstance(right, Quantity):
+    if isinstance(left, TimeSeries) and isinstance(right, TimeSeries):
         return Derived(name, function, (left, right), _unit(name, symbol, left.unit, right.unit))
-    if isinstance(left, Quantity):
-        unit = units.raised(left.unit, right) if symbol == "**" else left.unit
+    if isinstance(left, TimeSeries):
+        unit = units.raise_unit(left.unit, right) if symbol == "**" else left.unit
         return Derived(name, lambda value: function(value, right), (left,), unit)
     unit = units.multiplied("", right.unit, -1) if symbol == "/" else right.unit
     return Derived(name, lambda value: function(left, value), (right,), unit)
@@ -228,7 +228,7 @@ def _unit(name: str, symbol: str, left: str | None, right: str | None) -> str | 
     return units.multiplied(left, right, -1 if symbol == "/" else 1)
 
 
-def _common_clock(name: str, inputs: Sequence[Quantity]) -> Clock:
+def _common_clock(name: str, inputs: Sequence[TimeSeries]) -> Clock:
     first = inputs[0].clock
     for one in inputs[1:]:
         both_real = isinstance(one.clock, RealClock) and isinstance(first, RealClock)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .rate import Rate
     from .running import Filtered, Integral, Uneven
     from .spectrum import Spectrum
-    from .window import Window
+    from .window import SampleWindow
 
 Listener = Callable[[Any, int], None]
 
@@ -42,7 +42,7 @@ EDGE_NS = 1_000
 MOST_MADE = 64
 
 
-class Quantity(ABC):
+class TimeSeries(ABC):
     """What can be read like a state. `unit` is "" for a plain number and None where nobody has stated it."""
 
     name: str
@@ -55,7 +55,7 @@ class Quantity(ABC):
 
     def __init__(self, name: str, unit: str | None, clock: Clock) -> None:
         self.name, self.unit, self.clock = name, unit, clock
-        self._made: dict[Hashable, Quantity] = {}
+        self._made: dict[Hashable, TimeSeries] = {}
 
     # ---- what a subclass gives ------------------------------------------------------------------------------------
 
@@ -233,7 +233,9 @@ class Quantity(ABC):
 
         return self._make(key, lambda: Filtered(self, kind, uneven=uneven))  # type: ignore[no-any-return]
 
-    def window(self, t0: float | None = None, t1: float = 0.0, *, rate_hz: float | None = None) -> Window:
+    def window(
+        self, t0: float | None = None, t1: float = 0.0, *, rate_hz: float | None = None
+    ) -> SampleWindow:
         """Samples from `t0` to `t1` (seconds from the origin; None: all that are kept) as arrays, NaN where unknown.
 
         `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that time
@@ -256,25 +258,25 @@ class Quantity(ABC):
 
         return combined(symbol, function, left, right)
 
-    def __add__(self, other: Quantity | float) -> Derived:
+    def __add__(self, other: TimeSeries | float) -> Derived:
         return self._with("+", operator.add, self, other)
 
     def __radd__(self, other: float) -> Derived:
         return self._with("+", operator.add, other, self)
 
-    def __sub__(self, other: Quantity | float) -> Derived:
+    def __sub__(self, other: TimeSeries | float) -> Derived:
         return self._with("-", operator.sub, self, other)
 
     def __rsub__(self, other: float) -> Derived:
         return self._with("-", operator.sub, other, self)
 
-    def __mul__(self, other: Quantity | float) -> Derived:
+    def __mul__(self, other: TimeSeries | float) -> Derived:
         return self._with("*", operator.mul, self, other)
 
     def __rmul__(self, other: float) -> Derived:
         return self._with("*", operator.mul, other, self)
 
-    def __truediv__(self, other: Quantity | float) -> Derived:
+    def __truediv__(self, other: TimeSeries | float) -> Derived:
         return self._with("/", operator.truediv, self, other)
 
     def __rtruediv__(self, other: float) -> Derived:

@@ -13,16 +13,16 @@ from ..device.signals import UNKNOWN
 from . import units
 from .errors import StateError
 from .polynomial import slope_at
-from .quantity import EDGE_NS, Listener, Quantity
+from .quantity import EDGE_NS, Listener, TimeSeries
 from .state import State
 
 MOST_ORDER = 4
 
 
-class Rate(Quantity):
+class Rate(TimeSeries):
     """The derivative over time, per second."""
 
-    def __init__(self, source: Quantity, order: int = 1) -> None:
+    def __init__(self, source: TimeSeries, order: int = 1) -> None:
         if order not in range(1, MOST_ORDER + 1):
             raise StateError(f"state {source.name!r}: derivatives of order 1 … {MOST_ORDER}, not {order!r}")
         super().__init__(f"d({source.name})/dt", units.multiplied(source.unit, "s", -1), source.clock)

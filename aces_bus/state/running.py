@@ -17,7 +17,7 @@ from ..device.signals import UNKNOWN
 from . import units
 from .declaration import checked_seconds
 from .errors import StateError
-from .quantity import Quantity
+from .quantity import TimeSeries
 from .state import State
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _NEVER = -(1 << 63)
 class Running(State):
     """A state fed by another quantity; `source` is that one."""
 
-    def __init__(self, source: Quantity, name: str, unit: str | None, *, late_s: float = 0.0) -> None:
+    def __init__(self, source: TimeSeries, name: str, unit: str | None, *, late_s: float = 0.0) -> None:
         stale = source.stale_after_s
         super().__init__(
             name,
@@ -83,7 +83,7 @@ class Running(State):
 class Integral(Running):
     """The integral over time; see `Quantity.integral`."""
 
-    def __init__(self, source: Quantity, start: float = 0.0, *, max_gap_s: float | None = None) -> None:
+    def __init__(self, source: TimeSeries, start: float = 0.0, *, max_gap_s: float | None = None) -> None:
         super().__init__(source, f"integral({source.name})", units.multiplied(source.unit, "s"))
         gap = checked_seconds(
             self.name, "max_gap_s", source.stale_after_s if max_gap_s is None else max_gap_s
@@ -132,7 +132,7 @@ class Filtered(Running):
     """A quantity behind a filter; see `Quantity.filtered`."""
 
     def __init__(
-        self, source: Quantity, kind: Filter | Callable[[float], float], *, uneven: Uneven = "resample"
+        self, source: TimeSeries, kind: Filter | Callable[[float], float], *, uneven: Uneven = "resample"
     ) -> None:
         if uneven not in ("resample", "refuse", "accept"):
             raise StateError(

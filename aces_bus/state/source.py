@@ -10,7 +10,7 @@ from ..runtime import Clock
 from .quantity import Listener
 
 
-class Source(Protocol):
+class SignalSource(Protocol):
     """What feeds a state: a device's `Signal`, or whatever looks like one."""
 
     name: str
@@ -31,7 +31,7 @@ class Source(Protocol):
         ...
 
 
-class Counts(msgspec.Struct):
+class SampleCounts(msgspec.Struct):
     """What became of samples: kept + repeated + late is all that was pushed; `unknown` are among those kept or repeated.
 
     The others are a running quantity's: samples that a filter refused as uneven, restarts after gaps, and times that a

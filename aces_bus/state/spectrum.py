@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .errors import StateError
-from .quantity import Quantity
+from .quantity import TimeSeries
 
 if TYPE_CHECKING:
     from numpy import float64
@@ -45,7 +45,7 @@ class Spectrum:
         return float(self.frequencies_hz[place]), float(self.amplitudes[place])
 
 
-def spectrum_of(quantity: Quantity, window_s: float, taper: str, rate_hz: float | None) -> Spectrum:
+def spectrum_of(quantity: TimeSeries, window_s: float, taper: str, rate_hz: float | None) -> Spectrum:
     """See `Quantity.spectrum`."""
     import numpy as np
 

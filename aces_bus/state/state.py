@@ -27,8 +27,8 @@ from .declaration import Interpolation, checked_history, checked_name, checked_o
 from .errors import StateError
 from .estimators import Estimate, Estimator, Observe, started
 from .polynomial import value_at
-from .quantity import EDGE_NS, Listener, Quantity
-from .source import Counts, Source
+from .quantity import EDGE_NS, Listener, TimeSeries
+from .source import SampleCounts, SignalSource
 
 #: See the theory above.
 SPARE = 64
@@ -37,7 +37,7 @@ _INFINITY = math.inf
 _NAN = math.nan
 
 
-class State(Quantity):
+class State(TimeSeries):
     """A quantity that is sensed, or set.
 
     `node` is the identification that its device gives it, `type` what its values are (float, int or bool; others are not
@@ -105,7 +105,7 @@ class State(Quantity):
         self._repeated = self._late = self._unknown = 0
         self._uneven = self._restarts = self._failed = 0
         self._target: State | None = None
-        self._source: Source | None = None
+        self._source: SignalSource | None = None
 
         self._observe: Observe | None = None
         self._estimate: Estimate | None = None
@@ -114,7 +114,7 @@ class State(Quantity):
             self._observe, self._estimate = started(estimator, self)
 
     @classmethod
-    def of(cls, source: Source, **options: Any) -> State:
+    def of(cls, source: SignalSource, **options: Any) -> State:
         """A state fed by a device's signal: its name, unit, clock and staleness, unless `options` say otherwise."""
         options.setdefault("unit", source.unit)
         options.setdefault("clock", source.clock)
@@ -126,7 +126,7 @@ class State(Quantity):
         state.follow(source)
         return state
 
-    def follow(self, source: Source) -> None:
+    def follow(self, source: SignalSource) -> None:
         """Take the samples of a signal from now on, and its last one if there is one."""
         if source.instant is not None:
             self.push(source.last, source.instant)
@@ -215,9 +215,9 @@ class State(Quantity):
             self._target.clear()
 
     @property
-    def counts(self) -> Counts:
+    def counts(self) -> SampleCounts:
         """What became of the samples so far."""
-        return Counts(
+        return SampleCounts(
             self._count, self._repeated, self._late, self._unknown, self._uneven, self._restarts, self._failed
         )
 

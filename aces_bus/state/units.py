@@ -61,7 +61,7 @@ def multiplied(left: str | None, right: str | None, power: int = 1) -> str | Non
     return _printed({symbol: exponent for symbol, exponent in powers.items() if exponent})
 
 
-def raised(unit: str | None, power: float) -> str | None:
+def raise_unit(unit: str | None, power: float) -> str | None:
     """The unit to a power; None where that is not a whole one.
 
     >>> raised("m/s", 2), raised("m²", 0.5), raised("m", 0.5)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..device.signals import UNKNOWN
 from .errors import StateError
-from .quantity import Quantity
+from .quantity import TimeSeries
 from .state import State
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MOST_POINTS = 1 << 22
 
 
-class Window(NamedTuple):
+class SampleWindow(NamedTuple):
     """`instants` in ns of the clock, `times_s` from the origin (0 is now or the newest sample), `values` with NaN:
     unknown.
     """
@@ -31,14 +31,14 @@ class Window(NamedTuple):
     values: NDArray[float64]
 
 
-def window_of(quantity: Quantity, t0: float | None, t1: float, rate_hz: float | None) -> Window:
+def window_of(quantity: TimeSeries, t0: float | None, t1: float, rate_hz: float | None) -> SampleWindow:
     """See `Quantity.window`."""
     import numpy as np
 
     origin, span = quantity.origin, quantity.span
     if origin is None or span is None:
         empty = np.empty(0)
-        return Window(np.empty(0, np.int64), empty, empty)
+        return SampleWindow(np.empty(0, np.int64), empty, empty)
     end = origin + quantity._ns(t1)
     start = span[0] if t0 is None else origin + quantity._ns(t0)
     forgotten = quantity.forgotten
@@ -59,17 +59,17 @@ def window_of(quantity: Quantity, t0: float | None, t1: float, rate_hz: float | 
     else:
         instants = np.array(quantity.samples_between(start, end), np.int64)
         values = _values_at(quantity, instants.tolist())
-    return Window(instants, (instants - origin) / 1e9, values)
+    return SampleWindow(instants, (instants - origin) / 1e9, values)
 
 
-def _values_at(quantity: Quantity, instants: list[int]) -> Any:
+def _values_at(quantity: TimeSeries, instants: list[int]) -> Any:
     import numpy as np
 
     at = quantity.at
     return np.array([np.nan if (value := at(one)) is UNKNOWN else value for one in instants], np.float64)
 
 
-def _grid(quantity: Quantity, start: int, end: int, rate_hz: float) -> list[int]:
+def _grid(quantity: TimeSeries, start: int, end: int, rate_hz: float) -> list[int]:
     if not 0 < rate_hz <= 1e9:
         raise StateError(f"state {quantity.name!r}: rate_hz = {rate_hz!r} is not a rate (0 < rate_hz ≤ 1e9)")
     if end < start:

@@ -13,14 +13,14 @@ from typing import Any
 from construct import ConstructError
 
 from ..errors import AcesError
-from ..protocol.codegen.encoder import Encoder
-from ..protocol.scan.reference import Found, Reference
-from ..protocol.scan.scanner import Scanner, make_scanner
-from ..protocol.spec.ambiguity import needing_context
-from ..protocol.spec.framing import Framing
-from ..protocol.spec.message import Message
-from ..protocol.spec.protocol import Variant
-from ._scenes import Scene, Way, Wire, cast, variants_of
+from ..protocol.declare.ambiguity import needing_context
+from ..protocol.declare.framing import Framing
+from ..protocol.declare.message import Message
+from ..protocol.declare.protocol import Variant
+from ..protocol.encoder import Encoder
+from ..protocol.live.scanner import Scanner, make_scanner
+from ..protocol.reference import Reference, ReferenceItem
+from ._scenes import Scene, Way, Wire, cast, wire_variants
 from ._source import Dice
 from ._values import draw_packet
 
@@ -35,7 +35,7 @@ class Bench:
 
     def __init__(self, wire: Wire, direction: Way, *, remembers: bool = False) -> None:
         self.wire = wire
-        self.variants = variants_of(wire)
+        self.variants = wire_variants(wire)
         self.direction: Way = direction
         self.remembers = remembers
         self.is_can = self.variants[0].link == "can"
@@ -48,12 +48,14 @@ class Bench:
         """As the command line names it."""
         return " + ".join(v.label for v in self.variants)
 
-    def scanner(self, *, everything: bool = True, raw: bool = True) -> Scanner:
+    def scanner(self, *, include_unknown: bool = True, raw: bool = True) -> Scanner:
         """A scanner as if just made."""
-        made = self._scanners.get((everything, raw))
+        made = self._scanners.get((include_unknown, raw))
         if made is None:
-            made = make_scanner(self.variants, direction=self.direction, everything=everything, raw=raw)
-            self._scanners[everything, raw] = made
+            made = make_scanner(
+                self.variants, direction=self.direction, include_unknown=include_unknown, raw=raw
+            )
+            self._scanners[include_unknown, raw] = made
         made.reset()
         return made
 
@@ -110,7 +112,7 @@ class Bench:
     def contextual(self) -> frozenset[tuple[str, str]]:
         """The names of messages that hang on others."""
         return frozenset(
-            (v.name, name) for v in self.variants for name in needing_context(v.facing(self.direction))
+            (v.name, name) for v in self.variants for name in needing_context(v.messages_for(self.direction))
         )
 
     @cached_property
@@ -162,10 +164,10 @@ class _Remembering(Reference):
         framings = [m.framing for _, messages, _, _ in self.sides for m in messages if m.framing is not None]
         return frozenset(f.sync[0] for f in framings) if all(f.sync for f in framings) else None
 
-    def _at(self, data: bytes, start: int, *, silent: bool) -> Found | None:
+    def _at(self, data: bytes, start: int, *, silent: bool) -> ReferenceItem | None:
         first = self._first
         if first is not None and data[start] not in first:
-            return Found(start, 1, None, None, "skipped")  # no template outlives this byte
+            return ReferenceItem(start, 1, None, None, "skipped")  # no template outlives this byte
         return super()._at(data, start, silent=silent)
 
     def _decode(
@@ -276,7 +278,7 @@ def _bench(variants: tuple[Variant, ...], direction: Way) -> Bench:
 
 def bench_of(wire: Wire, direction: Way) -> Bench:
     """A bench that is kept; it remembers scanners and nothing else."""
-    return _bench(variants_of(wire), direction)
+    return _bench(wire_variants(wire), direction)
 
 
-__all__ = ["Bench", "Found", "Scene", "bench_of", "reads"]
+__all__ = ["Bench", "ReferenceItem", "Scene", "bench_of", "reads"]

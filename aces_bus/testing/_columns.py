@@ -14,26 +14,34 @@ from typing import Any
 import numpy as np
 
 from ..frame_table import Channels, FrameTable, to_ns
-from ..protocol.codegen.flatten import flatten
+from ..protocol.columns.gather import dtype_of, kinds_of, value_paths
+from ..protocol.columns.scanner import make_column_scanner
+from ..protocol.columns.table import MessageTable
 from ..protocol.keys import key_of
-from ..protocol.scan.columns import make_column_scanner
-from ..protocol.scan.gather import dtype_of, kinds_of, leaves_of
-from ..protocol.scan.message_table import MessageTable
-from ..protocol.scan.record import Meta, Unknown, as_dict
-from ..protocol.scan.scanner import Scanner
-from ._play import Heard, copied, joined, plain
-from ._scenes import Scene, Way, Wire, variants_of
+from ..protocol.live.scanner import Scanner
+from ..protocol.plan.flatten import flatten
+from ..protocol.record import Meta, Unknown, as_dict
+from ._play import ScannedItem, comparable, copy_item, join_losses
+from ._scenes import Scene, Way, Wire, wire_variants
 
 #: raw, everything
 MODES = ((True, True), (False, True), (False, False))
 
 
-def difference(
-    wire: Wire, direction: Way, scene: Scene, cuts: Sequence[int], live: Scanner, raw: bool, everything: bool
+def columns_difference(
+    wire: Wire,
+    direction: Way,
+    scene: Scene,
+    cuts: Sequence[int],
+    live: Scanner,
+    raw: bool,
+    include_unknown: bool,
 ) -> str:
     """What a column scanner says otherwise than `live`, fed with the same words cut at `cuts`; empty when nothing."""
     is_can = live.link == "can"
-    columnar = make_column_scanner(variants_of(wire), direction=direction, everything=everything, raw=raw)
+    columnar = make_column_scanner(
+        wire_variants(wire), direction=direction, include_unknown=include_unknown, raw=raw
+    )
     if columnar.link != live.link:
         return f"link is {columnar.link}, not {live.link}"
     tables: list[MessageTable] = []
@@ -53,14 +61,16 @@ def difference(
             return f"fed {at}…{cut}, gives two tables of {twice}"
         tables += given
         at = cut
-        if is_can and copied(columnar.counts) != copied(live.counts):
-            return f"after {at}, counts {copied(columnar.counts)} instead of {copied(live.counts)}"
+        if is_can and copy_item(columnar.counts) != copy_item(live.counts):
+            return f"after {at}, counts {copy_item(columnar.counts)} instead of {copy_item(live.counts)}"
     items += live.close()
     tables += columnar.close()
-    if copied(columnar.counts) != copied(live.counts):
-        return f"at the end, counts {copied(columnar.counts)} instead of {copied(live.counts)}"
+    if copy_item(columnar.counts) != copy_item(live.counts):
+        return f"at the end, counts {copy_item(columnar.counts)} instead of {copy_item(live.counts)}"
     numbered = list(enumerate(items)) if is_can else [(item.meta.offset, item) for item in items]
-    return _messages(wire, numbered, tables, raw, is_can) or _losses(numbered, tables, everything, is_can)
+    return _messages(wire, numbered, tables, raw, is_can) or _losses(
+        numbered, tables, include_unknown, is_can
+    )
 
 
 def _twice(tables: Sequence[MessageTable]) -> str:
@@ -85,12 +95,12 @@ def _messages(
             got.setdefault((table.protocol, table.message), []).append(table)
     if extra := got.keys() - wanted.keys():
         return f"has a table of {sorted(extra)}, of which nothing came"
-    messages = {(v.name, name): message for v in variants_of(wire) for name, message in v.messages.items()}
+    messages = {(v.name, name): message for v in wire_variants(wire) for name, message in v.messages.items()}
     for name, rows in wanted.items():
         if name not in got:
             return f"has no table of {name[0]}.{name[1]}, of which {len(rows)} came"
         plan = flatten(messages[name])
-        promised = {path: dtype_of(node, raw) for path, _, node, _, _ in leaves_of(plan)}
+        promised = {path: dtype_of(node, raw) for path, _, node, _, _ in value_paths(plan)}
         for table in got[name]:
             if table.kinds != kinds_of(plan, raw):
                 return f"{table.message} has the columns {table.kinds}, not {kinds_of(plan, raw)}"
@@ -159,13 +169,13 @@ def _transport(table: MessageTable, index: int, meta: Meta, is_can: bool) -> str
 
 
 def _losses(
-    numbered: Sequence[tuple[int, Any]], tables: Sequence[MessageTable], everything: bool, is_can: bool
+    numbered: Sequence[tuple[int, Any]], tables: Sequence[MessageTable], include_unknown: bool, is_can: bool
 ) -> str:
     given = [table for table in tables if not table.message]
-    if not everything:
+    if not include_unknown:
         return "has a table of losses, which nobody asked for" if given else ""
     wanted = [(row, item) for row, item in numbered if isinstance(item, Unknown)]
-    got: list[Heard] = []
+    got: list[ScannedItem] = []
     pieces: dict[int, bytes] = {}
     by_row = dict(wanted)
     for table in given:
@@ -175,17 +185,17 @@ def _losses(
             zip(table.row.tolist(), table["reason"].to_list(), table["raw"].to_list(), strict=True)
         ):
             size = 1 if is_can or table.size is None else int(table.size[index])
-            got.append(Heard(row, size, None, None, reason, None))
+            got.append(ScannedItem(row, size, None, None, reason, None))
             pieces[row] = raw
             if row in by_row and by_row[row].meta.size in (None, size):
                 if said := _transport(table, index, by_row[row].meta, is_can):
                     return f"loss in row {row}: {said}"
     truth = [
-        Heard(row, 1 if is_can else item.meta.size or 0, None, None, item.reason, None)
+        ScannedItem(row, 1 if is_can else item.meta.size or 0, None, None, item.reason, None)
         for row, item in wanted
     ]
     if not is_can:
-        got, truth = joined(got), joined(truth)
+        got, truth = join_losses(got), join_losses(truth)
     if got != truth:
         return f"losses {list(map(str, got))}, not {list(map(str, truth))}"
     if is_can:
@@ -237,7 +247,7 @@ def _same(one: Any, other: Any) -> bool:
         return one.keys() == other.keys() and all(_same(one[name], other[name]) for name in one)
     if isinstance(one, np.generic) or isinstance(other, np.generic):
         return False  # a record has plain values
-    return bool(plain(one) == plain(other)) and isinstance(one, float) == isinstance(other, float)
+    return bool(comparable(one) == comparable(other)) and isinstance(one, float) == isinstance(other, float)
 
 
-__all__ = ["MODES", "difference"]
+__all__ = ["MODES", "columns_difference"]

@@ -11,13 +11,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ..protocol.scan.record import Unknown
-from ..protocol.spec.bits import BitLayout
-from ..protocol.spec.delimited import Delimited
-from ..protocol.spec.fields import Multiplexed
-from ..protocol.spec.framing import Framing
-from ..protocol.spec.head import enumeration_of
-from ..protocol.spec.message import Message
+from ..protocol.declare.bits import BitLayout
+from ..protocol.declare.delimited import Delimited
+from ..protocol.declare.fields import Multiplexed
+from ..protocol.declare.framing import Framing
+from ..protocol.declare.head import enumeration_of
+from ..protocol.declare.message import Message
+from ..protocol.record import Unknown
 from ._bench import Bench
 from ._trial import Trial
 
@@ -207,7 +207,7 @@ _WHY = (
 )
 
 
-def merged(parts: Iterable[Coverage]) -> Coverage:
+def merge_coverage(parts: Iterable[Coverage]) -> Coverage:
     """Several as one."""
     whole = Coverage()
     for part in parts:
@@ -215,4 +215,4 @@ def merged(parts: Iterable[Coverage]) -> Coverage:
     return whole
 
 
-__all__ = ["KINDS", "Coverage", "Feature", "expected", "merged"]
+__all__ = ["KINDS", "Coverage", "Feature", "expected", "merge_coverage"]

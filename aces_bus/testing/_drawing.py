@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from ._bench import Bench
-from ._play import Heard, as_heard, play, told_by
+from ._play import ScannedItem, as_heard, play, told_by
 from ._scenes import Scene, Way, Wire
 from ._shrink import word_bytes
 
@@ -25,7 +25,7 @@ WIDTH = 110
 KEYS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
-def draw_scene(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> str:
+def scene_drawing(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> str:
     """The scene as text, some lines of at most 110 characters."""
     bench = Bench(wire, direction)
     cuts = tuple(sorted(cuts))
@@ -47,13 +47,13 @@ def draw_scene(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (
             same.append(f"{name:>4}  {TITLES[name]}: the same as {twin!r}")
     lines = [*(_frames(scene, kept) if bench.is_can else _bytes(scene, cuts, kept)), *same]
     for offset, word in scene.sent_at:
-        lines.append(f"      we sent, before {offset}: {frame_text(word)}")
+        lines.append(f"      we sent, before {offset}: {image_text(word)}")
     if not bench.is_can:
         lines += _signs(scene, cuts)
     return "\n".join(lines)
 
 
-Lane = tuple[str, "Sequence[Heard] | str"]
+Lane = tuple[str, "Sequence[ScannedItem] | str"]
 TITLES = {
     "law": "what the reference says",
     "gave": "what the scanner gives",
@@ -61,7 +61,7 @@ TITLES = {
 }
 
 
-def _asked(ask: Callable[[], Sequence[Heard]]) -> Sequence[Heard] | str:
+def _asked(ask: Callable[[], Sequence[ScannedItem]]) -> Sequence[ScannedItem] | str:
     try:
         return ask()
     except Exception as error:  # shown in the drawing
@@ -106,13 +106,13 @@ def _bytes(scene: Scene, cuts: Sequence[int], lanes: Sequence[Lane]) -> list[str
     return lines
 
 
-def _keyed(items: Sequence[Heard] | str) -> tuple[str, list[tuple[str, Heard]]]:
+def _keyed(items: Sequence[ScannedItem] | str) -> tuple[str, list[tuple[str, ScannedItem]]]:
     if isinstance(items, str):
         return items, []
     return "", [(KEYS[i % len(KEYS)], item) for i, item in enumerate(items)]
 
 
-def _lane(items: Sequence[tuple[str, Heard]], start: int, stop: int) -> str:
+def _lane(items: Sequence[tuple[str, ScannedItem]], start: int, stop: int) -> str:
     """Under a row of bytes: each item from its key to its end; what is lost is dotted."""
     out = [" "] * (3 * (stop - start))
     for key, item in items:
@@ -128,13 +128,13 @@ def _lane(items: Sequence[tuple[str, Heard]], start: int, stop: int) -> str:
     return "".join(out)
 
 
-def _legend(items: Sequence[tuple[str, Heard]]) -> list[str]:
+def _legend(items: Sequence[tuple[str, ScannedItem]]) -> list[str]:
     return [
         _clipped(f"      {key}  {item.offset}…{item.offset + item.size}  {said(item)}") for key, item in items
     ]
 
 
-def said(item: Heard) -> str:
+def said(item: ScannedItem) -> str:
     """A thing on the wire in words."""
     if not item.message:
         return item.reason
@@ -158,7 +158,7 @@ def _frames(scene: Scene, lanes: Sequence[Lane]) -> list[str]:
     for number, frame in enumerate(scene.words):
         about = [] if frame.timestamp is None else [f"at {frame.timestamp} s"]
         about += [] if frame.channel is None else [f"on {frame.channel}"]
-        lines.append(f"{number:4}  {frame_text(frame)}  {', '.join(about)}".rstrip())
+        lines.append(f"{number:4}  {image_text(frame)}  {', '.join(about)}".rstrip())
         for name, items in lanes:
             if not isinstance(items, str):
                 item = items[number] if number < len(items) else None
@@ -171,7 +171,7 @@ def _frames(scene: Scene, lanes: Sequence[Lane]) -> list[str]:
     return lines
 
 
-def frame_text(word: Any) -> str:
+def image_text(word: Any) -> str:
     """A frame as candump writes it, or a packet's bytes."""
     if isinstance(word, bytes):
         return word.hex(" ").upper()
@@ -183,4 +183,4 @@ def frame_text(word: Any) -> str:
     return f"{identifier}#{'#0' if word.is_fd else ''}{word_bytes(word).hex().upper()}"
 
 
-__all__ = ["draw_scene", "frame_text", "said"]
+__all__ = ["image_text", "said", "scene_drawing"]

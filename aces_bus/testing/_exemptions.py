@@ -13,11 +13,11 @@ from typing import Any
 
 import construct as c
 
-from ..protocol.codegen import plan as p
-from ..protocol.codegen.flatten import flatten
-from ..protocol.spec.bits import FLOATS, BitLayout, Bits
-from ..protocol.spec.fields import Multiplexed, SignMagnitude
-from ..protocol.spec.message import Message
+from ..protocol.declare.bits import FLOATS, BitLayout, Bits
+from ..protocol.declare.fields import Multiplexed, SignMagnitude
+from ..protocol.declare.message import Message
+from ..protocol.plan import nodes as p
+from ..protocol.plan.flatten import flatten
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _bits(message: Message) -> dict[str, frozenset[int]]:
         elif isinstance(node, p.Many):
             for item in node.items:
                 visit(item, path)
-        elif isinstance(node, p.Group):
+        elif isinstance(node, p.NestedRecord):
             for field in node.fields:
                 visit(field.node, f"{path}.{field.name}")
 

@@ -13,23 +13,23 @@ from typing import Any
 from construct import ConstructError
 
 from ..errors import AcesError
-from ..protocol.spec.ambiguity import Conflict, conflict, unresolved
-from ..protocol.spec.framing import Verdict
-from ..protocol.spec.message import Message
-from ..protocol.spec.protocol import Variant
+from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
+from ..protocol.declare.framing import Verdict
+from ..protocol.declare.message import Message
+from ..protocol.declare.protocol import Variant
 from ._bench import reads
-from ._columns import MODES, difference
+from ._columns import MODES, columns_difference
 from ._exemptions import are_excused
 from ._laws_of_encoder import encoders
-from ._play import Heard, image_of, plain
+from ._play import ScannedItem, comparable, image_of
 from ._scenes import Way
 from ._trial import Trial
-from ._values import Packet
+from ._values import DrawnPacket
 
 # ---------------------------------------------------------------------- 1
 
 
-def round_trip(trial: Trial) -> None:
+def check_round_trip(trial: Trial) -> None:
     """Law 1."""
     for packet in trial.sample(trial.scene.packets):
         if said := _values_survive(packet):
@@ -51,22 +51,22 @@ def _bytes_survive(message: Message, image: bytes, request: Any) -> str:
         return ""
     if message.any_format and (rebuilt[:4], rebuilt[5:]) == (image[:4], image[5:]):
         return ""  # the format in which it came is not among its fields
-    text = f"{message.name} {image.hex()} comes back as {rebuilt.hex()} ({plain(parsed)})"
+    text = f"{message.name} {image.hex()} comes back as {rebuilt.hex()} ({comparable(parsed)})"
     if not are_excused(message, image, rebuilt):
         return text
-    if plain(message.struct.parse(rebuilt, raw=True, request=request)) != plain(parsed):
+    if comparable(message.struct.parse(rebuilt, raw=True, request=request)) != comparable(parsed):
         return f"{text}, which reads otherwise"
     return ""
 
 
-def _values_survive(packet: Packet) -> str:
+def _values_survive(packet: DrawnPacket) -> str:
     message, image = packet.message, packet.image
     request = packet.request.values if packet.request is not None else _asked(message, packet.values)
     try:
-        parsed = plain(message.struct.parse(image, raw=True, request=request))
+        parsed = comparable(message.struct.parse(image, raw=True, request=request))
     except (ConstructError, AcesError) as error:
-        return f"{message.name} built from {plain(packet.values)} is not read again: {image.hex()}: {error!r}"
-    wanted = plain(packet.values)
+        return f"{message.name} built from {comparable(packet.values)} is not read again: {image.hex()}: {error!r}"
+    wanted = comparable(packet.values)
     if {k: parsed.get(k) for k in wanted} != wanted:
         return f"{message.name}: {wanted} comes back as {parsed} ({image.hex()})"
     return ""
@@ -79,7 +79,7 @@ def _asked(message: Message, values: Any) -> dict[str, Any]:
 # ---------------------------------------------------------------------- 2
 
 
-def oracle(trial: Trial) -> None:
+def check_oracle(trial: Trial) -> None:
     """Law 2."""
     got = trial.heard
     if got != trial.told:
@@ -90,10 +90,10 @@ def oracle(trial: Trial) -> None:
     encoders(trial)
     if trial.columns:
         # one mode a scene: a column scanner costs more than a scene
-        columns(trial, (MODES[(len(trial.scene) + len(trial.cuts)) % len(MODES)],))
+        check_columns_agree(trial, (MODES[(len(trial.scene) + len(trial.cuts)) % len(MODES)],))
 
 
-def _physically(trial: Trial, item: Heard) -> Heard:
+def _physically(trial: Trial, item: ScannedItem) -> ScannedItem:
     """What was heard in raw values, in physical ones by construct."""
     if item.message is None:
         return item
@@ -105,20 +105,26 @@ def _physically(trial: Trial, item: Heard) -> Heard:
     )
     fields = trial.bench.once(
         ("physical", message, image, tuple(request.values())),
-        lambda: plain(message.struct.parse(image, request=request)),
+        lambda: comparable(message.struct.parse(image, request=request)),
     )
     return replace(item, fields=fields)
 
 
-def columns(trial: Trial, modes: Iterable[tuple[bool, bool]]) -> None:
+def check_columns_agree(trial: Trial, modes: Iterable[tuple[bool, bool]]) -> None:
     """Law 2, of columns."""
-    for raw, everything in modes:
+    for raw, include_unknown in modes:
         live = trial.bench.scanner(raw=raw)
-        said = difference(
-            trial.bench.wire, trial.direction, trial.scene, trial.cuts, live, raw=raw, everything=everything
+        said = columns_difference(
+            trial.bench.wire,
+            trial.direction,
+            trial.scene,
+            trial.cuts,
+            live,
+            raw=raw,
+            include_unknown=include_unknown,
         )
         if said:
-            trial.fail(2, f"columns (raw={raw}, everything={everything}), cut at {trial.cuts}: {said}")
+            trial.fail(2, f"columns (raw={raw}, include_unknown={include_unknown}), cut at {trial.cuts}: {said}")
 
 
 def first_difference(one: str, first: Sequence[Any], other: str, second: Sequence[Any]) -> str:
@@ -133,7 +139,7 @@ def first_difference(one: str, first: Sequence[Any], other: str, second: Sequenc
 # ---------------------------------------------------------------------- 5
 
 
-def no_false_accept(trial: Trial) -> None:
+def check_no_false_accept(trial: Trial) -> None:
     """Law 5."""
     for message, image, request in trial.accepted():
         key = ("accepted", message, image, tuple(request.values()))
@@ -153,7 +159,7 @@ def _refused(message: Message, image: bytes, request: Any) -> str:
 # ---------------------------------------------------------------------- 9
 
 
-def unambiguous(trial: Trial) -> None:
+def check_unambiguous(trial: Trial) -> None:
     """Law 9."""
     for variant in trial.bench.variants:
         for found in conflicts(variant, trial.direction):
@@ -171,7 +177,7 @@ def unambiguous(trial: Trial) -> None:
 @lru_cache(maxsize=1024)
 def conflicts(variant: Variant, direction: Way) -> tuple[Conflict, ...]:
     """Every pair of messages that neither the bytes nor the spec's other words tell apart."""
-    messages = variant.facing(direction)
+    messages = variant.messages_for(direction)
     pairs = ((one, other) for i, one in enumerate(messages) for other in messages[:i])
     return tuple(found for one, other in pairs if (found := unresolved(one, other)) is not None)
 
@@ -179,7 +185,7 @@ def conflicts(variant: Variant, direction: Way) -> tuple[Conflict, ...]:
 @lru_cache(maxsize=1024)
 def _apart(variant: Variant, direction: Way) -> dict[str, tuple[Message, ...]]:
     """For each message those that its bytes alone tell it from."""
-    messages = variant.facing(direction)
+    messages = variant.messages_for(direction)
     found: dict[str, list[Message]] = {m.name: [] for m in messages}
     for i, one in enumerate(messages):
         for other in messages[:i]:
@@ -202,12 +208,12 @@ def part_accepted(message: Message, image: bytes) -> bytes | None:
 
 
 __all__ = [
-    "columns",
+    "check_columns_agree",
+    "check_no_false_accept",
+    "check_oracle",
+    "check_round_trip",
+    "check_unambiguous",
     "conflicts",
     "first_difference",
-    "no_false_accept",
-    "oracle",
     "part_accepted",
-    "round_trip",
-    "unambiguous",
 ]

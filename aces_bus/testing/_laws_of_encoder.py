@@ -16,9 +16,9 @@ from zlib import crc32
 from construct import ConstructError
 
 from ..errors import AcesError, FieldError, UnknownNameError
-from ..protocol.codegen.encoder import Encoder
-from ..protocol.spec.fields import FlagSet
-from ..protocol.spec.message import Message
+from ..protocol.declare.fields import FlagSet
+from ..protocol.declare.message import Message
+from ..protocol.encoder import Encoder
 from ._play import image_of
 from ._trial import Trial
 
@@ -43,7 +43,7 @@ def encoders(trial: Trial) -> None:
     for message, image, request in accepted:
         given = _given(trial, message, image, request)
         if trial.thorough and len(accepted) <= FEW:
-            found: list[Change | None] = [None, *changes(given)]
+            found: list[Change | None] = [None, *changed_values(given)]
         else:
             turn = crc32(image)
             found = [_change(given, turn + n * STEP) for n in range(SOME if trial.thorough else 1)]
@@ -129,7 +129,7 @@ def _misnamed(error: AcesError, message: Message, refusal: str, change: Change |
 # ---------------------------------------------------------------------- other values
 
 
-def changes(fields: Mapping[str, Any]) -> list[Change]:
+def changed_values(fields: Mapping[str, Any]) -> list[Change]:
     """What may be changed in some fields, one at a time."""
     return [((NO_FIELD,), 0), *(change for name in fields for change in _changes_of(name, fields[name]))]
 
@@ -204,4 +204,4 @@ def _each(*values: Any) -> Iterator[Change]:
     return (((), value) for value in values)
 
 
-__all__ = ["built", "changed", "changes", "encoders"]
+__all__ = ["built", "changed", "changed_values", "encoders"]

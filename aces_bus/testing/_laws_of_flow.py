@@ -9,20 +9,20 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..frame_table import FrameTable
-from ..protocol.scan.can import CanScanner
-from ..protocol.scan.record import Unknown
-from ..protocol.scan.segments import CHAINS, in_segments
-from ..protocol.scan.stream import StreamScanner
-from ..protocol.spec.framing import Framing, Verdict
+from ..protocol.columns.segments import CHAINS, in_segments
+from ..protocol.declare.framing import Framing, Verdict
+from ..protocol.live.can import CanScanner
+from ..protocol.live.stream import StreamScanner
+from ..protocol.record import Unknown
 from ._laws_of_content import first_difference
-from ._play import as_heard, copied, image_of, play
+from ._play import as_heard, copy_item, image_of, play
 from ._scenes import Scene, cast
 from ._trial import Trial
 
 # ---------------------------------------------------------------------- 3
 
 
-def chunking(trial: Trial) -> None:
+def check_chunking(trial: Trial) -> None:
     """Law 3."""
     given, counts, _ = trial.cut_up
     pieces = as_heard(given, trial.bench.is_can)
@@ -41,7 +41,7 @@ def chunking(trial: Trial) -> None:
 # ---------------------------------------------------------------------- 4
 
 
-def resynchronisation(trial: Trial) -> None:
+def check_resynchronisation(trial: Trial) -> None:
     """Law 4."""
     if trial.bench.is_can:
         _no_frame_overlooked(trial)
@@ -104,7 +104,7 @@ def _no_frame_overlooked(trial: Trial) -> None:
 # ---------------------------------------------------------------------- 6
 
 
-def accounting(trial: Trial) -> None:
+def check_accounting(trial: Trial) -> None:
     """Law 6."""
     is_can, scene = trial.bench.is_can, trial.scene
     given, counts, balance = trial.cut_up
@@ -133,10 +133,10 @@ def accounting(trial: Trial) -> None:
         trial.fail(
             6, f"given: decoded={decoded} records={records} pending={pending} {losses}; counts: {counts}"
         )
-    less = trial.bench.scanner(everything=False)
+    less = trial.bench.scanner(include_unknown=False)
     names = [type(item).__name__ for item in play(less, scene, trial.cuts)]
-    if copied(less.counts) != counts:
-        trial.fail(6, f"without everything, counts are {copied(less.counts)}, not {counts}")
+    if copy_item(less.counts) != counts:
+        trial.fail(6, f"without everything, counts are {copy_item(less.counts)}, not {counts}")
     if names != [type(item).__name__ for item in given if not isinstance(item, Unknown)]:
         trial.fail(6, "without everything, other records come")
 
@@ -147,7 +147,7 @@ def accounting(trial: Trial) -> None:
 PER_CANDIDATE = 16
 
 
-def bounded(trial: Trial) -> None:
+def check_bounded(trial: Trial) -> None:
     """Law 7."""
     if trial.bench.is_can:
         return
@@ -202,17 +202,17 @@ def _unstuffing_allowed(framings: Sequence[Framing], words: bytes, chunks: int) 
 # ---------------------------------------------------------------------- 8
 
 
-def calm(trial: Trial) -> None:
+def check_calm(trial: Trial) -> None:
     """Law 8."""
-    for everything, raw in trial.sample(((True, False), (False, False), (True, True))):
-        scanner = trial.bench.scanner(everything=everything, raw=raw)
+    for include_unknown, raw in trial.sample(((True, False), (False, False), (True, True))):
+        scanner = trial.bench.scanner(include_unknown=include_unknown, raw=raw)
         try:
             for record in play(scanner, trial.scene, trial.cuts):
                 assert repr(record)
                 assert record.meta is not None
             _provoke(scanner, trial.scene)
         except Exception as error:
-            trial.fail(8, f"raised {error!r} (everything={everything}, raw={raw})")
+            trial.fail(8, f"raised {error!r} (include_unknown={include_unknown}, raw={raw})")
 
 
 def _provoke(scanner: Any, scene: Scene) -> None:
@@ -236,4 +236,4 @@ def _provoke(scanner: Any, scene: Scene) -> None:
         raise AssertionError(f"bins do not sum: {scanner.counts}")
 
 
-__all__ = ["accounting", "bounded", "calm", "chunking", "resynchronisation"]
+__all__ = ["check_accounting", "check_bounded", "check_calm", "check_chunking", "check_resynchronisation"]

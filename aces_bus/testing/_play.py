@@ -10,17 +10,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..protocol.scan.counts import Counts
-from ..protocol.scan.record import Unknown, as_dict
-from ..protocol.scan.reference import Reference
-from ..protocol.scan.scanner import Scanner
-from ..protocol.spec.packet import can_image
+from ..protocol.counts import ScanCounts
+from ..protocol.declare.packet import can_image
+from ..protocol.live.scanner import Scanner
+from ..protocol.record import Unknown, as_dict
+from ..protocol.reference import Reference
 from ._bench import bench_of
 from ._scenes import Scene, Way, Wire
 
 
 @dataclass(frozen=True)
-class Heard:
+class ScannedItem:
     """One thing on the wire: a message with its fields, or a loss with its reason. Sizes in bytes, or 1 frame."""
 
     offset: int
@@ -39,9 +39,9 @@ class Heard:
         )
 
 
-def scanner_of(wire: Wire, direction: Way, *, everything: bool = True, raw: bool = True) -> Scanner:
+def scanner_of(wire: Wire, direction: Way, *, include_unknown: bool = True, raw: bool = True) -> Scanner:
     """A scanner as if just made."""
-    return bench_of(wire, direction).scanner(everything=everything, raw=raw)
+    return bench_of(wire, direction).scanner(include_unknown=include_unknown, raw=raw)
 
 
 def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
@@ -66,50 +66,51 @@ def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
     return out + scanner.close()
 
 
-def heard(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Heard]:
+def scanned_items(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[ScannedItem]:
     """What a scanner hears in a scene, in its form for comparison."""
     return as_heard(play(scanner, scene, cuts), scanner.link == "can")
 
 
-def as_heard(given: Iterable[Any], is_can: bool) -> list[Heard]:
+def as_heard(given: Iterable[Any], is_can: bool) -> list[ScannedItem]:
     """What a scanner gave, in its form for comparison."""
     if is_can:
         return [_heard(item, number, 1) for number, item in enumerate(given)]
-    return joined(_heard(item, item.meta.offset, item.meta.size) for item in given)
+    return join_losses(_heard(item, item.meta.offset, item.meta.size) for item in given)
 
 
-def _heard(item: Any, offset: int, size: int) -> Heard:
+def _heard(item: Any, offset: int, size: int) -> ScannedItem:
     if isinstance(item, Unknown):
-        return Heard(offset, size, None, None, item.reason, None)
-    return Heard(offset, size, type(item).__name__, plain(as_dict(item)), "", item.meta.protocol)
+        return ScannedItem(offset, size, None, None, item.reason, None)
+    return ScannedItem(offset, size, type(item).__name__, comparable(as_dict(item)), "", item.meta.protocol)
 
 
-def told(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[Heard]:
+def reference_items(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[ScannedItem]:
     """What the reference says of a scene."""
     return told_by(bench_of(wire, direction).reference(raw=raw), scene)
 
 
-def told_by(reference: Reference, scene: Scene) -> list[Heard]:
+def told_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
     """What this reference says of a scene."""
     if isinstance(scene.words, bytes):
         found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
-        return joined(
-            Heard(f.offset, f.size, f.message, plain(f.fields), f.reason, f.protocol) for f in found
+        return join_losses(
+            ScannedItem(f.offset, f.size, f.message, comparable(f.fields), f.reason, f.protocol)
+            for f in found
         )
-    out: list[Heard] = []
+    out: list[ScannedItem] = []
     at = 0
     for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
         for f in reference.frames(scene.words[at:offset]):
-            out.append(Heard(len(out), 1, f.message, plain(f.fields), f.reason, f.protocol))
+            out.append(ScannedItem(len(out), 1, f.message, comparable(f.fields), f.reason, f.protocol))
         at = offset
         if frame is not None:
             reference.sent(image_of(frame), frame.channel, frame.timestamp)
     return out
 
 
-def joined(items: Iterable[Heard]) -> list[Heard]:
+def join_losses(items: Iterable[ScannedItem]) -> list[ScannedItem]:
     """Runs of lost bytes with one reason, as one each: where a run is cut means nothing."""
-    out: list[Heard] = []
+    out: list[ScannedItem] = []
     for item in items:
         last = out[-1] if out else None
         is_run = item.message is None and item.reason.startswith(("skipped", "malformed"))
@@ -136,20 +137,20 @@ def image_of(frame: Any) -> bytes:
     )
 
 
-def plain(value: Any) -> Any:
+def comparable(value: Any) -> Any:
     """A value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
     if isinstance(value, float):
         return struct.pack("<d", value)[::-1].hex() + "f"
     if isinstance(value, Mapping):
-        return {k: plain(v) for k, v in value.items() if not str(k).startswith("_")}
+        return {k: comparable(v) for k, v in value.items() if not str(k).startswith("_")}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [comparable(item) for item in value]
     if isinstance(value, int):
         return int(value)
     return value
 
 
-def copied(counts: Counts) -> dict[str, Any]:
+def copy_item(counts: ScanCounts) -> dict[str, Any]:
     """Counts as plain values."""
     bins = (
         "total",
@@ -167,15 +168,15 @@ def copied(counts: Counts) -> dict[str, Any]:
 
 
 __all__ = [
-    "Heard",
+    "ScannedItem",
     "as_heard",
-    "copied",
-    "heard",
+    "comparable",
+    "copy_item",
     "image_of",
-    "joined",
-    "plain",
+    "join_losses",
     "play",
+    "reference_items",
+    "scanned_items",
     "scanner_of",
-    "told",
     "told_by",
 ]

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from ..errors import SpecError
-from ..protocol.spec.protocol import Protocol
-from ._source import Source
+from ..protocol.declare.protocol import Protocol
+from ._source import ChoiceSource
 
 Link = Literal["can", "serial"]
 HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"
@@ -51,7 +51,7 @@ _CRCS = (
 )
 
 
-def draw_spec(source: Source, link: Link | None = None) -> str:
+def draw_spec(source: ChoiceSource, link: Link | None = None) -> str:
     """The source text of a protocol named `drawn`."""
     link = link or source.choice(("can", "serial"))
     lines = [f'drawn = Protocol("drawn", link="{link}")']
@@ -106,7 +106,7 @@ def _size(con: str) -> int:
     return next(size for name, size in _SIZES.items() if con.startswith(name))
 
 
-def _number(source: Source, room: int) -> tuple[str, int]:
+def _number(source: ChoiceSource, room: int) -> tuple[str, int]:
     """A construct of a number of at most `room` bytes, and its size."""
     fitting = [
         name for name in (*_INTEGERS, "Float32l", "Float32b", "Float16b", "Float64l") if _size(name) <= room
@@ -115,7 +115,7 @@ def _number(source: Source, room: int) -> tuple[str, int]:
     return con, _size(con)
 
 
-def _single(source: Source, names: _Names, room: int) -> tuple[str, int]:
+def _single(source: ChoiceSource, names: _Names, room: int) -> tuple[str, int]:
     """One field with its name, and its size."""
     name = names.next()
     how = source.integer(0, 11)
@@ -148,7 +148,7 @@ def _single(source: Source, names: _Names, room: int) -> tuple[str, int]:
     return f'"{name}" / {con}', size
 
 
-def _struct(source: Source, room: int, *, first: str = "") -> tuple[str, int]:
+def _struct(source: ChoiceSource, room: int, *, first: str = "") -> tuple[str, int]:
     """A struct of at most `room` bytes."""
     names, parts, left = _Names(), [first] if first else [], room - (1 if first else 0)
     for _ in range(source.integer(1, 6)):
@@ -170,7 +170,7 @@ def _struct(source: Source, room: int, *, first: str = "") -> tuple[str, int]:
     return f"Struct({', '.join(parts)})", room - left
 
 
-def _layout(source: Source, room: int) -> tuple[str, int]:
+def _layout(source: ChoiceSource, room: int) -> tuple[str, int]:
     """A bit layout of at most `room` bytes: fields side by side, with gaps, across bytes."""
     size = source.integer(1, room)
     order = source.choice(("lsb", "msb"))
@@ -201,7 +201,7 @@ def _layout(source: Source, room: int) -> tuple[str, int]:
     return f'BitLayout({size}, {", ".join(parts)}, order="{order}")', size
 
 
-def _payload(source: Source, room: int) -> str:
+def _payload(source: ChoiceSource, room: int) -> str:
     if source.integer(0, 3) == 0:
         return _layout(source, min(room, 8))[0]
     return _struct(source, room)[0]
@@ -210,7 +210,7 @@ def _payload(source: Source, room: int) -> str:
 # ---------------------------------------------------------------------- CAN
 
 
-def _can(source: Source) -> Iterator[str]:
+def _can(source: ChoiceSource) -> Iterator[str]:
     for number in range(source.integer(1, 5)):
         extended, fd = source.integer(0, 3) == 0, source.integer(0, 7) == 0
         limit = 0x1FFF_FFFF if extended else 0x7FF
@@ -242,7 +242,7 @@ def _can(source: Source) -> Iterator[str]:
 # ---------------------------------------------------------------------- serial lines
 
 
-def _check(source: Source) -> tuple[str, int]:
+def _check(source: ChoiceSource) -> tuple[str, int]:
     """A check, and its size."""
     how = source.integer(0, 6)
     if how == 0:
@@ -260,7 +260,7 @@ def _check(source: Source) -> tuple[str, int]:
     return f'Crc("{name}", order="{source.choice(("little", "big"))}")', size
 
 
-def _serial(source: Source) -> Iterator[str]:
+def _serial(source: ChoiceSource) -> Iterator[str]:
     check, check_size = _check(source)
     checked = f", check={check}" if check else ""
     sync = source.bytes(source.integer(1, 3))

@@ -30,11 +30,11 @@ except ImportError as missing:
     ) from missing
 
 from ..errors import CallerError, UnknownNameError
-from ..protocol.scan.scanner import load_protocol
-from ..protocol.spec.protocol import Protocol
+from ..protocol.declare.protocol import Protocol
+from ..protocol.live.scanner import load_protocol
 from ._bench import Bench
-from ._drawing import draw_scene
-from ._saved import save
+from ._drawing import scene_drawing
+from ._saved import save_scene
 from ._trial import Trial
 from .fuzz import judged, shrink
 from .laws import LAWS, Law, Scene, Way, Wire, wires
@@ -119,7 +119,7 @@ def failure_of(case: LawCase, examples: int | None, folder: Path) -> str:
         holds()
     except _BrokenError as broken:
         scene, *cuts = failing[0]
-        return told(case, scene, tuple(cuts[0]) if cuts else (), str(broken), folder)
+        return shrunk_report(case, scene, tuple(cuts[0]) if cuts else (), str(broken), folder)
     return ""
 
 
@@ -127,12 +127,12 @@ class _BrokenError(Exception):
     """A law does not hold."""
 
 
-def told(case: LawCase, scene: Scene, cuts: tuple[int, ...], said: str, folder: Path) -> str:
+def shrunk_report(case: LawCase, scene: Scene, cuts: tuple[int, ...], said: str, folder: Path) -> str:
     """A failure shrunk, saved and in words."""
     trial = Trial(Bench(case.wire, case.direction), scene, cuts)
     failure = shrink(case.law, trial, said)
-    saved = save(folder, case.wire, case.direction, failure.scene, failure.cuts, law=case.law.number)
-    drawing = draw_scene(case.wire, case.direction, failure.scene, failure.cuts)
+    saved = save_scene(folder, case.wire, case.direction, failure.scene, failure.cuts, law=case.law.number)
+    drawing = scene_drawing(case.wire, case.direction, failure.scene, failure.cuts)
     way = {"to device": " --direction to", "from device": " --direction from", "both": " --direction both"}
     spec = shlex.quote(case.spec)
     decode = f"aces decode {shlex.quote(str(saved.capture))} -p {spec}{way.get(str(case.direction), '')}"

@@ -21,11 +21,11 @@ import construct as c
 import msgspec
 
 from ..errors import AcesError, CallerError, CaptureError
-from ..frame import Frame
 from ..frame_table import Channels, FrameTable
+from ..frames import Frame
 from ._bench import Bench
-from ._scenes import Scene, Way, Wire, variants_of
-from ._values import Packet
+from ._scenes import Scene, Way, Wire, wire_variants
+from ._values import DrawnPacket
 
 VERSION = 1
 #: A scene file larger than this is none of ours.
@@ -63,7 +63,7 @@ class Loaded:
 # ---------------------------------------------------------------------- writing
 
 
-def save(
+def save_scene(
     folder: Path,
     wire: Wire,
     direction: Way,
@@ -74,7 +74,7 @@ def save(
 ) -> Saved:
     """Write a scene into a folder (made when it is not there). Raises `CallerError` when that cannot be written."""
     text = scene_text(wire, direction, scene, cuts, law=law)
-    name = variants_of(wire)[0].name
+    name = wire_variants(wire)[0].name
     kind = f"law{law}" if law is not None else "scene"
     stem = f"{name}-{kind}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
     suffix = ".slog" if isinstance(scene.words, bytes) else ".log"
@@ -92,8 +92,8 @@ def save(
 
 
 def _write_stream(path: Path, direction: Way, scene: Scene, cuts: tuple[int, ...]) -> None:
-    from ..capture.base import Chunk
-    from ..capture.serial_log import SerialLogWriter
+    from ..recordings.base import Chunk
+    from ..recordings.serial.slog import SerialLogWriter
 
     way: Any = direction if direction in ("to device", "from device") else None
     if way is None and scene.sent_at:
@@ -113,7 +113,7 @@ def _write_stream(path: Path, direction: Way, scene: Scene, cuts: tuple[int, ...
 
 
 def _write_frames(path: Path, scene: Scene) -> None:
-    from ..capture.write.candump import CandumpWriter
+    from ..recordings.write.candump import CandumpWriter
 
     sent = list(scene.sent_at)
     frames: list[Frame] = []
@@ -143,7 +143,7 @@ def scene_text(
     wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (), *, law: int | None = None
 ) -> str:
     """A scene as JSON."""
-    variants = variants_of(wire)
+    variants = wire_variants(wire)
     return json.dumps(
         {
             "aces scene": VERSION,
@@ -169,7 +169,7 @@ def _frame(frame: Frame) -> dict[str, Any]:
     return {name: value for name, value in about.items() if value is not usual.get(name, False)}
 
 
-def _written(packet: Packet) -> dict[str, Any]:
+def _written(packet: DrawnPacket) -> dict[str, Any]:
     request = _written(packet.request) if packet.request is not None else None
     return {
         "message": packet.message.name,
@@ -210,7 +210,7 @@ def _untagged(value: Any) -> Any:
 # ---------------------------------------------------------------------- reading
 
 
-def load(path: Path) -> Loaded:
+def load_scene(path: Path) -> Loaded:
     """Read a scene that `save` wrote. Raises `CaptureError` when it is none."""
     try:
         if path.stat().st_size > MOST_BYTES:
@@ -255,13 +255,13 @@ def _word(said: Any) -> Any:
     return msgspec.convert(msgspec.to_builtins(Frame(**about)), Frame)  # a frame of other types raises
 
 
-def _packet(bench: Bench, said: Mapping[str, Any]) -> Packet | None:
+def _packet(bench: Bench, said: Mapping[str, Any]) -> DrawnPacket | None:
     try:
         message = next(m for (_, name), m in bench.by_name.items() if name == said["message"])
         request = _packet(bench, said["request"]) if said["request"] is not None else None
-        return Packet(message, _untagged(said["values"]), bytes.fromhex(said["image"]), request)
+        return DrawnPacket(message, _untagged(said["values"]), bytes.fromhex(said["image"]), request)
     except (StopIteration, KeyError, TypeError, ValueError, struct.error):
         return None
 
 
-__all__ = ["Loaded", "Saved", "load", "save", "scene_text"]
+__all__ = ["Loaded", "Saved", "load_scene", "save_scene", "scene_text"]

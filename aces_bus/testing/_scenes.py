@@ -12,13 +12,13 @@ from functools import lru_cache
 from typing import Any, Literal
 
 from ..errors import AcesError
-from ..frame import FD_LENGTHS, Frame
-from ..protocol.scan.stream import WORTH
-from ..protocol.spec.framing import Framing
-from ..protocol.spec.message import Direction, Message
-from ..protocol.spec.protocol import Variant
-from ._source import Source, spread
-from ._values import Packet, draw_packet, frame_of
+from ..frames import FD_LENGTHS, Frame
+from ..protocol.declare.framing import Framing
+from ..protocol.declare.message import Direction, Message
+from ..protocol.declare.protocol import Variant
+from ..protocol.live.stream import WORTH
+from ._source import ChoiceSource, spread
+from ._values import DrawnPacket, draw_packet, image_frame
 
 Way = Direction | Literal["both"] | None
 #: One variant, or several on one wire.
@@ -36,13 +36,13 @@ class Scene:
     words: Any
     idle_at: tuple[int, ...] = ()
     sent_at: tuple[tuple[int, Any], ...] = ()
-    packets: tuple[Packet, ...] = field(default=(), repr=False)
+    packets: tuple[DrawnPacket, ...] = field(default=(), repr=False)
 
     def __len__(self) -> int:
         return len(self.words)
 
 
-def variants_of(wire: Wire) -> tuple[Variant, ...]:
+def wire_variants(wire: Wire) -> tuple[Variant, ...]:
     """The variants of a wire, in order."""
     return (wire,) if isinstance(wire, Variant) else tuple(wire)
 
@@ -58,12 +58,12 @@ class Cast:
 
 def cast(wire: Wire, direction: Way) -> Cast:
     """Who may speak on a wire in a direction."""
-    return _cast(variants_of(wire), direction)
+    return _cast(wire_variants(wire), direction)
 
 
 @lru_cache(maxsize=1024)
 def _cast(variants: tuple[Variant, ...], direction: Way) -> Cast:
-    messages = tuple((v, m) for v in variants for m in v.facing(direction))
+    messages = tuple((v, m) for v in variants for m in v.messages_for(direction))
     framings = dict.fromkeys(m.framing for _, m in messages if m.framing is not None)
     return Cast(messages, tuple(framings), direction != "to device")
 
@@ -71,13 +71,13 @@ def _cast(variants: tuple[Variant, ...], direction: Way) -> Cast:
 # ---------------------------------------------------------------------- streams
 
 
-def draw_stream(wire: Wire, direction: Way, source: Source, *, size: int = 400) -> Scene:
+def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 400) -> Scene:
     """A byte stream of about `size` bytes: packets of any message, whole and damaged, and what only looks like them."""
     who = cast(wire, direction)
     data = bytearray()
     idle_at: list[int] = []
     sent_at: list[tuple[int, Any]] = []
-    packets: list[Packet] = []
+    packets: list[DrawnPacket] = []
     while len(data) < size and not source.is_dry:
         how, part = source.integer(0, 31), source.branch()
         if how == 0 and part.is_dry:
@@ -117,18 +117,18 @@ def draw_stream(wire: Wire, direction: Way, source: Source, *, size: int = 400) 
     return Scene(bytes(data), tuple(dict.fromkeys(idle_at)), tuple(sent_at), tuple(packets))
 
 
-def _pick(who: Cast, source: Source) -> Packet:
+def _pick(who: Cast, source: ChoiceSource) -> DrawnPacket:
     variant, message = source.choice(who.messages)
     return draw_packet(message, source, variant)
 
 
 def _ask(
-    request: Packet,
+    request: DrawnPacket,
     who: Cast,
     direction: Way,
     data: bytearray,
     sent_at: list[tuple[int, Any]],
-    source: Source,
+    source: ChoiceSource,
 ) -> None:
     """Put a request before its reply: on the wire where the scanner hears it, else as a transmission of ours."""
     if direction == "both" and source.integer(0, 3):
@@ -137,7 +137,7 @@ def _ask(
         sent_at.append((len(data), request.image))
 
 
-def _flipped(piece: bytes, source: Source) -> bytes:
+def _flipped(piece: bytes, source: ChoiceSource) -> bytes:
     out = bytearray(piece)
     for _ in range(source.integer(1, 3)):
         bit = source.integer(0, 8 * len(out) - 1)
@@ -145,7 +145,7 @@ def _flipped(piece: bytes, source: Source) -> bytes:
     return bytes(out)
 
 
-def _header(packet: Packet, source: Source) -> bytes:
+def _header(packet: DrawnPacket, source: ChoiceSource) -> bytes:
     """The first bytes of a packet once more, with a length that promises much or little."""
     framing = packet.message.framing
     assert framing is not None
@@ -167,7 +167,7 @@ def _header(packet: Packet, source: Source) -> bytes:
     return bytes(head) * source.integer(1, 4)
 
 
-def _overwritten(packet: Packet, source: Source) -> bytes:
+def _overwritten(packet: DrawnPacket, source: ChoiceSource) -> bytes:
     """A packet with another byte in its head, in its check or anywhere."""
     framing = packet.message.framing
     out = bytearray(packet.image)
@@ -178,7 +178,7 @@ def _overwritten(packet: Packet, source: Source) -> bytes:
     return bytes(out)
 
 
-def _rewrapped(packet: Packet, source: Source) -> bytes:
+def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
     """Other contents in the same framing, length and check being right."""
     message = packet.message
     framing = message.framing
@@ -203,7 +203,7 @@ def _rewrapped(packet: Packet, source: Source) -> bytes:
         return packet.image
 
 
-def _garbage(who: Cast, source: Source) -> bytes:
+def _garbage(who: Cast, source: ChoiceSource) -> bytes:
     """Bytes that belong to nobody: random, or made of what the framings look for."""
     size = source.integer(1, 24)
     how = source.integer(0, 3)
@@ -222,7 +222,7 @@ def _garbage(who: Cast, source: Source) -> bytes:
     return byte * size
 
 
-def adversary(wire: Wire, direction: Way, source: Source, *, size: int = 3000) -> bytes:
+def adversary(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 3000) -> bytes:
     """Headers that all promise a long packet: what costs a scanner most."""
     framing = source.choice(cast(wire, direction).framings)
     unit = bytearray(framing.sync)
@@ -245,12 +245,12 @@ def adversary(wire: Wire, direction: Way, source: Source, *, size: int = 3000) -
 # ---------------------------------------------------------------------- frames
 
 
-def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -> Scene:
+def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 24) -> Scene:
     """About `size` CAN frames: valid, nearly valid, foreign, remote, FD, extended, error frames."""
     who = cast(wire, direction)
     frames: list[Frame] = []
     sent_at: list[tuple[int, Any]] = []
-    packets: list[Packet] = []
+    packets: list[DrawnPacket] = []
     time: float | None = 0.0 if source.integer(0, 3) else None
     while len(frames) < size and not source.is_dry:
         how, part = source.integer(0, 31), source.branch()
@@ -276,12 +276,12 @@ def draw_frames(wire: Wire, direction: Way, source: Source, *, size: int = 24) -
             continue
         packet = _pick(who, part)
         if packet.request is not None and part.integer(0, 7):
-            asked = frame_of(packet.request.image, **about)
+            asked = image_frame(packet.request.image, **about)
             if direction in (None, "both") and part.integer(0, 3):
                 frames.append(asked)
             elif who.can_send:
                 sent_at.append((len(frames), asked))
-        frame = frame_of(packet.image, **about)
+        frame = image_frame(packet.image, **about)
         if how < 20:
             packets.append(packet)
         else:
@@ -305,7 +305,7 @@ def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
     return data[:start] + wanted.to_bytes(size, order) + data[start + size :]
 
 
-def _damaged(frame: Frame, message: Message, how: int, source: Source) -> Frame:
+def _damaged(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
     data = frame.data
     if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
         return _remade(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
@@ -342,7 +342,7 @@ def _legal(size: int, *, fd: bool) -> int:
     return max(n for n in FD_LENGTHS if n <= size) if fd else min(size, 8)
 
 
-def _foreign(source: Source, about: dict[str, Any]) -> Frame:
+def _foreign(source: ChoiceSource, about: dict[str, Any]) -> Frame:
     extended, fd = not source.integer(0, 3), not source.integer(0, 3)
     identifier = source.integer(0, 0x1FFF_FFFF if extended else 0x7FF)
     size = source.choice(FD_LENGTHS) if fd else source.integer(0, 8)
@@ -352,9 +352,9 @@ def _foreign(source: Source, about: dict[str, Any]) -> Frame:
 # ---------------------------------------------------------------------- either
 
 
-def draw_scene(wire: Wire, direction: Way, source: Source, *, size: int = 400) -> Scene:
+def draw_scene(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 400) -> Scene:
     """A scene of whatever link the wire is; `size` in bytes, or in frames of 16 bytes."""
-    if variants_of(wire)[0].link == "can":
+    if wire_variants(wire)[0].link == "can":
         return draw_frames(wire, direction, source, size=max(1, size // 16))
     # Long chunks take another path through the scanner: some scenes must be longer than that.
     if source.integer(0, 7) == 7:
@@ -362,7 +362,7 @@ def draw_scene(wire: Wire, direction: Way, source: Source, *, size: int = 400) -
     return draw_stream(wire, direction, source, size=size)
 
 
-def draw_cuts(scene: Scene, source: Source) -> tuple[int, ...]:
+def draw_cuts(scene: Scene, source: ChoiceSource) -> tuple[int, ...]:
     """Where to cut a scene: offsets, in order, perhaps repeated (an empty chunk)."""
     size = len(scene)
     how = source.integer(0, 3)
@@ -387,5 +387,5 @@ __all__ = [
     "draw_scene",
     "draw_stream",
     "rechecked",
-    "variants_of",
+    "wire_variants",
 ]

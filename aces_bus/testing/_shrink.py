@@ -17,12 +17,12 @@ from typing import Any
 import construct as c
 
 from ..errors import AcesError
-from ..frame import Frame
-from ..protocol.spec.framing import Framing, Verdict
-from ..protocol.spec.message import Message
+from ..frames import Frame
+from ..protocol.declare.framing import Framing, Verdict
+from ..protocol.declare.message import Message
 from ._bench import Bench
 from ._scenes import Scene, rechecked
-from ._values import Packet
+from ._values import DrawnPacket
 
 Cuts = tuple[int, ...]
 #: From how many words on a scene may fail only because it is long: then one that is cut may fail, too, and be short.
@@ -386,7 +386,7 @@ def _packets(best: _Best) -> None:
                 break
 
 
-def _words_of(scene: Scene, packet: Packet) -> Any:
+def _words_of(scene: Scene, packet: DrawnPacket) -> Any:
     return packet.image if isinstance(scene.words, bytes) else (packet.word,)
 
 

@@ -16,7 +16,7 @@ from typing import Protocol, TypeVar
 T = TypeVar("T")
 
 
-class Source(Protocol):
+class ChoiceSource(Protocol):
     """Gives choices."""
 
     def integer(self, low: int, high: int) -> int:
@@ -36,7 +36,7 @@ class Source(Protocol):
         """Whether only the simplest choices are left."""
         ...
 
-    def branch(self) -> Source:
+    def branch(self) -> ChoiceSource:
         """A source for one part of a whole."""
         ...
 
@@ -135,7 +135,7 @@ def spread(seed: int, size: int = 4096) -> Entropy:
     return Entropy(random.Random(seed).randbytes(size))
 
 
-def number(source: Source, low: int, high: int) -> int:
+def edge_number(source: ChoiceSource, low: int, high: int) -> int:
     """A number in `low`…`high` that is often an edge, near zero or a power of two."""
     how = source.integer(0, 7)
     if how < 4:

@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import Any, NoReturn, TypeVar
 from zlib import crc32
 
-from ..protocol.scan.record import Unknown
-from ..protocol.spec.message import Message
+from ..protocol.declare.message import Message
+from ..protocol.record import Unknown
 from ._bench import Bench
-from ._play import Heard, as_heard, copied, image_of, play, told_by
+from ._play import ScannedItem, as_heard, copy_item, image_of, play, told_by
 from ._scenes import Scene, Way
 
 T = TypeVar("T")
@@ -41,13 +41,13 @@ class LawError(AssertionError):
         self.wire, self.direction = trial.bench.wire, trial.bench.direction
         self.label = trial.bench.label
         self.scene, self.cuts = trial.scene, trial.cuts
-        where = f"\n  scene: {shown(trial.scene)}" if with_scene else ""
+        where = f"\n  scene: {scene_source(trial.scene)}" if with_scene else ""
         super().__init__(
             f"law {number} ({self.law}) of {self.label}, direction {self.direction!r}: {text}{where}"
         )
 
 
-def shown(scene: Scene) -> str:
+def scene_source(scene: Scene) -> str:
     """A scene as it is written in a test."""
     if isinstance(scene.words, bytes):
         words = f"bytes.fromhex({scene.words.hex(' ').upper()!r})"
@@ -105,7 +105,7 @@ class Trial:
     def _whole(self) -> tuple[list[Any], dict[str, Any], int]:
         scanner = self.bench.scanner()
         given = play(scanner, self.scene)
-        return given, copied(scanner.counts), scanner.counts.balance
+        return given, copy_item(scanner.counts), scanner.counts.balance
 
     @property
     def given(self) -> list[Any]:
@@ -118,7 +118,7 @@ class Trial:
         return self._whole[1]
 
     @cached_property
-    def heard(self) -> list[Heard]:
+    def heard(self) -> list[ScannedItem]:
         """The same for comparison."""
         return as_heard(self.given, self.bench.is_can)
 
@@ -127,15 +127,15 @@ class Trial:
         """What the scanner gives of the scene in pieces, its counts, and by how much they do not balance."""
         scanner = self.bench.scanner()
         given = play(scanner, self.scene, self.cuts)
-        return given, copied(scanner.counts), scanner.counts.balance
+        return given, copy_item(scanner.counts), scanner.counts.balance
 
     @cached_property
-    def physical(self) -> list[Heard]:
+    def physical(self) -> list[ScannedItem]:
         """What a scanner for physical values gives of the whole scene."""
         return as_heard(play(self.bench.scanner(raw=False), self.scene), self.bench.is_can)
 
     @cached_property
-    def told(self) -> list[Heard]:
+    def told(self) -> list[ScannedItem]:
         """What the reference says of it."""
         return told_by(self.bench.reference(), self.scene)
 
@@ -150,4 +150,4 @@ class Trial:
             yield message, image, {name: getattr(record, name) for name in message.request_fields}
 
 
-__all__ = ["NAMES", "LawError", "Trial", "shown"]
+__all__ = ["NAMES", "LawError", "Trial", "scene_source"]

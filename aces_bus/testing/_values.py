@@ -13,11 +13,11 @@ from typing import Any
 import construct as c
 
 from ..errors import FieldError
-from ..frame import Frame
-from ..protocol.spec.head import Head
-from ..protocol.spec.message import Message, Request
-from ..protocol.spec.protocol import Variant
-from ._source import Source, number, spread
+from ..frames import Frame
+from ..protocol.declare.head import Head
+from ..protocol.declare.message import Message, Request
+from ..protocol.declare.protocol import Variant
+from ._source import ChoiceSource, edge_number, spread
 from ._walk import Hints, Room, drawer, hints
 
 #: How often a message is drawn again when its packet cannot be built.
@@ -29,21 +29,21 @@ class UndrawableError(AssertionError):
 
 
 @dataclass(frozen=True)
-class Packet:
+class DrawnPacket:
     """A valid packet of a message: its raw fields, its image (`message.struct` parses it), the request before it."""
 
     message: Message
     values: Mapping[str, Any]
     image: bytes
-    request: Packet | None = None
+    request: DrawnPacket | None = None
 
     @property
     def word(self) -> Any:
         """What a scanner is fed: a `Frame` (CAN) or the packet's bytes."""
-        return self.image if self.message.framing is not None else frame_of(self.image)
+        return self.image if self.message.framing is not None else image_frame(self.image)
 
 
-def frame_of(image: bytes, **more: Any) -> Frame:
+def image_frame(image: bytes, **more: Any) -> Frame:
     """The frame of a CAN image."""
     word = int.from_bytes(image[:4], "big")
     return Frame(
@@ -59,7 +59,7 @@ def frame_of(image: bytes, **more: Any) -> Frame:
 # ---------------------------------------------------------------------- messages
 
 
-def draw_packet(message: Message, source: Source, variant: Variant | None = None) -> Packet:
+def draw_packet(message: Message, source: ChoiceSource, variant: Variant | None = None) -> DrawnPacket:
     """A valid packet of `message`; when it answers requests of `variant`, one of those too.
 
     Raises `UndrawableError` when none is found.
@@ -83,7 +83,7 @@ def draw_packet(message: Message, source: Source, variant: Variant | None = None
                 values.update(_payload(message, values, use))
             else:
                 values = draw_values(message, use)
-            return Packet(message, values, bytes(message.struct.build(values, raw=True)), request)
+            return DrawnPacket(message, values, bytes(message.struct.build(values, raw=True)), request)
         except (FieldError, c.ConstructError) as error:
             problem = str(error)
     raise UndrawableError(f"{message!r} ({message.place}): no valid packet found; the last try: {problem}")
@@ -124,7 +124,9 @@ def _allowed(message: Message, name: str) -> Collection[int] | None:
     return next((capture.values for capture in captures if capture.name == name), None)
 
 
-def draw_values(message: Message, source: Source, fixed: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def draw_values(
+    message: Message, source: ChoiceSource, fixed: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Raw values of all fields of a message; those in `fixed` are taken from there."""
     given = fixed or {}
     values: dict[str, Any] = {}
@@ -157,7 +159,7 @@ def draw_values(message: Message, source: Source, fixed: Mapping[str, Any] | Non
     return values
 
 
-def _payload(message: Message, values: Mapping[str, Any], source: Source) -> dict[str, Any]:
+def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) -> dict[str, Any]:
     root = c.Container(raw=True)
     root._params = root
     around = c.Container(_=root, _params=root)
@@ -168,7 +170,7 @@ def _payload(message: Message, values: Mapping[str, Any], source: Source) -> dic
     return dict(drawn)
 
 
-def _room(message: Message, source: Source) -> Room:
+def _room(message: Message, source: ChoiceSource) -> Room:
     framing = message.framing
     if framing is None:
         assert message.lengths is not None
@@ -186,7 +188,7 @@ def _room(message: Message, source: Source) -> Room:
     return Room(max(0, most), False)
 
 
-def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: Source) -> Packet:
+def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: ChoiceSource) -> DrawnPacket:
     """A request that the reply answers: fields that both have are equal, those that the link names are as it says."""
     fixed = {name: values[name] for name, _ in occasion.shared}
     for name, allowed in occasion.link.values:
@@ -195,22 +197,22 @@ def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: Source)
         else:
             fixed.setdefault(name, values[name])
     drawn = draw_values(occasion.asked, source, fixed)
-    return Packet(occasion.asked, drawn, bytes(occasion.asked.struct.build(drawn, raw=True)))
+    return DrawnPacket(occasion.asked, drawn, bytes(occasion.asked.struct.build(drawn, raw=True)))
 
 
-def _member(values: Any, source: Source) -> int:
+def _member(values: Any, source: ChoiceSource) -> int:
     if isinstance(values, range):
-        return values[number(source, 0, len(values) - 1)]
+        return values[edge_number(source, 0, len(values) - 1)]
     return int(source.choice(values if isinstance(values, Sequence) else sorted(values)))
 
 
-def _head_number(head: Head, known: Hints, source: Source) -> int:
+def _head_number(head: Head, known: Hints, source: ChoiceSource) -> int:
     most = (1 << 8 * head.size) - 1
     if head.name is not None and head.name in known.values and source.integer(0, 3):
         return source.choice(known.values[head.name]) & most
     if head.name in known.small:
         return source.integer(0, 6 if source.integer(0, 7) else 40)
-    return number(source, 0, most)
+    return edge_number(source, 0, most)
 
 
-__all__ = ["Packet", "UndrawableError", "draw_packet", "draw_values", "frame_of"]
+__all__ = ["DrawnPacket", "UndrawableError", "draw_packet", "draw_values", "image_frame"]

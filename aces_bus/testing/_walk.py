@@ -17,8 +17,8 @@ from typing import Any
 import construct as c
 
 from ..errors import AcesError, FieldError
-from ..protocol.spec.bits import FLOATS, BitLayout, Bits, Slot
-from ..protocol.spec.delimited import (
+from ..protocol.declare.bits import FLOATS, BitLayout, Bits, LayoutSlot
+from ..protocol.declare.delimited import (
     AsciiDegrees,
     AsciiEnumeration,
     AsciiField,
@@ -26,10 +26,10 @@ from ..protocol.spec.delimited import (
     AsciiNumber,
     Delimited,
 )
-from ..protocol.spec.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
-from ..protocol.spec.message import Message
-from ..protocol.spec.normalise import sizes
-from ._source import Source, number, spread
+from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
+from ..protocol.declare.message import Message
+from ..protocol.declare.normalise import sizes
+from ._source import ChoiceSource, edge_number, spread
 
 #: How many times bytes are tried that a construct may read.
 ATTEMPTS = 60
@@ -43,7 +43,7 @@ class Room:
     is_exact: bool
 
 
-Draw = Callable[[Source, Any, Room], Any]
+Draw = Callable[[ChoiceSource, Any, Room], Any]
 
 
 # ---------------------------------------------------------------------- hints: numbers that decide about others
@@ -134,7 +134,7 @@ class _Walk:
             con = con.subcon
         if isinstance(con, SignMagnitude):
             limit = con.limit
-            return lambda source, ctx, room: number(source, -limit, limit)
+            return lambda source, ctx, room: edge_number(source, -limit, limit)
         if isinstance(con, Enumeration):
             return self._enumeration(con)
         if isinstance(con, Field):
@@ -150,7 +150,7 @@ class _Walk:
         if values is None and not is_small:
             return otherwise
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             if values is not None and source.integer(0, 3):
                 return source.choice(values)
             if is_small:
@@ -164,7 +164,7 @@ class _Walk:
     def _enumeration(self, con: Enumeration) -> Draw:
         known, any_value = sorted(con.values), self.of(con.subcon)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             return source.choice(known) if known and source.integer(0, 3) else any_value(source, ctx, room)
 
         return draw
@@ -175,13 +175,13 @@ class _Walk:
             return _float(kind)
         low = -(1 << 8 * size - 1) if kind.islower() else 0
         high = low + (1 << 8 * size) - 1
-        return lambda source, ctx, room: number(source, low, high)
+        return lambda source, ctx, room: edge_number(source, low, high)
 
     def _integer(self, con: Any) -> Draw:
-        def draw(source: Source, ctx: Any, room: Room) -> int:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> int:
             width = 8 * _asked(con.length, ctx)
             low = -(1 << width - 1) if con.signed and width else 0
-            return number(source, low, low + (1 << width) - 1)
+            return edge_number(source, low, low + (1 << width) - 1)
 
         return draw
 
@@ -190,7 +190,7 @@ class _Walk:
             return _float(FLOATS[con.width][-1:])
         low = -(1 << con.width - 1) if con.signed else 0
         high = low + (1 << con.width) - 1
-        return lambda source, ctx, room: number(source, low, high)
+        return lambda source, ctx, room: edge_number(source, low, high)
 
     def _const(self, con: Any) -> Draw:
         value = con.value
@@ -202,9 +202,9 @@ class _Walk:
     def _varint(self, con: Any) -> Draw:
         signed = con is c.ZigZag
 
-        def draw(source: Source, ctx: Any, room: Room) -> int:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> int:
             high = (1 << source.choice((3, 7, 14, 31))) - 1
-            return number(source, -high if signed else 0, high)
+            return edge_number(source, -high if signed else 0, high)
 
         return draw
 
@@ -214,7 +214,7 @@ class _Walk:
         except c.ConstructError:
             most = 8
 
-        def draw(source: Source, ctx: Any, room: Room) -> str:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> str:
             return "".join(
                 chr(65 + b % 26) for b in source.bytes(source.integer(0, min(most, 8, max(0, room.left - 1))))
             )
@@ -227,13 +227,13 @@ class _Walk:
 
     # -------------------------------------------------- runs of bytes
 
-    def _some(self, source: Source, room: Room) -> int:
+    def _some(self, source: ChoiceSource, room: Room) -> int:
         if room.is_exact:
             return max(0, room.left)
         return source.integer(0, max(0, min(room.left, 8) if source.integer(0, 3) else room.left))
 
     def _bytes(self, con: Any) -> Draw:
-        def draw(source: Source, ctx: Any, room: Room) -> bytes:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> bytes:
             try:
                 length = int(_asked(con.length, ctx))
             except (
@@ -262,7 +262,7 @@ class _Walk:
             items.append((item.name, body, one, low, high, isinstance(body, c.Rebuild)))
         least = sum(item[3] for item in items)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             inner = c.Container(
                 _=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False
             )
@@ -283,7 +283,7 @@ class _Walk:
     def _array(self, con: Any) -> Draw:
         one, (low, _) = self.of(con.subcon), sizes(con.subcon)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             try:
                 count = int(_asked(con.count, ctx))
             except (KeyError, AttributeError, TypeError):  # a count that is rebuilt from what is drawn here
@@ -298,7 +298,7 @@ class _Walk:
     def _range(self, con: Any) -> Draw:
         one, (low, high) = self.of(con.subcon), sizes(con.subcon)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             items = c.ListContainer()
             if low == high and low:
                 most = max(0, room.left) // low
@@ -327,7 +327,7 @@ class _Walk:
     def _branch(self, con: Any) -> Draw:
         yes, no = self.of(con.thensubcon), self.of(con.elsesubcon)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             holds = _asked(con.condfunc, ctx)
             return (yes if holds else no)(source, ctx, room)
 
@@ -337,7 +337,7 @@ class _Walk:
         cases = {key: self.of(case) for key, case in con.cases.items()}
         other = self.of(con.default)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             key = _asked(con.keyfunc, ctx)
             return cases.get(key, other)(source, ctx, room)
 
@@ -350,7 +350,7 @@ class _Walk:
     def _terminated(self, con: Any) -> Draw:
         mark: bytes = con.term
 
-        def draw(source: Source, ctx: Any, room: Room) -> bytes:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> bytes:
             return source.bytes(source.integer(0, max(0, min(room.left - len(mark), 8)))).replace(
                 mark[:1], b""
             )
@@ -365,7 +365,7 @@ class _Walk:
             return self._parsed(con)
         one, (low, _) = self.of(inner.subcon), sizes(inner.subcon)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             most = max(0, room.left - 1) // max(1, low)
             count = source.integer(0, min(4, most))
             return c.ListContainer(
@@ -378,7 +378,7 @@ class _Walk:
         draws = [(slot, self._hinted(slot.name, self.of(slot.field))) for slot in layout.slots]
         full = (1 << 8 * layout.size) - 1
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             inner = c.Container(
                 _=ctx, _params=ctx._params, _root=None, _parsing=False, _building=True, _sizing=False
             )
@@ -401,10 +401,10 @@ class _Walk:
             if layout.overlapping:
                 # Where fields share bits, the first one's count: what all of them then are is read back.
                 if layout.has_reserved:
-                    word |= number(source, 0, full) & ~claimed if source.integer(0, 1) else 0
+                    word |= edge_number(source, 0, full) & ~claimed if source.integer(0, 1) else 0
                 values = layout._parsereport(io.BytesIO(word.to_bytes(layout.size, "little")), ctx, "")
             elif layout.has_reserved:
-                values["reserved"] = number(source, 0, full) & ~claimed if source.integer(0, 1) else 0
+                values["reserved"] = edge_number(source, 0, full) & ~claimed if source.integer(0, 1) else 0
             if layout.trailing:
                 behind = Room(room.left - layout.size, room.is_exact)
                 values[layout.trailing] = _content(source, self._some(source, behind), self.message)
@@ -422,7 +422,7 @@ class _Walk:
             for item in con.fields
         ]
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             values = c.Container()
             count = len(draws)
             if con.least < count and source.integer(0, 1):
@@ -445,7 +445,7 @@ class _Walk:
         """Values of a construct that the walk does not know: bytes that it reads to their end."""
         low, high = sizes(con)
 
-        def draw(source: Source, ctx: Any, room: Room) -> Any:
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             problem = "none tried"
             for attempt in range(ATTEMPTS):
                 use = source if attempt < 4 else spread(source.integer(0, 255) << 8 | attempt)
@@ -498,7 +498,7 @@ def _asked(expression: Any, context: Any) -> Any:
     return expression(context) if callable(expression) else expression
 
 
-def _number_of(slot: Slot, value: Any, context: Any) -> int:
+def _number_of(slot: LayoutSlot, value: Any, context: Any) -> int:
     """The bits of a field with this raw value, as an unsigned number."""
     out = io.BytesIO()
     slot.field._build(value, out, context, "")
@@ -519,7 +519,7 @@ def _measure(con: Any, value: Any, context: Any) -> int:
     return len(stream.getvalue())
 
 
-def _content(source: Source, size: int, message: Message) -> bytes:
+def _content(source: ChoiceSource, size: int, message: Message) -> bytes:
     """Bytes that may hold what the framing looks for: sync, end, stuffing."""
     data = source.bytes(size)
     framing = message.framing
@@ -543,7 +543,7 @@ def _float(kind: str) -> Draw:
     plain = [0.0, -0.0, 1.0, -1.5, 0.1, 1e-3, float("inf"), float("-inf"), float("nan"), 6.1e-05, 65504.0]
     plain = [unpack(struct.pack(f"<{kind}", value))[0] for value in plain]
 
-    def draw(source: Source, ctx: Any, room: Room) -> float:
+    def draw(source: ChoiceSource, ctx: Any, room: Room) -> float:
         if source.integer(0, 2) == 0:
             return source.choice(plain)
         return float(unpack(source.bytes(size))[0])
@@ -555,13 +555,13 @@ def _float(kind: str) -> Draw:
 _CHARACTERS = "0A1Bz9 .-+/_$*#~,;:é\xff\x01"
 
 
-def _ascii(field: AsciiField, characters: str) -> Callable[[Source], str]:
+def _ascii(field: AsciiField, characters: str) -> Callable[[ChoiceSource], str]:
     digits = "0123456789"
 
-    def some(source: Source, low: int, high: int, of: str = digits) -> str:
+    def some(source: ChoiceSource, low: int, high: int, of: str = digits) -> str:
         return "".join(source.choice(of) for _ in range(source.integer(low, high)))
 
-    def draw(source: Source) -> str:
+    def draw(source: ChoiceSource) -> str:
         if source.integer(0, 5) == 0:
             return ""
         if isinstance(field, AsciiEnumeration) and field.names and source.integer(0, 3):

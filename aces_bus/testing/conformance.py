@@ -17,32 +17,21 @@ from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
-from ..assembly.virtual import VirtualRobot
-from ..device import (
-    UNKNOWN,
-    Device,
-    Driver,
-    Host,
-    Job,
-    Robot,
-    Signal,
-    Simulation,
-    Twin,
-    load_driver,
-    parse_robot,
-    simulate,
-)
+from ..device import UNKNOWN, Device, Driver, Host, Job, Robot, Signal, Twin, load_driver
 from ..device.ticket import Awaited
 from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
-from ..hardware.faults import NO_FAULTS, Faults
-from ..hardware.serial_wire import Noise
-from ..hardware.wire import Recorder, Wire
+from ..hardware.simulated.bus import ListeningNode, SimulatedBus
+from ..hardware.simulated.faults import NO_FAULTS, Faults
+from ..hardware.simulated.serial_line import Noise
+from ..robot.file import parse_robot
+from ..robot.rig import Simulation, simulate
+from ..robot.virtual import VirtualRobot
 
 #: Seconds of virtual time in which whatever is polled must have been heard.
 SETTLE = 3.0
 
 
-class Stand:
+class TestBench:
     """A driver's example robot on virtual wires, ready to be looked at."""
 
     def __init__(
@@ -81,7 +70,7 @@ class Stand:
         ]
 
 
-def heard(device: Device) -> list[Signal]:
+def known_signals(device: Device) -> list[Signal]:
     """The signals of a device that have been heard at all."""
     return [one for one in device.signals.values() if one.instant is not None]
 
@@ -104,7 +93,7 @@ def run(started: Any, seconds: float = 120.0) -> None:
 # ---------------------------------------------------------------------- the checks
 
 
-def check_declared(stand: Stand) -> None:
+def check_declared(stand: TestBench) -> None:
     """The driver says what it is and where its facts come from; its signals and actions have names and docs."""
     driver = stand.driver
     assert driver.doc, f"{driver.name} has no doc"
@@ -122,7 +111,7 @@ def check_declared(stand: Stand) -> None:
             assert doc, f"action {action} has no doc"
 
 
-def check_quiet_before(stand: Stand) -> None:
+def check_quiet_before(stand: TestBench) -> None:
     """Nothing moves when a bus is opened: joints stay where they are until somebody enables and sets."""
     with stand.made() as robot:
         joints = robot.simulation.world.joints
@@ -134,7 +123,7 @@ def check_quiet_before(stand: Stand) -> None:
             assert abs(moved) < 1e-6, f"{name} moved by {moved} although nobody said so"
 
 
-def check_heard(stand: Stand) -> None:
+def check_heard(stand: TestBench) -> None:
     """Every signal that is read is known and finite soon after the bus was opened, and stays fresh."""
     with stand.made() as robot:
         robot.advance(SETTLE)
@@ -157,7 +146,7 @@ def check_heard(stand: Stand) -> None:
         )
 
 
-def check_set(stand: Stand) -> None:
+def check_set(stand: TestBench) -> None:
     """Every signal that can be set, is: the twin hears of it, and what is read goes there."""
     with stand.made() as robot:
         robot.advance(1.0)
@@ -214,7 +203,7 @@ def _near(one: Signal, start: float) -> float:
     )
 
 
-def check_limits(stand: Stand) -> None:
+def check_limits(stand: TestBench) -> None:
     """A set-point beyond a limit is limited, told by name, and never exceeded."""
     with stand.made() as robot:
         robot.advance(1.0)
@@ -233,12 +222,12 @@ def check_limits(stand: Stand) -> None:
                     assert one.value is UNKNOWN or one.value <= one.upper + 0.02 * abs(span), one
 
 
-def check_silence(stand: Stand) -> None:
+def check_silence(stand: TestBench) -> None:
     """A device that says nothing is told by name, its values go stale, the others stay fresh; it comes back."""
     with stand.made() as robot:
         robot.advance(SETTLE)
         for device, twin in stand.mine(robot):
-            if not heard(device):
+            if not known_signals(device):
                 continue
             twin.fault("silent")
             robot.advance(SETTLE)
@@ -246,7 +235,7 @@ def check_silence(stand: Stand) -> None:
                 assert robot.events.count("silent", device.name) >= 1, (
                     f"nobody noticed that {device.name} is silent"
                 )
-            for one in heard(device):
+            for one in known_signals(device):
                 if one.stale_after_ns is not None and one.stale_after_ns < SETTLE * 1e9:
                     assert one.value is UNKNOWN, f"{one.name} passes for fresh at {one.age_ns} ns"
             for other, _ in stand.mine(robot):
@@ -255,7 +244,7 @@ def check_silence(stand: Stand) -> None:
             twin.fault("silent", on=False)
             _recover(robot, device)
             assert not device.is_silent, f"{device.name} answers and counts as silent"
-            fresh = [one for one in heard(device) if one.value is not UNKNOWN]
+            fresh = [one for one in known_signals(device) if one.value is not UNKNOWN]
             assert fresh, f"nothing of {device.name} is fresh again"
 
 
@@ -271,12 +260,12 @@ MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
 }
 
 
-def check_misbehaviour(stand: Stand) -> None:
+def check_misbehaviour(stand: TestBench) -> None:
     """Late, doubled, short, lost and wrong answers are told by name and survived; afterwards all is as before."""
     with stand.made() as robot:
         robot.advance(SETTLE)
         for device, twin in stand.mine(robot):
-            if not heard(device):
+            if not known_signals(device):
                 continue
             for fault, kinds in MISBEHAVIOUR.items():
                 if stand.is_excused("misbehaviour", f"{device.name} {fault}"):
@@ -292,7 +281,9 @@ def check_misbehaviour(stand: Stand) -> None:
                 twin.fault(fault, on=False)
                 _recover(robot, device)
                 assert not device.is_silent, f"{device.name} is silent after having been {fault}"
-                assert any(one.value is not UNKNOWN for one in heard(device)), f"{device.name} after {fault}"
+                assert any(one.value is not UNKNOWN for one in known_signals(device)), (
+                    f"{device.name} after {fault}"
+                )
         _no_bug(robot)
 
 
@@ -321,13 +312,13 @@ def _recover(robot: VirtualRobot, device: Device) -> None:
     since = robot.clock.now()
 
     def is_back() -> bool:
-        instants = [one.instant for one in heard(device) if one.instant is not None]
+        instants = [one.instant for one in known_signals(device) if one.instant is not None]
         return not device.is_silent and max(instants, default=0) > since
 
     _until(robot, is_back)
 
 
-def check_two_of_one(stand: Stand) -> None:
+def check_two_of_one(stand: TestBench) -> None:
     """A second device with the same number is noticed, and survived."""
     with stand.made() as robot:
         robot.advance(SETTLE)
@@ -336,13 +327,13 @@ def check_two_of_one(stand: Stand) -> None:
         double = simulate(robot.robot, robot.ports("double"), seed=2, load=stand.load)
         for twin in double.twins.values():
             twin.reply_delay_ns += 200_000
-        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, Wire))
+        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, SimulatedBus))
         before = dict(robot.events.counts)
         double.open()
         robot.advance(SETTLE)
         _closed(double)
         told = {kind for (kind, who), n in robot.events.counts.items() if n > before.get((kind, who), 0)}
-        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, Wire)) - errors
+        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, SimulatedBus)) - errors
         assert told & {"two answers", "malformed", "silent", "late reply"} or errors, (
             "nobody noticed the second device"
         )
@@ -355,7 +346,7 @@ def _closed(simulation: Simulation) -> None:
     simulation.close()
 
 
-def check_reboot(stand: Stand) -> None:
+def check_reboot(stand: TestBench) -> None:
     """A device that was off and on again is heard again, and does not move by itself."""
     with stand.made() as robot:
         robot.advance(1.0)
@@ -366,29 +357,29 @@ def check_reboot(stand: Stand) -> None:
             robot.advance(0.5)
             twin.power(True)
             _recover(robot, device)
-            if heard(device):
+            if known_signals(device):
                 assert not device.is_silent, f"{device.name} is silent after its reboot"
         _no_bug(robot)
 
 
-def check_absent(stand: Stand) -> None:
+def check_absent(stand: TestBench) -> None:
     """Devices that are not there cost nothing but their values; when they come they are heard."""
     with stand.made() as robot:
         for twin in robot.twins.values():
             twin.power(False)
         robot.advance(1.0)
         for device, _ in stand.mine(robot):
-            assert not heard(device), f"{device.name} was heard without being there"
+            assert not known_signals(device), f"{device.name} was heard without being there"
         for twin in robot.twins.values():
             twin.power(True)
         robot.advance(SETTLE)
         for device, _ in stand.mine(robot):
             if device.polls:
-                assert heard(device), f"{device.name} came and was not heard"
+                assert known_signals(device), f"{device.name} came and was not heard"
         _no_bug(robot)
 
 
-def check_actions(stand: Stand) -> None:
+def check_actions(stand: TestBench) -> None:
     """Every action that needs no argument ends, with success or with a device's error; so does stopping."""
     with stand.made() as robot:
         robot.advance(SETTLE)
@@ -403,7 +394,7 @@ def check_actions(stand: Stand) -> None:
         _no_bug(robot)
 
 
-def check_actions_of_the_absent(stand: Stand) -> None:
+def check_actions_of_the_absent(stand: TestBench) -> None:
     """An action of a device that is not there fails with a `DeviceError`, and does not hang."""
     with stand.made() as robot:
         for twin in robot.twins.values():
@@ -426,25 +417,25 @@ def _needs_arguments(method: Callable[..., Any]) -> bool:
     )
 
 
-def check_noise(stand: Stand) -> None:
+def check_noise(stand: TestBench) -> None:
     """On a wire with faults nothing raises, everything is counted, and what gets through is heard."""
     with stand.made(faults=Faults(seed=3, corrupt=0.05), noise=Noise(seed=3, flip=0.002)) as robot:
         robot.advance(2 * SETTLE)
         for device, _ in stand.mine(robot):
             if device.polls:
-                assert heard(device), f"nothing of {device.name} gets through the noise"
+                assert known_signals(device), f"nothing of {device.name} gets through the noise"
         for host in robot.rig.hosts.values():
             counts = host.scanner.counts
             assert counts.total == counts.decoded + sum(counts.reasons.values())
         _no_bug(robot)
 
 
-def check_same_again(stand: Stand) -> None:
+def check_same_again(stand: TestBench) -> None:
     """The same seed gives the same words at the same instants."""
     assert _trace(stand) == _trace(stand)
 
 
-def _trace(stand: Stand) -> str:
+def _trace(stand: TestBench) -> str:
     """A hash of all that stood on the wires for a second."""
     robot = stand.made(seed=7)
     digest = hashlib.sha256()
@@ -452,10 +443,10 @@ def _trace(stand: Stand) -> str:
     def note(word: Any, instant: int) -> None:
         digest.update(f"{instant} {word!r}\n".encode())
 
-    recorders: list[Recorder] = []
+    recorders: list[ListeningNode] = []
     for wire in robot.wires.values():
-        if isinstance(wire, Wire):
-            recorders.append(Recorder(wire))
+        if isinstance(wire, SimulatedBus):
+            recorders.append(ListeningNode(wire))
         else:
             wire.attach("recorder", note)
     with robot:
@@ -468,7 +459,7 @@ def _trace(stand: Stand) -> str:
     return digest.hexdigest()
 
 
-def check_scan(stand: Stand) -> None:
+def check_scan(stand: TestBench) -> None:
     """Scanning the bus finds the devices that are there, by their numbers, and nothing else."""
     scan = stand.driver.scan
     if scan is None:
@@ -494,7 +485,7 @@ def _no_bug(robot: VirtualRobot) -> None:
     assert not robot.events.failures
 
 
-CHECKS: Final[Mapping[str, Callable[[Stand], None]]] = {
+CHECKS: Final[Mapping[str, Callable[[TestBench], None]]] = {
     check.__name__.removeprefix("check_"): check
     for check in (
         check_declared,
@@ -537,7 +528,7 @@ def run_check(
 
     for example in (found.example, *examples):
         try:
-            CHECKS[name](Stand(found, example, loading, excused or {}))
+            CHECKS[name](TestBench(found, example, loading, excused or {}))
         except AcesError as error:
             raise AssertionError(f"{found.name}, {name}: {type(error).__name__}: {error}") from error
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..errors import CallerError
-from ..protocol.spec.protocol import Protocol, Variant
+from ..protocol.declare.protocol import Protocol, Variant
 from ._bench import Bench
 from ._coverage import Coverage
 from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_stream
@@ -260,7 +260,7 @@ def joined_scenes(scenes: Sequence[Scene]) -> Scene:
 
 def _has_messages(wire: Wire, direction: Way) -> bool:
     variants = (wire,) if isinstance(wire, Variant) else tuple(wire)
-    return any(variant.facing(direction) for variant in variants)
+    return any(variant.messages_for(direction) for variant in variants)
 
 
 __all__ = ["BLOCK", "Failure", "Fuzzer", "joined_scenes", "judged", "shrink"]

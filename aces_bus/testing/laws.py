@@ -17,19 +17,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from ..protocol.spec.message import DIRECTIONS
-from ..protocol.spec.protocol import Protocol, Variant
+from ..protocol.declare.message import DIRECTIONS
+from ..protocol.declare.protocol import Protocol, Variant
 from . import _laws_of_content as content
 from . import _laws_of_flow as flow
 from ._bench import bench_of
 from ._columns import MODES
 from ._exemptions import Exemption, exemptions
 from ._laws_of_content import conflicts, part_accepted
-from ._play import heard, play, scanner_of, told
-from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_scene, variants_of
-from ._source import Source
+from ._play import play, reference_items, scanned_items, scanner_of
+from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_scene, wire_variants
+from ._source import ChoiceSource
 from ._trial import NAMES, LawError, Trial
-from ._values import Packet
+from ._values import DrawnPacket
 
 
 def _trial(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> Trial:
@@ -38,7 +38,7 @@ def _trial(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -
 
 def round_trip(wire: Wire, direction: Way, scene: Scene) -> None:
     """Law 1: `parse_raw(build_raw(r)) == r`, and `build(parse(f)) == f` for whatever is accepted, bit for bit."""
-    content.round_trip(_trial(wire, direction, scene))
+    content.check_round_trip(_trial(wire, direction, scene))
 
 
 def oracle(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
@@ -47,10 +47,10 @@ def oracle(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -
     Raw values against the reference; physical ones against construct, packet by packet; columns (`check_columns`)
     against the generated scanner.
     """
-    content.oracle(_trial(wire, direction, scene, cuts))
+    content.check_oracle(_trial(wire, direction, scene, cuts))
 
 
-def check_columns(
+def columns_law(
     wire: Wire,
     direction: Way,
     scene: Scene,
@@ -63,12 +63,12 @@ def check_columns(
     Raw and physical values, their types, what is absent, rows, times, channels and directions, losses and counts. A
     capture has words only: silences and transmissions of the scene are left out. `modes` are pairs of (raw, everything).
     """
-    content.columns(_trial(wire, direction, scene, cuts), modes)
+    content.check_columns_agree(_trial(wire, direction, scene, cuts), modes)
 
 
 def chunking(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int]) -> None:
     """Law 3: the same words with the same events give the same records, however they are cut."""
-    flow.chunking(_trial(wire, direction, scene, cuts))
+    flow.check_chunking(_trial(wire, direction, scene, cuts))
 
 
 def resynchronisation(wire: Wire, direction: Way, scene: Scene) -> None:
@@ -76,17 +76,17 @@ def resynchronisation(wire: Wire, direction: Way, scene: Scene) -> None:
 
     A packet with no message, or a reply without its request, is whole by its framing and counts as accepted.
     """
-    flow.resynchronisation(_trial(wire, direction, scene))
+    flow.check_resynchronisation(_trial(wire, direction, scene))
 
 
 def no_false_accept(wire: Wire, direction: Way, scene: Scene) -> None:
     """Law 5: every record's bytes, read again by construct alone, satisfy template and check."""
-    content.no_false_accept(_trial(wire, direction, scene))
+    content.check_no_false_accept(_trial(wire, direction, scene))
 
 
 def accounting(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
     """Law 6: every word ends in exactly one bin; records and losses tile the input; asking for less changes no count."""
-    flow.accounting(_trial(wire, direction, scene, cuts))
+    flow.check_accounting(_trial(wire, direction, scene, cuts))
 
 
 def bounded(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
@@ -96,12 +96,12 @@ def bounded(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) 
     candidate, so `max_size` ÷ header length a byte where headers stand side by side. Unstuffing itself is counted apart: a
     few times the input, and a small part of a packet a candidate.
     """
-    flow.bounded(_trial(wire, direction, scene, cuts))
+    flow.check_bounded(_trial(wire, direction, scene, cuts))
 
 
 def calm(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
     """Law 8: no input raises from `feed`, nor from `idle`, `sent` and `close`, whenever they come."""
-    flow.calm(_trial(wire, direction, scene, cuts))
+    flow.check_calm(_trial(wire, direction, scene, cuts))
 
 
 def unambiguous(wire: Wire, direction: Way, scene: Scene) -> None:
@@ -109,18 +109,18 @@ def unambiguous(wire: Wire, direction: Way, scene: Scene) -> None:
 
     What the checker calls disjoint is disjoint: no packet of one is accepted, whole or in part, by the other.
     """
-    content.unambiguous(_trial(wire, direction, scene))
+    content.check_unambiguous(_trial(wire, direction, scene))
 
 
 # ---------------------------------------------------------------------- all of them
 
 
 def draw_arguments(
-    law: Law, wire: Wire, direction: Way, source: Source, *, size: int = 400
+    law: Law, wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 400
 ) -> tuple[Any, ...]:
     """What `law.holds(wire, direction, …)` takes besides: a scene of about `size` bytes, and cuts where it wants them."""
     cut_by = source.branch()
-    if law.number == 7 and variants_of(wire)[0].link != "can" and source.integer(0, 1):
+    if law.number == 7 and wire_variants(wire)[0].link != "can" and source.integer(0, 1):
         scene = Scene(adversary(wire, direction, source))
     else:
         scene = draw_scene(wire, direction, source, size=size)
@@ -130,10 +130,10 @@ def draw_arguments(
 def directions(variant: Variant) -> tuple[Way, ...]:
     """The directions in which a variant can be scanned, as far as they differ."""
     ways: list[Way] = [None]
-    if variant.needs_direction is not None:
+    if variant.direction_conflict is not None:
         ways = ["both"]
     for way in DIRECTIONS:
-        if 0 < len(variant.facing(way)) < len(variant.messages):
+        if 0 < len(variant.messages_for(way)) < len(variant.messages):
             ways.append(way)
     return tuple(ways)
 
@@ -164,23 +164,23 @@ class Law:
 
 
 LAWS = (
-    Law(1, round_trip, content.round_trip),
-    Law(2, oracle, content.oracle, takes_cuts=True),
-    Law(3, chunking, flow.chunking, takes_cuts=True),
-    Law(4, resynchronisation, flow.resynchronisation),
-    Law(5, no_false_accept, content.no_false_accept),
-    Law(6, accounting, flow.accounting, takes_cuts=True),
-    Law(7, bounded, flow.bounded, takes_cuts=True, streams_only=True),
-    Law(8, calm, flow.calm, takes_cuts=True),
-    Law(9, unambiguous, content.unambiguous),
+    Law(1, round_trip, content.check_round_trip),
+    Law(2, oracle, content.check_oracle, takes_cuts=True),
+    Law(3, chunking, flow.check_chunking, takes_cuts=True),
+    Law(4, resynchronisation, flow.check_resynchronisation),
+    Law(5, no_false_accept, content.check_no_false_accept),
+    Law(6, accounting, flow.check_accounting, takes_cuts=True),
+    Law(7, bounded, flow.check_bounded, takes_cuts=True, streams_only=True),
+    Law(8, calm, flow.check_calm, takes_cuts=True),
+    Law(9, unambiguous, content.check_unambiguous),
 )
 
 __all__ = [
     "LAWS",
+    "DrawnPacket",
     "Exemption",
     "Law",
     "LawError",
-    "Packet",
     "Scene",
     "Trial",
     "Way",
@@ -188,22 +188,22 @@ __all__ = [
     "accounting",
     "bounded",
     "calm",
-    "check_columns",
     "chunking",
+    "columns_law",
     "conflicts",
     "directions",
     "draw_arguments",
     "exemptions",
-    "heard",
     "no_false_accept",
     "oracle",
     "part_accepted",
     "play",
+    "reference_items",
     "resynchronisation",
     "round_trip",
+    "scanned_items",
     "scanner_of",
-    "told",
     "unambiguous",
-    "variants_of",
+    "wire_variants",
     "wires",
 ]

@@ -18,12 +18,12 @@ except ImportError as missing:
         "aces_bus.testing.strategies needs Hypothesis: pip install 'aces-bus[testing]'"
     ) from missing
 
-from ..protocol.spec.message import Message
-from ..protocol.spec.protocol import Protocol, Variant
+from ..protocol.declare.message import Message
+from ..protocol.declare.protocol import Protocol, Variant
 from ._protocols import Link, draw_spec, protocol_of
 from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream
 from ._source import Drawn, Entropy
-from ._values import Packet, draw_packet, draw_values
+from ._values import DrawnPacket, draw_packet, draw_values
 from .laws import Law, draw_arguments
 
 
@@ -41,12 +41,12 @@ def fields(draw: Any, message: Message) -> dict[str, Any]:
 
 
 @st.composite
-def packets(draw: Any, variant: Variant, direction: Way = None, message: str | None = None) -> Packet:
+def packets(draw: Any, variant: Variant, direction: Way = None, message: str | None = None) -> DrawnPacket:
     """A valid packet or frame of a variant, with a request that it answers where it answers one.
 
     `message` names the one wanted; else it is any that can occur in `direction`.
     """
-    messages = [variant[message]] if message is not None else variant.facing(direction)
+    messages = [variant[message]] if message is not None else variant.messages_for(direction)
     return draw_packet(draw(st.sampled_from(messages)), _drawn(draw), variant)
 
 

@@ -26,7 +26,7 @@ AMBIENT = 25.0
 
 
 @dataclass(frozen=True)
-class Motor:
+class MotorModel:
     """A motor with its gear, on the joint's side.
 
     `speed`: without load at full duty (rad/s); `time_constant`: of that speed (s); `stall_current`: at full duty, blocked
@@ -41,12 +41,12 @@ class Motor:
     cooling: float = 300.0
 
     @classmethod
-    def of_ratio(cls, ratio: float, *, speed: float = 1600.0, stall_current: float = 8.0) -> Motor:
+    def of_ratio(cls, ratio: float, *, speed: float = 1600.0, stall_current: float = 8.0) -> MotorModel:
         """The same motor behind another gear: `ratio` motor turns a turn of the joint, `speed` the motor's own (rad/s)."""
         return cls(speed=speed / max(1.0, ratio), stall_current=stall_current)
 
 
-def servo_gains(motor: Motor, bandwidth: float = 80.0) -> tuple[float, float]:
+def servo_gains(motor: MotorModel, bandwidth: float = 80.0) -> tuple[float, float]:
     """Stiffness (1/rad) and damping (s/rad) of a critically damped position loop with this bandwidth (rad/s)."""
     tau, speed = motor.time_constant, motor.speed
     return bandwidth**2 * tau / speed, max(0.0, 2 * bandwidth * tau - 1) / speed
@@ -82,7 +82,7 @@ class MotorJoint:
 
     def __init__(
         self,
-        motor: Motor,
+        motor: MotorModel,
         now: int,
         *,
         position: float = 0.0,

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.access import UdpStates
-from aces_bus.assembly import run_virtual
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.robot import run_virtual
 from aces_bus.runtime import Loop, VirtualClock
 from aces_bus.state import State
 from tests.device.fan import ROBOT, drivers, robot_of

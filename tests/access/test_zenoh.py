@@ -16,11 +16,11 @@ import pytest
 
 from aces_bus.access import Publisher, RemoteStates
 from aces_bus.access.remote import RemoteClock
-from aces_bus.access.zenoh_wire import opened
-from aces_bus.assembly import run_virtual
+from aces_bus.access.zenoh_wire import open_session
 from aces_bus.controller import NOTHING, Controller
 from aces_bus.controller.log import Logger, read_log
 from aces_bus.errors import CallerError, NoReplyError, UnknownNameError
+from aces_bus.robot import run_virtual
 from aces_bus.runtime import Loop, RealClock, ThreadTasks, VirtualClock
 from aces_bus.state import UNKNOWN, State
 from tests.device.fan import ROBOT, drivers, robot_of
@@ -193,7 +193,7 @@ def test_junk_is_counted_on_both_sides(loop: Loop, endpoint: str) -> None:
         Side(loop, endpoint, allow_set=True) as side,
         RemoteStates(endpoint, robot="leg", lost_s=5) as states,
     ):
-        stranger = opened([], [endpoint], {})
+        stranger = open_session([], [endpoint], {})
         sender = stranger.declare_publisher("aces/leg/set")
         assert soon(lambda: sender.matching_status.matching)
         junk = [

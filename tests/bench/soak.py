@@ -63,7 +63,7 @@ class Receiver:
         from aces_bus.protocol import make_scanner
         from aces_tools.protocols_arg import parse_protocols
 
-        self.scanner: Any = make_scanner(parse_protocols(["hubo"]), everything=True)
+        self.scanner: Any = make_scanner(parse_protocols(["hubo"]), include_unknown=True)
         self.frames = self.messages = self.lost = 0
         self._next: dict[int, int] = {}
 

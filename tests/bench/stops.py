@@ -25,11 +25,11 @@ from typing import Any
 
 import can
 
-from aces_bus.device.rig import variants_of
-from aces_bus.frame import Frame
-from aces_bus.hardware.virtual import to_frame
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.backend import message_to_frame
 from aces_bus.protocol import make_scanner
-from aces_devices.robots import load_robot
+from aces_bus.robot.rig import bus_variants
+from aces_devices.robots import load_robot_by_name
 from aces_tools.main import main as aces
 
 ROBOT, JOINT = "hubo2plus", "RHP"
@@ -95,7 +95,7 @@ class Stand:
     """The simulated robot, and a listener on the joint's bus."""
 
     def __init__(self) -> None:
-        self.robot = load_robot(ROBOT)
+        self.robot = load_robot_by_name(ROBOT)
         joint = self.robot.joints[JOINT]
         self.config = self.robot.devices[joint.device]
         self.board = self.config.credentials["board"]
@@ -118,8 +118,8 @@ class Stand:
                 time.sleep(0.1)
         with redirect_stdout(StringIO()):
             aces(["device", JOINT, "-r", ROBOT, "--virtual", "get"])  # loads what it needs
-        (self.variant,) = variants_of(self.robot, self.config.bus)
-        self.scanner = make_scanner([self.variant], everything=True)
+        (self.variant,) = bus_variants(self.robot, self.config.bus)
+        self.scanner = make_scanner([self.variant], include_unknown=True)
 
     def heard(self, wait_s: float) -> list[Any]:
         """The joint's board's records of the next so many seconds."""
@@ -128,7 +128,7 @@ class Stand:
         while (left := until - time.monotonic()) > 0:
             message = self.bus.recv(left)
             if message is not None:
-                records += self.scanner.feed([to_frame(message)])
+                records += self.scanner.feed([message_to_frame(message)])
         return [record for record in records if getattr(record, "board", None) == self.board]
 
     def await_record(self, name: str, command: Command | None = None) -> float | None:

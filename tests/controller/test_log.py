@@ -14,12 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.assembly import run_virtual
 from aces_bus.controller import controller
 from aces_bus.controller.log import (
     About,
-    Column,
     Log,
+    LogColumn,
     LogError,
     Logger,
     log_format,
@@ -29,6 +28,7 @@ from aces_bus.controller.log import (
 )
 from aces_bus.controller.log.sinks import open_sink
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock
 from aces_bus.state import State
 from tests.device.fan import ROBOT, drivers, robot_of
@@ -356,7 +356,7 @@ def test_any_number_survives(
 ) -> None:
     """Every float and instant comes back bit for bit, from every format; names may be anything printable."""
     path = str(tmp_path_factory.mktemp("any") / f"a.{suffix}")
-    about = About((Column("Ä,b.x"), Column('q"(x', "rate", "rad/s")))
+    about = About((LogColumn("Ä,b.x"), LogColumn('q"(x', "rate", "rad/s")))
     sink = open_sink(path, log_format(path), about)
     for row in rows:
         sink.append([row])
@@ -411,8 +411,8 @@ def test_a_file_may_be_protected(tmp_path: Path) -> None:
 
 def test_columns_are_read_of_their_names() -> None:
     """An attribute stands in brackets; without one, and for an unknown word in a quantity's own name, it is the value."""
-    assert parse_column("RHY") == Column("RHY")
-    assert parse_column("RHY.velocity(AGE)") == Column("RHY.velocity", "age")
+    assert parse_column("RHY") == LogColumn("RHY")
+    assert parse_column("RHY.velocity(AGE)") == LogColumn("RHY.velocity", "age")
     assert parse_column("d(hip)/dt").name == "d(hip)/dt"
     assert parse_column("d(hip)/dt(diff)").original == "d(hip)/dt(diff)"
 
@@ -421,7 +421,7 @@ def test_what_was_never_closed_is_recovered(tmp_path: Path) -> None:
     """A journal that stands alone is read in place of its Parquet file, and becomes one."""
     pytest.importorskip("pyarrow")
     path = tmp_path / "a.parquet"
-    sink = open_sink(str(path), "parquet", About((Column("X", unit="m"),)))
+    sink = open_sink(str(path), "parquet", About((LogColumn("X", unit="m"),)))
     sink.append([(0, [1.0]), (5 * MS, [math.nan])])
     log = read_log(path)
     assert len(log) == 2

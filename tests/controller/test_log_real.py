@@ -15,11 +15,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import run_virtual
 from aces_bus.controller import controller
 from aces_bus.controller.events import ControlEvent
-from aces_bus.controller.log import About, Logger, Row, Sink, logger, read_log
+from aces_bus.controller.log import About, Logger, LogSink, Row, logger, read_log
 from aces_bus.controller.log.base import AppendFile
+from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
 
@@ -74,7 +74,7 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
             assert "was not closed" in log.notes[0]
 
 
-class Slow(Sink):
+class Slow(LogSink):
     """A disk that takes its time: until `goes` is set nothing is written. `asked` is set when it was asked to."""
 
     format = "slow"

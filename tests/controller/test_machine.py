@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.controller import ControlEvent, MachineError, Phase, Row, StateMachine
+from aces_bus.controller import ControlEvent, MachineError, Phase, StateMachine, Transition
 from aces_bus.errors import UnknownNameError
 from tests.controller.fakes import Fake, fakes
 
@@ -32,11 +32,11 @@ def crouching() -> StateMachine:
             Phase("over", entry="\n".join(f"{leg}[0] = 0" for leg in LEGS), final=True),
         ],
         table=[
-            Row("wait", "down", after_s=5.0),
-            Row("down", "up", "LHP[0] > 1.205"),
-            Row("up", "down", "LHP[0] < 0.01"),
-            Row("*", "over", "RSP[0] > 0"),
-            Row("*", "over", on="bus-off"),
+            Transition("wait", "down", after_s=5.0),
+            Transition("down", "up", "LHP[0] > 1.205"),
+            Transition("up", "down", "LHP[0] < 0.01"),
+            Transition("*", "over", "RSP[0] > 0"),
+            Transition("*", "over", on="bus-off"),
         ],
     )
 
@@ -103,7 +103,7 @@ def test_entry_exit_and_each_come_in_order() -> None:
             Phase("one", entry="A[0] = 1", each="n += 1\nB[0] = n", exit="A[0] = 2\nC[0] = 2"),
             Phase("two", entry="C[0] = 3\nD[0] = 3", each="D[0] = 4"),
         ],
-        table=[Row("one", "two", "n >= 2"), Row("two", "one", after_s=0.2)],
+        table=[Transition("one", "two", "n >= 2"), Transition("two", "one", after_s=0.2)],
     )
     machine.start(0)
     assert machine.step(0) == {"A": 1.0, "B": 1.0}
@@ -129,7 +129,7 @@ def test_functions_stand_where_texts_do() -> None:
         rate_hz=10,
         states=["X"],
         phases=[Phase("a", each=ramp), Phase("b", final=True)],
-        table=[Row("a", "b", ready)],
+        table=[Transition("a", "b", ready)],
     )
     machine.bind(fakes(X=1.0))
     machine.start(0)
@@ -145,7 +145,12 @@ def test_at_most_one_transition_a_step() -> None:
         "loop",
         rate_hz=10,
         phases=[Phase("a"), Phase("b"), Phase("c")],
-        table=[Row("a", "b", "true"), Row("a", "c", "true"), Row("b", "a", "true"), Row("c", "a", "true")],
+        table=[
+            Transition("a", "b", "true"),
+            Transition("a", "c", "true"),
+            Transition("b", "a", "true"),
+            Transition("c", "a", "true"),
+        ],
     )
     machine.start(0)
     phases = [(machine.step(n), machine.phase)[1] for n in range(4)]
@@ -175,7 +180,7 @@ def test_it_waits_for_its_states() -> None:
         "w",
         rate_hz=10,
         phases=[Phase("a", each="X[0] = Y[0]"), Phase("b", final=True)],
-        table=[Row("a", "b", after_s=1)],
+        table=[Transition("a", "b", after_s=1)],
     )
     y = Fake(float("nan"))
     machine.bind({"Y": y})
@@ -213,7 +218,7 @@ def test_a_wrong_table_is_refused(
     """Missing and unreachable phases, dead ends and empty conditions, by name."""
     with pytest.raises(MachineError, match=message):
         StateMachine(
-            "m", rate_hz=10, phases=[Phase(one) for one in phases], table=[Row(*row) for row in table]
+            "m", rate_hz=10, phases=[Phase(one) for one in phases], table=[Transition(*row) for row in table]
         )
 
 
@@ -224,7 +229,7 @@ def test_what_is_final_has_no_way_out_and_times_are_times() -> None:
             "m",
             rate_hz=10,
             phases=[Phase("a"), Phase("b", final=True)],
-            table=[Row("b", "a", "true"), Row("a", "b", after_s=-1)],
+            table=[Transition("b", "a", "true"), Transition("a", "b", after_s=-1)],
         )
 
 
@@ -232,7 +237,11 @@ def test_equations_in_a_table_say_where_they_are_wrong() -> None:
     """The phase or the transition is named."""
     for phases, table, message in (
         ([Phase("a", each="X[0] = kp")], [], "m: phase 'a', each, line 1"),
-        ([Phase("a"), Phase("b", final=True)], [Row("a", "b", "kp > 1")], "m: transition 'a' → 'b', line 1"),
+        (
+            [Phase("a"), Phase("b", final=True)],
+            [Transition("a", "b", "kp > 1")],
+            "m: transition 'a' → 'b', line 1",
+        ),
     ):
         with pytest.raises(Exception, match=message):
             StateMachine("m", rate_hz=10, phases=phases, table=table)
@@ -244,7 +253,7 @@ def test_the_table_draws_itself() -> None:
         "odd",
         rate_hz=10,
         phases=[Phase("left leg"), Phase('a "b"', final=True)],
-        table=[Row("left leg", 'a "b"', "LHP[0] > 1", on="lost", after_s=2)],
+        table=[Transition("left leg", 'a "b"', "LHP[0] > 1", on="lost", after_s=2)],
     )
     assert machine.mermaid().splitlines() == [
         "stateDiagram-v2",
@@ -265,8 +274,8 @@ def test_the_table_draws_itself() -> None:
 def test_the_interpreter_equals_the_rule(rows: list[tuple[str, str, int]], data: Any) -> None:
     """For random tables and inputs the phase is what reading the table row by row gives."""
     phases = [Phase(name, final=False) for name in "abcd"]
-    table = [Row(source, target, f"X[0] == {n}") for source, target, n in rows]
-    table += [Row(one, "abcd"[(i + 1) % 4], "X[0] == 9") for i, one in enumerate("abcd")]
+    table = [Transition(source, target, f"X[0] == {n}") for source, target, n in rows]
+    table += [Transition(one, "abcd"[(i + 1) % 4], "X[0] == 9") for i, one in enumerate("abcd")]
     machine, x = StateMachine("m", rate_hz=10, phases=phases, table=table), Fake()
     machine.bind({"X": x})
     machine.start(0)

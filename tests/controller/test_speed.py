@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from aces_bus.controller import PID, Bounds, Guard, Phase, Player, Row, StateMachine, Trajectory
+from aces_bus.controller import PID, Bounds, Guard, Phase, Player, StateMachine, Trajectory, Transition
 from tests.counting import calls
 
 JOINTS = [f"J{n}" for n in range(21)]
@@ -56,7 +56,7 @@ def test_a_transition_is_a_handful_of_calls() -> None:
         rate_hz=200,
         memory={"n": 0},
         phases=[Phase("a"), Phase("b")],
-        table=[Row("a", "b", "n < 1"), Row("b", "a", "n < 1")],
+        table=[Transition("a", "b", "n < 1"), Transition("b", "a", "n < 1")],
     )
     machine.start(0)
     assert most_calls(machine.step) <= 9

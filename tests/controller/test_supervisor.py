@@ -17,10 +17,10 @@ from aces_bus.controller import (
     Guard,
     Phase,
     Player,
-    Row,
     StateMachine,
     Supervisor,
     Trajectory,
+    Transition,
     degrade,
     stop,
 )
@@ -213,7 +213,7 @@ def test_a_state_machine_hears_what_the_supervisor_ignores() -> None:
         "m",
         rate_hz=100,
         phases=[Phase("go", each="A[0] = 1"), Phase("safe", each="A[0] = 0")],
-        table=[Row("go", "safe", on="silent"), Row("safe", "go", on="answers")],
+        table=[Transition("go", "safe", on="silent"), Transition("safe", "go", on="answers")],
     )
     supervisor = Supervisor(machine, Guard({"A": Bounds()}, period_s=0.01), {"silent": IGNORE})
     supervisor.bind({})

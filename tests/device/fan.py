@@ -8,11 +8,12 @@ from typing import Any, ClassVar
 
 from construct import Byte, Int8sl, Int16ul, Struct, this
 
-from aces_bus.device import Device, Driver, Poll, Robot, Ticket, Twin, on, parse_robot, signal
-from aces_bus.protocol import Capture, InvertedSum, Protocol, Quantity
+from aces_bus.device import Device, Driver, Poll, Robot, Ticket, Twin, on, signal
+from aces_bus.protocol import IdField, InvertedSum, Protocol, Quantity
+from aces_bus.robot import parse_robot
 
 fan = Protocol("fan", link="can", bitrate=500_000)
-Node = Capture("node", range(1, 9))
+Node = IdField("node", range(1, 9))
 Speeds = Struct("left" / Quantity(Int16ul, unit="rpm"), "right" / Quantity(Int16ul, unit="rpm"))
 fan.message("Ask", id=0x100 + Node, direction="to device")
 fan.message("Set", id=0x110 + Node, direction="to device", payload=Speeds)

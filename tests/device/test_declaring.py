@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
 from aces_bus.device import Device, Driver, Poll, on, signal
 from aces_bus.device.device import ATTRIBUTES
 from aces_bus.device.twin import ATTRIBUTES as TWIN_ATTRIBUTES
 from aces_bus.errors import AcesError, SpecError
+from aces_bus.robot import VirtualRobot
 from aces_bus.testing.conformance import run_check
 from tests.device.fan import FAN, RPM, Fan, FanTwin, fan, robot_of
 

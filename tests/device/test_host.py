@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, Host, Outgoing, Want, connect, one_each
+from aces_bus.device import UNKNOWN, Host, OutgoingMessage, Setpoint, uncoalesced
 from aces_bus.errors import CallerError, FieldError, NoReplyError, UnknownNameError
-from aces_bus.frame import Frame
-from aces_bus.hardware import Recorder
+from aces_bus.frames import Frame
+from aces_bus.hardware import ListeningNode
+from aces_bus.robot import VirtualRobot, connect
 from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, drivers, robot_of
 
 
@@ -38,7 +38,7 @@ def test_what_is_polled_is_known_and_fresh(text: str) -> None:
 def test_set_points_of_a_board_are_one_frame() -> None:
     """Two set-points of one board go out in one frame a tick, in the sheet's unit; none before both are given."""
     with made() as robot:
-        recorder = Recorder(robot.wires["line"])
+        recorder = ListeningNode(robot.wires["line"])
         robot.advance(0.005)
         robot["A.left"].set(100 * RPM)
         robot.advance(0.05)
@@ -53,12 +53,12 @@ def test_rules_are_replaceable() -> None:
     """A user's own rule is given all that is wanted and says what goes out: here one frame a set-point, or a constant."""
 
     def stop(wants: Any) -> Any:
-        assert all(isinstance(want, Want) for want in wants)
-        yield Outgoing(wants[0].device, "Set", {"left": 0, "right": 0})
+        assert all(isinstance(want, Setpoint) for want in wants)
+        yield OutgoingMessage(wants[0].device, "Set", {"left": 0, "right": 0})
 
-    for rule, count in ((one_each, 2), (stop, 1)):
+    for rule, count in ((uncoalesced, 2), (stop, 1)):
         with made(rules={"Set": rule}) as robot:
-            recorder = Recorder(robot.wires["line"])
+            recorder = ListeningNode(robot.wires["line"])
             robot["A.left"].set(10.0)
             robot["A.right"].set(10.0)
             robot.advance(0.009)

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from construct import Byte, Bytes, GreedyBytes, GreedyRange, Int16ub, Struct, this
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, Driver, Twin, on, parse_robot
-from aces_bus.device.register_device import Codec, RegisterDevice
+from aces_bus.device import UNKNOWN, Driver, Twin, on
+from aces_bus.device.register_device import RegisterCodec, RegisterDevice
 from aces_bus.errors import CallerError, DeviceError, FieldError, UnknownNameError
 from aces_bus.protocol import Enumeration, Protocol, Sum
+from aces_bus.robot import VirtualRobot, parse_robot
 
 gadget = Protocol("gadget", link="serial", baud=115_200, half_duplex=True, broadcast={"id": 0xFF})
 packet = gadget.framing(
@@ -35,7 +35,7 @@ Answer = packet(
     direction="from device",
     match={"id": range(0xFF)},
     reply_to=(Read, Write),
-    over=("Read", "Write", "Together"),
+    overrides=("Read", "Write", "Together"),
     payload=Struct("code" / Byte, "data" / GreedyBytes),
 )
 table = gadget.registers(read=Read, write=Write, sync=Together)
@@ -230,4 +230,4 @@ def test_only_plain_numbers_have_codecs() -> None:
     registers = odd.registers(read="R", write="R")
     registers.add("blob", 0, Bytes(4))
     with pytest.raises(CallerError, match="blob is not a plain number"):
-        Codec(registers, "blob")
+        RegisterCodec(registers, "blob")

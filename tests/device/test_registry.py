@@ -10,10 +10,11 @@ from typing import Any
 
 import pytest
 
-import aces_bus.device.registry as registry
-from aces_bus.device import Driver, list_drivers, load_driver, parse_robot
+import aces_bus.device.drivers as registry
+from aces_bus.device import Driver, list_drivers, load_driver
 from aces_bus.errors import SpecError, UnknownNameError
 from aces_bus.protocol import list_protocols
+from aces_bus.robot import parse_robot
 
 NAMES = list(list_drivers())
 

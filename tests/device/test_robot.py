@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.device import Home, Joint, Robot, RobotError, check_robot, load_robot, parse_robot, print_robot
-from aces_bus.device.robot_checks import addresses
-from aces_bus.device.toml_lines import KeyLines
+from aces_bus.device import Home, Joint, Robot
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
+from aces_bus.robot import RobotError, check_robot, load_robot, parse_robot, print_robot
+from aces_bus.robot.checks import addresses
+from aces_bus.robot.toml_lines import KeyLines
 from tests.counting import calls
 
 ARM = """\

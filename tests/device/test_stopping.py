@@ -6,11 +6,11 @@ from typing import Any, ClassVar
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Driver, Job, Rig, Steps, Ticket, connect, stop_devices, wait_stopped
+from aces_bus.device import Driver, Job, Steps, Ticket, stop_devices, wait_stopped
 from aces_bus.errors import DeviceError, NotStoppedError
-from aces_bus.frame import Frame
-from aces_bus.hardware import Recorder
+from aces_bus.frames import Frame
+from aces_bus.hardware import ListeningNode
+from aces_bus.robot import Rig, VirtualRobot, connect
 from tests.device.fan import ROBOT, Fan, FanTwin, robot_of
 
 SET = 0x111
@@ -52,7 +52,7 @@ def robot() -> Any:
         yield made
 
 
-def words(recorder: Recorder, identifier: int) -> list[str]:
+def words(recorder: ListeningNode, identifier: int) -> list[str]:
     return [frame.data.hex() for frame in recorder.frames() if frame.arbitration_id == identifier]
 
 
@@ -62,7 +62,7 @@ def stop(robot: VirtualRobot) -> Job:
 
 def test_a_stop_leaves_at_once(robot: VirtualRobot) -> None:
     """Before anything else happens in time, every device is told; it is over when each has said that it has stopped."""
-    recorder = Recorder(robot.wires["line"])
+    recorder = ListeningNode(robot.wires["line"])
     began = robot.clock.now()
     job = stop(robot)
     wait_stopped(job)
@@ -88,7 +88,7 @@ def test_a_stop_is_repeated_until_the_device_says_so(
         return send(word, *how, **more)
 
     monkeypatch.setattr(robot.rig.hosts["line"].port, "send", lossy)
-    recorder = Recorder(robot.wires["line"])
+    recorder = ListeningNode(robot.wires["line"])
     wait_stopped(stop(robot))
     assert robot.twins["A"].left == 0
     assert words(recorder, SET).count("00000000") == 1
@@ -138,7 +138,7 @@ def test_what_is_told_is_over_when_it_has_left(robot: VirtualRobot) -> None:
     robot.advance(0.2)
     assert "Set was not sent: it was not taken" in str(ticket.error)
     port.node.connect()
-    recorder = Recorder(robot.wires["line"])
+    recorder = ListeningNode(robot.wires["line"])
     robot.advance(0.005)
     assert "00000000" not in words(recorder, SET)  # nor does it leave late
 
@@ -168,7 +168,7 @@ rigs: list[Rig] = []
 def test_a_rig_stops_what_it_drove_when_it_is_left(drives: bool) -> None:
     """A program that ends, or raises, within `with connect(…)` leaves nothing moving; one that only looked sends nothing."""
     with VirtualRobot(robot_of(ROBOT), load=load, rate_hz=100) as world:
-        recorder = Recorder(world.wires["line"])
+        recorder = ListeningNode(world.wires["line"])
         with pytest.raises(ZeroDivisionError):
             left(world, drives=drives, error=ZeroDivisionError())
         assert world.twins["A"].left == 0

@@ -11,17 +11,17 @@ from typing import Any
 import pytest
 
 from aces_bus import Frame
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, connect, parse_robot, simulate
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
-from aces_bus.hardware.wire import Recorder
+from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.robot import VirtualRobot, connect, parse_robot, simulate
 from aces_bus.runtime import Loop
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.cia402 import driver
 from aces_devices.cia402.dictionary import dictionary_of, object_of
-from aces_devices.cia402.states import state_of, text_of
+from aces_devices.cia402.states import drive_state, emergency_text
 
 test_driver = driver_tests(driver)
 
@@ -61,7 +61,7 @@ def _running(settings: str = "", more: str = 'command = "position"', enabled: bo
         yield robot
 
 
-def _frames(recorder: Recorder, *identifiers: int) -> list[str]:
+def _frames(recorder: ListeningNode, *identifiers: int) -> list[str]:
     return [f.data.hex(" ").upper() for f in recorder.frames() if f.arbitration_id in identifiers]
 
 
@@ -76,7 +76,7 @@ def _changes(items: list[str]) -> list[str]:
 def test_enabling_is_the_controlwords_of_the_standard() -> None:
     """0006, 0007, 000F in RPDO 1 with mode and position, one each tick, as the state machine goes on; SYNC follows."""
     with _running(enabled=False) as robot:
-        recorder = Recorder(robot.wires["drives"])
+        recorder = ListeningNode(robot.wires["drives"])
         robot.devices["D"].enable().wait(5)
         sent = _changes(_frames(recorder, 0x205))
         assert sent == [
@@ -93,7 +93,7 @@ def test_enabling_is_the_controlwords_of_the_standard() -> None:
 def test_setting_up_is_what_the_facts_have() -> None:
     """Identity is read, the heartbeat written, the node started: the frames of the facts, for node 5."""
     with VirtualRobot(_robot("heartbeat_ms = 1000"), rate_hz=100, load=_load) as robot:
-        recorder = Recorder(robot.wires["drives"])
+        recorder = ListeningNode(robot.wires["drives"])
         robot.advance(1.5)
         sent = _frames(recorder, 0x605)
         assert sent[0] == "40 00 10 00 00 00 00 00"
@@ -106,7 +106,7 @@ def test_setting_up_is_what_the_facts_have() -> None:
 def test_every_worked_example_reaches_the_drive() -> None:
     """Mode 8, controlword 000F, target −1000 and the statusword, byte for byte as in the facts, are sent and received."""
     with _running(enabled=False) as robot:
-        recorder = Recorder(robot.wires["drives"])
+        recorder = ListeningNode(robot.wires["drives"])
         device = robot.devices["D"]
         device.write("0x6060", 8, confirm=True).wait(1)
         device.write("controlword", 0x0F, confirm=True).wait(1)
@@ -128,7 +128,7 @@ def test_every_worked_example_reaches_the_drive() -> None:
 def test_written_pdos_are_the_mapping_of_the_facts() -> None:
     """With pdo = "write" RPDO 1 is 6040 and 607A first: 000F and −1000 make `0F 00 18 FC FF FF` as in the facts."""
     with _running('pdo = "write", mode = "cyclic_position"') as robot:
-        recorder = Recorder(robot.wires["drives"])
+        recorder = ListeningNode(robot.wires["drives"])
         robot["J.position"].set(-1000 / 100_000 * 6.283185307179586)
         robot.advance(0.1)
         assert _frames(recorder, 0x205)[-1].startswith("0F 00 18 FC FF FF")
@@ -141,7 +141,7 @@ def test_written_pdos_are_the_mapping_of_the_facts() -> None:
 def test_profile_position_hands_over_each_target() -> None:
     """Bit 4 rises with the target, falls when it was taken; a target set meanwhile follows."""
     with _running() as robot:
-        recorder = Recorder(robot.wires["drives"])
+        recorder = ListeningNode(robot.wires["drives"])
         robot["J.position"].set(0.5)
         robot["J.position"].set(0.2)
         robot.advance(0.5)
@@ -214,7 +214,7 @@ def test_a_drive_that_is_enabled_already_stays_so() -> None:
         robot.rig.close()
         second = connect(robot.robot, robot.ports("second"), rate_hz=100, load=_load)
         with second:
-            recorder = Recorder(robot.wires["drives"])
+            recorder = ListeningNode(robot.wires["drives"])
             second["J.position"].set(0.3)
             robot.advance(2)
             assert _frames(recorder, 0x205)[0].startswith("3F 00")
@@ -336,7 +336,7 @@ def test_a_reboot_is_told_and_leaves_the_drive_disabled() -> None:
 def test_a_node_without_sync_falls_silent_by_its_heartbeat() -> None:
     """A drive that sends by itself is missed when neither PDOs nor heartbeats come."""
     with _running('pdo = "write", sync = false, heartbeat_ms = 100') as robot:
-        assert not [f for f in (Recorder(robot.wires["drives"]).frames()) if f.arbitration_id == 0x80]
+        assert not [f for f in (ListeningNode(robot.wires["drives"]).frames()) if f.arbitration_id == 0x80]
         robot.twins["D"].fault("silent")
         robot.advance(1)
         assert "no heartbeat for" in robot.events.of("silent")[0].detail
@@ -395,7 +395,7 @@ def test_a_mapping_that_cannot_work_says_how_to_change_it() -> None:
 def test_long_objects_are_read_and_written_in_segments() -> None:
     """The device's name has 14 bytes; reading it takes two segments."""
     with _running(enabled=False) as robot:
-        recorder = Recorder(robot.wires["drives"])
+        recorder = ListeningNode(robot.wires["drives"])
         assert robot.devices["D"].read("Device name").wait(1) == "aces-bus drive"
         assert [one[:2] for one in _frames(recorder, 0x605)] == ["40", "60", "70"]
         found = robot.devices["D"].identity().wait(1)
@@ -437,8 +437,8 @@ def test_files_that_are_none_are_refused(tmp_path: Any) -> None:
 
 def test_statuswords_and_codes() -> None:
     """0637 of the facts is enabled, remote, reached; codes name their group."""
-    assert state_of(0x0637) == "operation enabled"
-    assert text_of(0x2310) == "0x2310, current, output side"
+    assert drive_state(0x0637) == "operation enabled"
+    assert emergency_text(0x2310) == "0x2310, current, output side"
     assert object_of(dictionary_of(None, 5), "6099:2")[:2] == (0x6099, 2)
 
 

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from aces_bus import Frame
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import parse_robot
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.hardware.wire import Recorder
+from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.hubo_motor.d15 import driver
 
@@ -36,7 +35,7 @@ def _running(enabled: str = "B5") -> Generator[Any]:
         yield running
 
 
-def _sent(recorder: Recorder, identifier: int, opcode: int | None = None) -> list[str]:
+def _sent(recorder: ListeningNode, identifier: int, opcode: int | None = None) -> list[str]:
     frames = [f.data for f in recorder.frames() if f.arbitration_id == identifier]
     return [data.hex(" ").upper() for data in frames if opcode is None or data[0] == opcode]
 
@@ -44,7 +43,7 @@ def _sent(recorder: Recorder, identifier: int, opcode: int | None = None) -> lis
 def test_switching_on_is_one_frame_a_channel_and_switch() -> None:
     """Driver, then control, of channels 1 and 2 by the board's own identifier: `0B 01 01`, `0E 01 01` and so on."""
     with _running(enabled="") as robot:
-        recorder = Recorder(robot.wires["lower"])
+        recorder = ListeningNode(robot.wires["lower"])
         robot.devices["B5"].enable().wait(2)
         robot.advance(0.1)
         assert _sent(recorder, 0x215, 0x0B) == ["0B 01 01", "0B 02 01"]
@@ -60,7 +59,7 @@ def test_switching_on_is_one_frame_a_channel_and_switch() -> None:
 def test_a_reference_is_two_numbers_of_32_bits() -> None:
     """RHY at +0.2 rad is 31830 counts (the facts' gear); the channel without a joint is 0; two's complement."""
     with _running(enabled="B0") as robot:
-        recorder = Recorder(robot.wires["lower"])
+        recorder = ListeningNode(robot.wires["lower"])
         robot["RHY.position"].set(0.2)
         robot.advance(0.05)
         assert _sent(recorder, 0x010)[-1] == "56 7C 00 00 00 00 00 00"
@@ -83,7 +82,7 @@ def test_directions_and_zeros() -> None:
 def test_before_enabling_set_points_are_dropped() -> None:
     """That is told, and nothing is sent."""
     with _running(enabled="") as robot:
-        recorder = Recorder(robot.wires["lower"])
+        recorder = ListeningNode(robot.wires["lower"])
         robot["PAN.position"].set(0.5)
         robot.advance(0.2)
         assert _sent(recorder, 0x015) == []
@@ -95,7 +94,7 @@ def test_homing_ends_when_the_board_says_6() -> None:
     with _running() as robot:
         robot["PAN.position"].set(0.8)
         robot.advance(2)
-        recorder = Recorder(robot.wires["lower"])
+        recorder = ListeningNode(robot.wires["lower"])
         job = robot.devices["B5"].home("PAN")
         robot.advance(0.05)
         assert _sent(recorder, 0x215, 0x11) == ["11 01"]

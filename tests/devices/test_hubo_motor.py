@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, Host, Job, Robot, one_each, parse_robot
+from aces_bus.device import UNKNOWN, Host, Job, Robot, uncoalesced
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
-from aces_bus.hardware.wire import Recorder
+from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests, run_check
 from aces_devices.hubo_motor import driver
 from aces_devices.hubo_motor.example import D08, D08X, D12, D12_THREE
@@ -71,7 +71,7 @@ def up(robot: VirtualRobot) -> None:
 def references(robot: VirtualRobot, run: Callable[[], object]) -> list[tuple[int, bytes]]:
     """The reference frames that stand on the wire while something happens."""
     (wire,) = robot.wires.values()
-    recorder = Recorder(wire)
+    recorder = ListeningNode(wire)
     run()
     return [(now, frame.data) for now, frame in recorder.heard if 0x10 <= frame.arbitration_id < 0x40]
 
@@ -111,7 +111,7 @@ def test_each_tick_has_one_reference_frame_a_board() -> None:
 def test_a_frame_a_channel_is_what_a_user_may_ask_for() -> None:
     """The rule of coalescing can be replaced: one frame a set-point costs twice the references."""
     counts: list[int] = []
-    for rules in (None, {"Reference": one_each}):
+    for rules in (None, {"Reference": uncoalesced}):
         with made(rules=rules) as robot:
             up(robot)
             counts.append(len(references(robot, lambda: robot.advance(0.5))))
@@ -335,7 +335,7 @@ def test_an_old_board_is_tried_again() -> None:
     with made(only(D08, "JMC0")) as robot:
         robot.advance(0.5)
         (wire,) = robot.wires.values()
-        recorder = Recorder(wire)
+        recorder = ListeningNode(wire)
         robot.twins["JMC0"].fault("jam", 1)
         with pytest.raises(DeviceError, match="RHY found no home in 2 tries"):
             robot.devices["JMC0"].home("RHY").wait(60)

@@ -13,13 +13,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import DeviceConfig, Robot, load_robot, parse_robot
+from aces_bus.device import DeviceConfig, Robot
 from aces_bus.errors import FieldError
-from aces_bus.frame import Frame
-from aces_bus.hardware.wire import Recorder
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.bus import ListeningNode
 from aces_bus.protocol import Message
-from aces_bus.protocol.spec.examples import Example
+from aces_bus.protocol.declare.examples import Example
+from aces_bus.robot import VirtualRobot, load_robot, parse_robot
 from aces_devices.hubo_motor import driver
 from aces_devices.hubo_motor.compliance import compliant_duty
 from aces_devices.hubo_motor.driver import HuboMotor
@@ -56,7 +56,7 @@ class Bench:
     def __init__(self, robot: VirtualRobot) -> None:
         self.robot = robot
         (wire,) = robot.wires.values()
-        self.recorder = Recorder(wire)
+        self.recorder = ListeningNode(wire)
 
     @property
     def device(self) -> HuboMotor:
@@ -335,7 +335,7 @@ def hubo2() -> Robot:
 def test_hubo_2_is_introduced_as_it_was() -> None:
     """Enabling the Hubo 2 sends each board the NameInfo frame that acesHubo sent the robot, and its gains."""
     with VirtualRobot(hubo2(), load=lambda _: driver) as robot:
-        recorders = [Recorder(wire) for wire in robot.wires.values()]
+        recorders = [ListeningNode(wire) for wire in robot.wires.values()]
         robot.advance(0.9)
         robot.rig.each("enable").wait()
         told = {
@@ -355,7 +355,7 @@ def test_hubo_2_is_introduced_as_it_was() -> None:
 def test_home_searches_of_hubo_2_are_what_the_robot_was_sent() -> None:
     """Offsets go out high byte first, RWY's with its high bits cut off, as acesHubo sent them (facts, section 5.3)."""
     with VirtualRobot(hubo2(), load=lambda _: driver) as robot:
-        recorders = [Recorder(wire) for wire in robot.wires.values()]
+        recorders = [ListeningNode(wire) for wire in robot.wires.values()]
         jobs = [robot.rig.device(joint).home(joint) for joint in ("RHY", "REB", "RWY")]  # type: ignore[attr-defined]
         for job in jobs:
             job.wait(60)

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Robot, parse_robot
+from aces_bus.device import Robot
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import make_scanner
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.hubo_motor import driver
 from aces_devices.hubo_motor.example import D08, D12
 from aces_devices.hubo_motor.twin import HuboMotorTwin
@@ -153,7 +153,7 @@ def test_every_status_bit_can_be_reached(bit: str, cause: Callable[[VirtualRobot
 def test_the_bits_are_all_there_are() -> None:
     """The list above has every flag that the spec has a name for."""
     variant = hubo.variant("D12")
-    scanner = make_scanner([variant], direction="from device", everything=True)
+    scanner = make_scanner([variant], direction="from device", include_unknown=True)
     scanner.sent(variant.encoder.word(variant["SendStatus"], {"board": 0}))
     (record,) = scanner.feed((Frame(0x150, b"\xff" * 8),))
     motor: Any = record.motor[0]

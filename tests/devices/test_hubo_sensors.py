@@ -9,19 +9,19 @@ from math import radians, sin
 import msgspec
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, Robot, World, parse_robot
+from aces_bus.device import UNKNOWN, Robot, World
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.frame import Frame
-from aces_bus.hardware.wire import Recorder
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.bus import ListeningNode
 from aces_bus.protocol import make_scanner
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.runtime import VirtualClock
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.hubo_ft import driver as hubo_ft
 from aces_devices.hubo_imu import driver as hubo_imu
 from aces_devices.hubo_power import driver as hubo_power
-from aces_devices.hubo_sensors.body import BUILD, Body
-from aces_devices.robots import load_robot
+from aces_devices.hubo_sensors.body import BUILD, BodyPose
+from aces_devices.robots import load_robot_by_name
 
 test_ft = driver_tests(hubo_ft)
 test_imu = driver_tests(hubo_imu)
@@ -43,7 +43,7 @@ class Still:
 @cache
 def sensors_of(name: str) -> Robot:
     """A shipped robot's sensor and power boards; its motors are away, its joints are `Still`."""
-    robot = load_robot(name)
+    robot = load_robot_by_name(name)
     kept = {n: d for n, d in robot.devices.items() if d.driver in DRIVERS}
     return msgspec.structs.replace(robot, devices=kept)
 
@@ -80,11 +80,11 @@ def old() -> Iterator[VirtualRobot]:
         yield robot
 
 
-def listen(robot: VirtualRobot) -> dict[str, Recorder]:
-    return {name: Recorder(wire) for name, wire in robot.wires.items()}
+def listen(robot: VirtualRobot) -> dict[str, ListeningNode]:
+    return {name: ListeningNode(wire) for name, wire in robot.wires.items()}
 
 
-def frames(recorder: Recorder) -> list[str]:
+def frames(recorder: ListeningNode) -> list[str]:
     """What was heard, as candump writes it."""
     return [f"{frame.arbitration_id:03X}#{frame.data.hex().upper()}" for _, frame in recorder.heard]
 
@@ -377,7 +377,7 @@ def test_rates_are_those_of_the_pose() -> None:
     world = World(VirtualClock())
     hips = [Still(), Still()]
     world.joints["RHP"], world.joints["LHP"] = hips
-    body = Body(world, robot)
+    body = BodyPose(world, robot)
     body.update(0)
     for hip in hips:
         hip.at = 0.02

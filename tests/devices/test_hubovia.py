@@ -7,13 +7,13 @@ from math import degrees, radians
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Robot, parse_robot
+from aces_bus.device import Robot
 from aces_bus.errors import CallerError
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.hubovia import driver
-from aces_devices.hubovia.driver import split
-from aces_devices.robots import load_robot
+from aces_devices.hubovia.driver import angle_bytes
+from aces_devices.robots import load_robot_by_name
 
 test_hubovia = driver_tests(driver)
 
@@ -86,7 +86,7 @@ def test_worked_examples(robot: VirtualRobot, joint: str, position: float, data:
 )
 def test_hundredths_are_rounded_with_carry(angle: float, told: tuple[int, int, int]) -> None:
     """Rounding goes through all places; there is no negative zero."""
-    found = split(angle)
+    found = angle_bytes(angle)
     assert (found["negative"], found["degrees"], round(found["hundredths"] * 100)) == told
 
 
@@ -152,7 +152,7 @@ def test_a_joint_of_another_motor_is_refused() -> None:
 
 def test_the_shipped_robot() -> None:
     """Every joint of hubovia.toml is reached by its motor's number: the sheet's plus 10, but for wrists."""
-    sheet, via = load_robot("hubo2"), load_robot("hubovia")
+    sheet, via = load_robot_by_name("hubo2"), load_robot_by_name("hubovia")
     with assembled(via) as robot:
         for name, joint in via.joints.items():
             wrist = name in ("RWY", "LWY")

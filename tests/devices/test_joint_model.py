@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_devices.joint_model import AMBIENT, STEP_NS, Motor, MotorJoint, servo_gains
+from aces_devices.joint_model import AMBIENT, STEP_NS, MotorJoint, MotorModel, servo_gains
 
 MS = STEP_NS
 
 
 def test_free_run_is_the_exact_solution() -> None:
     """At full duty the speed goes to its end with the motor's time constant: v = v∞ (1 − exp(−t/τ)), friction included."""
-    motor = Motor(speed=6.0, time_constant=0.035, friction=0.02)
+    motor = MotorModel(speed=6.0, time_constant=0.035, friction=0.02)
     joint = MotorJoint(motor, 0)
     joint.drive(0, 1.0)
     joint.sync(50 * MS)
@@ -28,7 +28,7 @@ def test_free_run_is_the_exact_solution() -> None:
 
 def test_friction_holds_small_duties() -> None:
     """Below the friction's share nothing moves; a moving joint that is let go stops, for good."""
-    joint = MotorJoint(Motor(friction=0.02), 0)
+    joint = MotorJoint(MotorModel(friction=0.02), 0)
     joint.drive(0, 0.019)
     assert joint.position(1000 * MS) == 0.0
     joint.drive(1000 * MS, 0.5)
@@ -41,7 +41,7 @@ def test_friction_holds_small_duties() -> None:
 
 def test_the_controller_brings_it_there_without_overshoot() -> None:
     """Critically damped: it arrives within what friction allows, and never passes the goal by more than that."""
-    motor = Motor()
+    motor = MotorModel()
     joint = MotorJoint(motor, 0)
     joint.follow(0, 0.5)
     places = [joint.position(n * MS) for n in range(1500)]
@@ -52,7 +52,7 @@ def test_the_controller_brings_it_there_without_overshoot() -> None:
 
 def test_stops_stop_and_pressing_takes_current() -> None:
     """Against its stop it stands still, and the current is what the duty gives through a blocked winding."""
-    motor = Motor(stall_current=8.0)
+    motor = MotorModel(stall_current=8.0)
     joint = MotorJoint(motor, 0, lower=-0.1, upper=0.2)
     joint.drive(0, 0.5)
     assert joint.position(500 * MS) == 0.2
@@ -62,7 +62,7 @@ def test_stops_stop_and_pressing_takes_current() -> None:
 
 def test_a_blocked_motor_heats_up() -> None:
     """i²R warms it toward its end; without current it cools to what surrounds it."""
-    motor = Motor(heating=0.05, cooling=10.0, stall_current=8.0)
+    motor = MotorModel(heating=0.05, cooling=10.0, stall_current=8.0)
     joint = MotorJoint(motor, 0)
     joint.jammed = True
     joint.drive(0, 1.0)
@@ -75,7 +75,7 @@ def test_a_blocked_motor_heats_up() -> None:
 
 def test_a_current_is_held() -> None:
     """Pushed with a current, it accelerates until the voltage is at its end; blocked, the current is what was said."""
-    joint = MotorJoint(Motor(stall_current=8.0), 0, upper=0.3)
+    joint = MotorJoint(MotorModel(stall_current=8.0), 0, upper=0.3)
     joint.push(0, 0.8)
     joint.sync(1000 * MS)
     assert joint.q == 0.3
@@ -94,7 +94,7 @@ def test_who_looks_and_when_changes_nothing(looks: list[int], orders: list[tuple
     """The same orders at the same instants end in the same place, bit by bit, however often somebody asked."""
     ends: list[tuple[float, float]] = []
     for times in ([], sorted(looks)):
-        joint = MotorJoint(Motor(), 0, lower=-0.6, upper=0.6)
+        joint = MotorJoint(MotorModel(), 0, lower=-0.6, upper=0.6)
         waiting = list(times)
         for number, (order, amount) in enumerate(orders):
             at = number * 60_500_000

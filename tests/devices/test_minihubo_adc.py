@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import UNKNOWN, Robot, parse_robot, print_robot
+from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import CallerError
+from aces_bus.robot import VirtualRobot, parse_robot, print_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.minihubo_adc import EXAMPLE, driver
 

@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.capture import open_capture
-from aces_bus.device import parse_robot
+from aces_bus.recordings import open_recording
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.robotis_rx import driver
 from aces_devices.robotis_rx.driver import STEP
 from aces_protocols.robotis.spec import BROADCAST
@@ -239,7 +238,7 @@ def test_what_survives_power_off() -> None:
 
 
 def _bytes(file: Path) -> bytes:
-    with open_capture(str(file), link="serial") as capture:
+    with open_recording(str(file), link="serial") as capture:
         return b"".join(bytes(chunk.data) for chunk in capture)
 
 

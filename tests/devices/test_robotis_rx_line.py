@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.device import Robot, parse_robot, simulate
-from aces_bus.hardware.serial_wire import Noise
+from aces_bus.device import Robot
+from aces_bus.hardware.simulated.serial_line import Noise
+from aces_bus.robot import VirtualRobot, parse_robot, simulate
 from aces_devices.robotis_rx import RobotisRXTwin, driver
 from tests.conftest import PROFILE
 from tests.counting import calls

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_devices.robotis_rx.motion import FREE, PER_SPEED, REST, STEPS, TURN, Motion
+from aces_devices.robotis_rx.motion import FREE, PER_SPEED, REST, STEPS, TURN, ShaftMotion
 
 SECOND = 1_000_000_000
 
 
-def driven(**more: object) -> Motion:
+def driven(**more: object) -> ShaftMotion:
     """On its way from count 100 to 900."""
-    return Motion(at=100.0, goal=900.0, is_driven=True, **more)  # type: ignore[arg-type]
+    return ShaftMotion(at=100.0, goal=900.0, is_driven=True, **more)  # type: ignore[arg-type]
 
 
 def test_it_runs_at_its_moving_speed() -> None:
@@ -33,11 +33,11 @@ def test_without_a_speed_it_runs_as_fast_as_its_torque_lets_it() -> None:
     """Half of the torque, half of the speed; none, none; and no torque at all when it is off or jammed."""
     assert driven().speed_at(0) == pytest.approx(FREE * PER_SPEED)
     assert driven(limit=512).speed_at(0) == pytest.approx(FREE * PER_SPEED * 512 / 1023)
-    for still in (driven(limit=0), driven(is_jammed=True), Motion(at=100, goal=900)):
+    for still in (driven(limit=0), driven(is_jammed=True), ShaftMotion(at=100, goal=900)):
         assert still.position(10 * SECOND) == 100
         assert still.speed_at(0) == 0
     assert driven(is_jammed=True).drive_at(0) == 1
-    assert Motion(at=900, goal=100, is_driven=True, is_jammed=True, limit=300).drive_at(0) == -300 / 1023
+    assert ShaftMotion(at=900, goal=100, is_driven=True, is_jammed=True, limit=300).drive_at(0) == -300 / 1023
 
 
 @pytest.mark.parametrize(
@@ -55,17 +55,17 @@ def test_compliance_is_felt_near_the_goal() -> None:
     assert gentle.position(late) < steep.position(late)
     assert driven(margin=(0, 50)).position(60 * SECOND) == 900 - 50 - REST
     assert driven(margin=(50, 0)).position(60 * SECOND) == 900 - REST
-    back = Motion(at=900.0, goal=100.0, is_driven=True, margin=(50, 0))
+    back = ShaftMotion(at=900.0, goal=100.0, is_driven=True, margin=(50, 0))
     assert back.position(60 * SECOND) == 100 + 50 + REST
 
 
 def test_endless_turn_goes_round() -> None:
     """The duty's share of the greatest speed, either way, at most the torque limit; a turn is 1227.6 counts."""
-    motion = Motion(at=0.0, is_driven=True, duty=-0.5)
+    motion = ShaftMotion(at=0.0, is_driven=True, duty=-0.5)
     assert motion.speed_at(0) == pytest.approx(-0.5 * FREE * PER_SPEED)
     assert motion.position(SECOND // 10) == pytest.approx(TURN - 0.05 * FREE * PER_SPEED)
-    assert Motion(is_driven=True, duty=1.0, limit=512).drive_at(0) == 512 / 1023
-    assert not Motion(is_driven=True, duty=0.0).is_moving(0)
+    assert ShaftMotion(is_driven=True, duty=1.0, limit=512).drive_at(0) == 512 / 1023
+    assert not ShaftMotion(is_driven=True, duty=0.0).is_moving(0)
 
 
 @given(
@@ -83,8 +83,8 @@ def test_asking_changes_nothing(
 ) -> None:
     """It goes towards its goal, never beyond, and is where it would be had nobody looked."""
 
-    def made() -> Motion:
-        return Motion(
+    def made() -> ShaftMotion:
+        return ShaftMotion(
             at, 0, goal, True, False, speed, limit, punch, margin=(margin, margin), slope=(slope, slope)
         )
 

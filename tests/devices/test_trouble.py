@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
 from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import NoReplyError
-from aces_devices.robots import load_robot
+from aces_bus.robot import VirtualRobot
+from aces_devices.robots import load_robot_by_name
 from tests.conftest import PROFILE
 
 RATE = 200.0
@@ -29,7 +29,7 @@ def joints() -> tuple[str, ...]:
 @pytest.fixture
 def hubo(joints: tuple[str, ...]) -> Robot:
     """The file of Hubo 2+, in the short profile with these boards alone."""
-    robot = load_robot("hubo2plus")
+    robot = load_robot_by_name("hubo2plus")
     return robot if PROFILE == "long" else robot.part(*joints)
 
 
@@ -159,7 +159,7 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
     """A second board with a number that is taken is told as such, and when it has gone all is as before."""
     from msgspec.structs import replace
 
-    from aces_bus.device import simulate
+    from aces_bus.robot import simulate
 
     only = {name: replace(c, active=name == BOARD) for name, c in hubo.devices.items()}
     double = simulate(replace(hubo, devices=only), robot.ports("double"), seed=2)
@@ -178,7 +178,7 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
 
 def test_a_three_channel_frame_of_a_two_channel_board(robot: VirtualRobot) -> None:
     """Positions of three motors, from a board that has two, are malformed: told with the bytes, none is an angle."""
-    from aces_bus.frame import Frame
+    from aces_bus.frames import Frame
 
     device, twin = robot.devices[BOARD], robot.twins[BOARD]
     before = robot[f"{JOINT}.position"].last

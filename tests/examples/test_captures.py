@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.capture import open_capture
 from aces_bus.protocol import Unknown
+from aces_bus.recordings import open_recording
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
@@ -29,8 +29,8 @@ def test_a_recording_holds_what_is_said_of_it(name: str) -> None:
     """Messages, and the bins that bytes or frames fall into, are those that were counted when it was written."""
     wanted = EXPECTED[name]
     protocol = PROTOCOLS[wanted["protocol"]]
-    scanner: Any = protocol.scanner(direction=wanted["direction"], everything=True)
-    capture = open_capture(FOLDER / name, link="can" if protocol.link == "can" else "serial")
+    scanner: Any = protocol.scanner(direction=wanted["direction"], include_unknown=True)
+    capture = open_recording(FOLDER / name, link="can" if protocol.link == "can" else "serial")
     found: list[Any] = []
     for piece in capture:
         found += scanner.feed([piece]) if protocol.link == "can" else scanner.feed(piece.data)
@@ -65,5 +65,5 @@ def test_the_script_makes_these_files(
 
 def test_the_hex_dump_holds_the_same_bytes() -> None:
     """The vendor's hex dump and the raw recording are one session."""
-    capture = open_capture(FOLDER / "robotis_session.dxconf.txt", link="serial")
+    capture = open_recording(FOLDER / "robotis_session.dxconf.txt", link="serial")
     assert b"".join(chunk.data for chunk in capture) == (FOLDER / "robotis_session.bin").read_bytes()

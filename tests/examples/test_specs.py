@@ -49,7 +49,7 @@ def test_all_laws_hold(name: str) -> None:
 
 def test_sentences_are_read() -> None:
     """Degrees out of degrees and minutes, empty fields unknown, sentences of no known type lost with their reason."""
-    scanner = spec("nmea0183.py").scanner(everything=True)
+    scanner = spec("nmea0183.py").scanner(include_unknown=True)
     fix, *lost = scanner.feed(GGA + b"$GPXXX,1*52\r\n$GPHDT,274.07,T*04\r\n") + scanner.close()
     assert isinstance(fix, Record)
     values = as_dict(fix)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus.protocol import Unknown, Variant, make_scanner
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.codegen.load import records_of
-from aces_bus.protocol.scan.gather import getter, kinds_of, leaves_of, plain
-from aces_bus.protocol.scan.layout import objects_of, plain_json
+from aces_bus.protocol.columns.gather import getter, kinds_of, plain_value, value_paths
+from aces_bus.protocol.columns.layout import objects_of, plain_json
+from aces_bus.protocol.generate.load import records_of
+from aces_bus.protocol.plan.flatten import flatten
 
 Columns = dict[str, list[Any]]
 #: What a field is called that has the name of a column of the transport.
@@ -27,7 +27,7 @@ def column_of(path: str) -> str:
 
 def live(variants: Sequence[Variant], words: Any, direction: Any = None) -> dict[str, Columns]:
     """What the live scanner gives, as columns of plain values: bytes, texts, numbers, None; JSON of what has no shape."""
-    scanner: Any = make_scanner(variants, direction=direction, everything=True)
+    scanner: Any = make_scanner(variants, direction=direction, include_unknown=True)
     items = [*scanner.feed(words), *scanner.close()]
     found: dict[str, Columns] = {}
     plans = {
@@ -41,8 +41,8 @@ def live(variants: Sequence[Variant], words: Any, direction: Any = None) -> dict
         plan = plans[type(item)]
         held = objects_of(plan)
         columns = found.setdefault(type(item).__name__, {})
-        for path, _, _, way, *_ in leaves_of(plan):
-            value = plain(getter(way)(item))
+        for path, _, _, way, *_ in value_paths(plan):
+            value = plain_value(getter(way)(item))
             if value is not None and held.get(path) == "json":
                 value = plain_json(value)
             elif value is not None and held.get(path) == "wide":

@@ -12,11 +12,10 @@ import pytest
 from construct import Byte, Float32l, GreedyBytes, Int16sl, Struct
 
 import aces_bus
-from aces_bus.capture import Chunk, open_capture
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.export import to_arrow, to_pandas, to_polars
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
     Enumeration,
@@ -27,6 +26,7 @@ from aces_bus.protocol import (
     bits,
     load_protocol,
 )
+from aces_bus.recordings import Chunk, open_recording
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "captures"
 
@@ -121,7 +121,7 @@ def test_streams() -> None:
         data,
         [data[:2], data[2:]],
         [Chunk(data, 12.5)],
-        open_capture(io.BytesIO(data), link="serial"),
+        open_recording(io.BytesIO(data), link="serial"),
     ):
         decoded = packets.decode(capture)
         assert decoded["Sample"]["value"].to_list() == [1, 2]
@@ -131,8 +131,8 @@ def test_streams() -> None:
 
 
 def test_one_message_and_the_losses() -> None:
-    """`message` keeps some messages, `everything` adds what was not decoded; counts stay those of the whole."""
-    decoded = lamp.decode(FRAMES, message="Raw", everything=True)
+    """`message` keeps some messages, `include_unknown` adds what was not decoded; counts stay those of the whole."""
+    decoded = lamp.decode(FRAMES, message="Raw", include_unknown=True)
     assert list(decoded) == ["Raw", ""]
     assert decoded[""]["reason"].to_list() == ["unknown"]
     assert decoded.counts.decoded == 5
@@ -146,7 +146,7 @@ def test_one_message_and_the_losses() -> None:
         (lambda: lamp.decode(FRAMES)["Lamp"], "no message of lamp named 'Lamp'"),
         (lambda: lamp.decode("walk.log"), "aces_bus.decode"),
         (lambda: lamp.decode([b"abc"]), "bytes is nothing that lamp"),
-        (lambda: lamp.decode(open_capture(io.BytesIO(b"abc"), link="serial")), "a capture on serial"),
+        (lambda: lamp.decode(open_recording(io.BytesIO(b"abc"), link="serial")), "a capture on serial"),
         (lambda: load_protocol("robotis").decode(b"\xff\xff"), "direction"),
         (lambda: aces_bus.decode("walk.log", "hubbo"), "did you mean 'hubo'"),
     ],
@@ -161,7 +161,7 @@ def test_a_path_is_opened_at_the_top() -> None:
     """`aces_bus.decode` opens a recording and decodes it with a protocol or its name."""
     found = aces_bus.decode(EXAMPLES / "hubo2plus.log", "hubo")
     assert found.counts.total == 1243
-    with open_capture(EXAMPLES / "hubo2plus.log", link="can") as capture:
+    with open_recording(EXAMPLES / "hubo2plus.log", link="can") as capture:
         scanner: Any = load_protocol("hubo").scanner()
         records = [one for one in scanner.feed(list(capture)) if type(one).__name__ == "Encoder"]
     table = found["Encoder"]

@@ -14,19 +14,19 @@ import pytest
 from construct import Byte, Float32l, GreedyBytes, Int16sl, Int32ul, Struct
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.export import Export, format_of, open_export
+from aces_bus.export import Export, export_format, open_export
 from aces_bus.export import base as export_base
 from aces_bus.export import files as export_files
-from aces_bus.export.files import FilePool, Sink
+from aces_bus.export.files import ExportFile, FilePool
 from aces_bus.export.naming import Naming
 from aces_bus.export.open import FORMATS
 from aces_bus.export.sqlite import SqliteExport
-from aces_bus.frame import Frame
 from aces_bus.frame_table import Channels, FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
-from aces_bus.protocol.scan.columns import make_column_scanner
-from aces_bus.protocol.scan.layout import Layout
-from aces_bus.protocol.scan.message_table import MessageTable
+from aces_bus.protocol.columns.layout import DatasetLayout
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.columns.table import MessageTable
 
 pq = pytest.importorskip("pyarrow.parquet")
 pa = pytest.importorskip("pyarrow")
@@ -63,7 +63,7 @@ def state(mode: int, angle: int, time: float | None = 1.5e9, channel: str | None
 
 def tables(*frames: Frame, variants: list[Variant] | None = None) -> list[MessageTable]:
     """The tables of frames."""
-    return make_column_scanner(variants or [ARM], everything=True).feed(FrameTable.from_frames(frames))
+    return make_column_scanner(variants or [ARM], include_unknown=True).feed(FrameTable.from_frames(frames))
 
 
 def many(rows: int, *, first: int = 0) -> list[MessageTable]:
@@ -215,7 +215,7 @@ def test_what_was_not_decoded_is_a_dataset(tmp_path: Path) -> None:
 def test_integers_beyond_64_bits_are_said(tmp_path: Path) -> None:
     """A number that no column can hold is left empty, counted and named; it never stops an export."""
     table = tables(Frame(0x101, b"\x01"))[0]
-    layout = Layout.of(table, {"data": "integer"})
+    layout = DatasetLayout.of(table, {"data": "integer"})
     slot = layout.slots[-1]
     values, absent = layout._objects(slot, [1, 1 << 70, None, -(1 << 63)], None)
     assert values.tolist() == [1, 0, 0, -(1 << 63)]
@@ -317,7 +317,7 @@ def test_many_messages_need_few_files(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_pool_reopens_what_it_closed(tmp_path: Path) -> None:
     """A file goes on where it was, however many others were written in between."""
     pool = FilePool("out")
-    sinks = [Sink(pool, str(tmp_path / str(number))) for number in range(100)]
+    sinks = [ExportFile(pool, str(tmp_path / str(number))) for number in range(100)]
     for word in (b"a", b"b", b"c"):
         for sink in sinks:
             sink.write(word)
@@ -473,9 +473,9 @@ def test_wrong_formats() -> None:
         open_export("x", "parkett")
     with pytest.raises(CallerError, match="standard output"):
         open_export("-", "mcap")
-    assert format_of("a/b.SQLITE3") == "sqlite"
-    assert format_of("walk.csv/") == "csv"
-    assert format_of("walk.csv") is None
+    assert export_format("a/b.SQLITE3") == "sqlite"
+    assert export_format("walk.csv/") == "csv"
+    assert export_format("walk.csv") is None
 
 
 # ---------------------------------------------------------------------- names

@@ -14,13 +14,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aces_bus.export import open_export
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Enumeration,
     Flags,
+    IdField,
     Multiplexed,
     Protocol,
     Quantity,
@@ -31,7 +31,7 @@ from aces_bus.protocol import (
     load_protocol,
     make_scanner,
 )
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.testing import strategies
 from tests.export import reading
 from tests.export.reading import Columns
@@ -40,7 +40,7 @@ from tests.specs.catalogue import SPECS
 CAPTURES = Path(__file__).resolve().parents[2] / "examples" / "captures"
 
 rig = Protocol("rig", link="can")
-Node = Capture("node", range(4))
+Node = IdField("node", range(4))
 rig.message(
     "State",
     id=0x100 + Node,
@@ -104,7 +104,7 @@ def written(
     **options: Any,
 ) -> Path:
     """An export of frames or bytes, fed in pieces."""
-    scanner = make_column_scanner(variants, direction=direction, everything=True)
+    scanner = make_column_scanner(variants, direction=direction, include_unknown=True)
     table = FrameTable.from_frames(words) if variants[0].link == "can" else None
     with open_export(str(path), variants=variants, **options) as export:
         for start, end in zip([0, *cuts], [*cuts, len(words)], strict=True):
@@ -193,9 +193,9 @@ def words_of(name: str) -> tuple[list[Variant], Any, Any]:
     if isinstance(words, str):
         path = CAPTURES / words
         if words.endswith(".log"):
-            from aces_bus.capture import open_capture
+            from aces_bus.recordings import open_recording
 
-            with open_capture(path, link="can") as capture:
+            with open_recording(path, link="can") as capture:
                 return variants, list(capture), direction
         return variants, path.read_bytes(), direction
     return variants, words, direction
@@ -277,7 +277,7 @@ def test_drawn_frames_and_streams(data: st.DataObject, tmp_path_factory: pytest.
     """Whatever occurs on a wire, cut anywhere, is in Parquet and NumPy files what the live scanner makes of it."""
     protocol = data.draw(st.sampled_from(sorted(SPECS.values(), key=lambda one: one.name)))
     variant = data.draw(st.sampled_from(protocol.variants()))
-    direction: Any = "from device" if variant.needs_direction else None
+    direction: Any = "from device" if variant.direction_conflict else None
     scene = data.draw(strategies.scenes(variant, direction, size=300))
     cuts = [cut for cut in data.draw(strategies.cuts(scene)) if cut < len(scene.words)]
     words = scene.words

@@ -25,13 +25,13 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.capture import CanCapture, open_capture, parse_filter
-from aces_bus.capture.write import open_writer
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.hardware.backends import check_server
 from aces_bus.hardware.can import CanGate, Received
 from aces_bus.hardware.events import BusEvent
+from aces_bus.recordings import CanRecording, open_recording, parse_filter
+from aces_bus.recordings.write import open_writer
 
 pty = pytest.importorskip("pty", reason="pseudo-terminals")
 
@@ -454,8 +454,8 @@ assert "can" in sys.modules and not sys.modules.get("asammdf")
 # ---------------------------------------------------------------------- recordings
 
 
-def read(content: bytes, name: str) -> tuple[list[Frame], CanCapture]:
-    with open_capture(io.BytesIO(content), link="can", name=name) as capture:
+def read(content: bytes, name: str) -> tuple[list[Frame], CanRecording]:
+    with open_recording(io.BytesIO(content), link="can", name=name) as capture:
         return list(capture), capture
 
 
@@ -493,7 +493,7 @@ def test_blf_error_frames(tmp_path: Path) -> None:
         writer(can.Message(10.0, 0x123, is_extended_id=False, data=b"\x01", channel=0))
         writer(can.Message(11.0, 0, is_error_frame=True, channel=0))
         writer(can.Message(12.0, 0x124, is_extended_id=False, channel=0))
-    with open_capture(path, link="can") as capture:
+    with open_recording(path, link="can") as capture:
         assert [frame.is_error_frame for frame in capture] == [False, True, False]
         assert capture.lines == capture.frames == 3
 
@@ -514,5 +514,5 @@ def test_everything_that_was_written_is_there(tmp_path: Path, suffix: str) -> No
     with open_writer(path) as writer:
         for start in range(0, 5000, 333):
             writer.write(FrameTable.from_frames(frames[start : start + 333]))
-    with open_capture(path, link="can") as capture:
+    with open_recording(path, link="can") as capture:
         assert [frame.data for frame in capture] == [frame.data for frame in frames]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame import FD_LENGTHS, Frame
-from aces_bus.hardware.frame_time import TRAILER, FrameBits, frame_bits
+from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus.hardware.simulated.frame_time import TRAILER, FrameBits, frame_bits
 
 
 def bits_of(number: int, width: int) -> list[int]:

@@ -10,12 +10,12 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.capture import parse_filter
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware.can import CanGate, Received
 from aces_bus.hardware.events import BusEvent
-from aces_bus.hardware.virtual import AcesBus
+from aces_bus.hardware.simulated.backend import AcesBus
+from aces_bus.recordings import parse_filter
 
 
 class Adapter:
@@ -181,10 +181,10 @@ def test_a_handler_that_raises_stops_nothing(bench: Bench) -> None:
 def test_a_slow_reader_loses_the_oldest_and_is_told(bench: Bench) -> None:
     """A queue is bounded; what it drops is counted there, in the gate, and said at once."""
     inbox = bench.gate.subscribe(limit=10)
-    everything = bench.gate.subscribe()
+    include_unknown = bench.gate.subscribe()
     for number in range(25):
         bench.adapter.words.put(message(number))
-    assert len(take(everything, 25)) == 25
+    assert len(take(include_unknown, 25)) == 25
     assert [item.frame.arbitration_id for item in inbox.get(5)] == list(range(15, 25))
     assert inbox.dropped == bench.gate.counters.dropped == 15
     assert sum(event.count for event in bench.seen.of("dropped")) == 15

@@ -10,13 +10,13 @@ import can
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware import SerialGate
 from aces_bus.hardware import can as can_module
 from aces_bus.hardware import datagram as datagram_module
 from aces_bus.hardware import gate as gate_module
 from aces_bus.hardware.datagram import DatagramGate
-from aces_bus.hardware.gate import Counters
+from aces_bus.hardware.gate import GateCounters
 from aces_bus.hardware.served import BusServer, ServedChannel, packets
 from aces_bus.hardware.served.links import PacketLink
 
@@ -82,7 +82,7 @@ class HeldBench(Bench):
         ]
 
 
-def balanced(counters: Counters) -> bool:
+def balanced(counters: GateCounters) -> bool:
     """Whether what was given is in exactly one bin, with nothing left over."""
     bins = (
         counters.sent,

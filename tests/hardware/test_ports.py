@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, connect, simulate
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
-from aces_bus.hardware import CanGate, DatagramGate, DatagramWire, Wire, port_of
+from aces_bus.frames import Frame
+from aces_bus.hardware import CanGate, DatagramGate, SimulatedBus, SimulatedDatagrams, port_of
+from aces_bus.robot import connect, simulate
 from aces_bus.runtime import Loop, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
 
@@ -34,7 +35,7 @@ def test_a_robot_on_real_gates() -> None:
 def test_datagrams_reach_all_others() -> None:
     """A datagram wire delivers whole, late, and counts what it loses."""
     clock = VirtualClock()
-    wire = DatagramWire(clock, delay_ns=1_000, drop=0.5, seed=1)
+    wire = SimulatedDatagrams(clock, delay_ns=1_000, drop=0.5, seed=1)
     heard: list[tuple[bytes, int]] = []
     port = port_of(wire)
     port.open(lambda word, now: heard.append((word, now)))
@@ -67,7 +68,7 @@ def test_datagrams_answer_whoever_spoke() -> None:
 
 def test_what_a_word_costs() -> None:
     """A frame costs at most 98 + 24 stuffed bits, ten of its end and the intermission (ISO 11898-1), at the wire's rate."""
-    port: Any = port_of(Wire(VirtualClock(), bitrate=1_000_000))
+    port: Any = port_of(SimulatedBus(VirtualClock(), bitrate=1_000_000))
     assert port.wire_ns(Frame(0x555, bytes.fromhex("5555555555555555"))) == 135_000
 
 

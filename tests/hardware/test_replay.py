@@ -8,8 +8,8 @@ import can
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
-from aces_bus.hardware import CanGate, Recorder, Wire
+from aces_bus.frames import Frame
+from aces_bus.hardware import CanGate, ListeningNode, SimulatedBus
 from aces_bus.hardware.replay import ReplayBus, paced, replay_into
 from aces_bus.runtime import VirtualClock
 
@@ -44,8 +44,8 @@ def test_frames_come_when_they_are_due(speed: float | None, longest: float | Non
 def test_a_capture_is_sent_on_a_virtual_bus() -> None:
     """Planned as events: other nodes live beside it."""
     clock = VirtualClock()
-    wire = Wire(clock)
-    recorder = Recorder(wire)
+    wire = SimulatedBus(clock)
+    recorder = ListeningNode(wire)
     wire.attach()
     node = wire.attach()
     replay_into(clock, FRAMES, node.send, speed=10)

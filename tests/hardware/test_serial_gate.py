@@ -13,7 +13,7 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_bus.hardware.datagram import Datagram, DatagramGate
 from aces_bus.hardware.events import BusEvent
-from aces_bus.hardware.serial import Heard, SerialGate
+from aces_bus.hardware.serial import ReceivedBytes, SerialGate
 
 
 class Line:
@@ -125,7 +125,7 @@ def test_turnaround(line: Line) -> None:
     with SerialGate(line.path, turnaround=0.05) as gate:
         inbox = gate.subscribe()
         os.write(line.master, b"\x01")
-        item: Heard = inbox.get(5)[0]
+        item: ReceivedBytes = inbox.get(5)[0]
         gate.send(b"\x02")
         assert os.read(line.master, 1) == b"\x02"
         assert gate.clock.now() - item.host_ns >= 50_000_000
@@ -182,7 +182,7 @@ def test_a_listener_that_raises(line: Line) -> None:
     gate = SerialGate(line.path)
     gate.on_event(seen)
 
-    def faulty(items: list[Heard]) -> None:
+    def faulty(items: list[ReceivedBytes]) -> None:
         raise RuntimeError("user code")
 
     with gate:

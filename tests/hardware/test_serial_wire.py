@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
-from aces_bus.hardware.pty import PtyPort
-from aces_bus.hardware.serial_wire import Noise, SerialNode, SerialWire
+from aces_bus.hardware.simulated.pty import PtyPort
+from aces_bus.hardware.simulated.serial_line import Noise, SerialNode, SimulatedSerialLine
 from aces_bus.runtime import VirtualClock
 
 Bytes = list[tuple[bytes, int]]
 
 
-def ear(wire: SerialWire, name: str = "", *, echo: bool | None = None) -> tuple[SerialNode, Bytes]:
+def ear(wire: SimulatedSerialLine, name: str = "", *, echo: bool | None = None) -> tuple[SerialNode, Bytes]:
     """A node, and what it hears with the instant of each byte."""
     heard: Bytes = []
     node = wire.attach(name, lambda data, now: heard.append((data, now)), echo=echo)
@@ -29,7 +29,7 @@ def joined(heard: Bytes) -> bytes:
 def test_a_byte_takes_ten_bits() -> None:
     """At 57,600 baud 173.6 µs; bytes follow each other without a gap."""
     clock = VirtualClock()
-    wire = SerialWire(clock, baud=57_600)
+    wire = SimulatedSerialLine(clock, baud=57_600)
     left, _ = ear(wire)
     _, heard = ear(wire)
     done = left.send(b"\x01\x02\x03")
@@ -43,7 +43,7 @@ def test_a_byte_takes_ten_bits() -> None:
 def test_a_full_duplex_line_has_two_ways() -> None:
     """Both may speak at once, and neither hears itself."""
     clock = VirtualClock()
-    wire = SerialWire(clock, baud=1_000_000)
+    wire = SimulatedSerialLine(clock, baud=1_000_000)
     (left, at_left), (right, at_right) = ear(wire), ear(wire)
     left.send(b"abc")
     right.send(b"xyz")
@@ -54,7 +54,7 @@ def test_a_full_duplex_line_has_two_ways() -> None:
 def test_a_half_duplex_line_echoes_and_garbles() -> None:
     """Who speaks hears itself; who speaks at the same time as another is not understood."""
     clock = VirtualClock()
-    wire = SerialWire(clock, baud=1_000_000, half_duplex=True)
+    wire = SimulatedSerialLine(clock, baud=1_000_000, half_duplex=True)
     (left, at_left), (right, at_right) = ear(wire), ear(wire)
     left.send(b"\xaa\x55")
     clock.advance(1_000_000)
@@ -69,7 +69,7 @@ def test_a_half_duplex_line_echoes_and_garbles() -> None:
 def test_a_break_is_longer_than_a_byte() -> None:
     """It is read as a zero, late."""
     clock = VirtualClock()
-    wire = SerialWire(clock, baud=1_000_000)
+    wire = SimulatedSerialLine(clock, baud=1_000_000)
     left, _ = ear(wire)
     _, heard = ear(wire)
     left.send_break()
@@ -83,7 +83,7 @@ def test_noise_is_counted_and_repeats(data: bytes, seed: int) -> None:
 
     def run() -> tuple[Bytes, int, int, int]:
         clock = VirtualClock()
-        wire = SerialWire(clock, baud=115_200, noise=Noise(seed, flip=0.1, drop=0.1, insert=0.1))
+        wire = SimulatedSerialLine(clock, baud=115_200, noise=Noise(seed, flip=0.1, drop=0.1, insert=0.1))
         left, _ = ear(wire)
         _, heard = ear(wire)
         left.send(data)
@@ -111,7 +111,7 @@ def test_whole_chunks_are_the_same_bytes(
 
     def run(whole: bool) -> tuple[list[Bytes], tuple[int, ...]]:
         clock = VirtualClock()
-        wire = SerialWire(clock, baud=1_000_000, half_duplex=half)
+        wire = SimulatedSerialLine(clock, baud=1_000_000, half_duplex=half)
         heard: list[Bytes] = [[], [], []]
         nodes = [
             wire.attach(received=lambda data, now, place=place: place.append((data, now)), whole=whole)  # type: ignore[misc]
@@ -140,7 +140,7 @@ def test_whole_chunks_are_the_same_bytes(
 def test_an_unplugged_node_is_silent_and_deaf() -> None:
     """What it sends meanwhile is gone."""
     clock = VirtualClock()
-    wire = SerialWire(clock, baud=115_200)
+    wire = SimulatedSerialLine(clock, baud=115_200)
     (left, at_left), (right, at_right) = ear(wire), ear(wire)
     right.is_connected = False
     left.send(b"x")
@@ -153,12 +153,12 @@ def test_an_unplugged_node_is_silent_and_deaf() -> None:
 def test_impossible_speeds() -> None:
     """A speed that no line has is refused."""
     with pytest.raises(CallerError, match="baud"):
-        SerialWire(VirtualClock(), baud=1)
+        SimulatedSerialLine(VirtualClock(), baud=1)
 
 
 def test_a_program_opens_the_line_as_a_port() -> None:
     """pyserial on the pseudo-terminal talks to a simulated device, in real time."""
-    wire = SerialWire(VirtualClock(), baud=1_000_000)
+    wire = SimulatedSerialLine(VirtualClock(), baud=1_000_000)
 
     def answer(data: bytes, now: int) -> None:
         device.send(bytes([data[0] ^ 0xFF]))

@@ -11,13 +11,13 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware.can import CanGate
-from aces_bus.hardware.faults import Faults
-from aces_bus.hardware.frame_time import INTERMISSION, frame_bits
 from aces_bus.hardware.served import ServedChannel
 from aces_bus.hardware.served import channel as channel_module
 from aces_bus.hardware.served.address import parse_host
+from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 
 from .serving import PATIENCE, Open, message, received, serve, until, with_unix_sockets
 

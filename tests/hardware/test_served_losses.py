@@ -15,16 +15,16 @@ from aces_bus.hardware.served import channel as channel_module
 from aces_bus.hardware.served import server as server_module
 from aces_bus.hardware.served.address import parse_address, parse_host
 from aces_bus.hardware.served.shortcut import Neighbour
-from aces_bus.hardware.served.stream import Stream
+from aces_bus.hardware.served.stream import ServerConnection
 
 from .serving import PATIENCE, Open, message, received, serve, until, with_unix_sockets
 
 pytestmark = with_unix_sockets
 
 
-def plain(address: str = "unix:can0") -> Stream:
+def plain(address: str = "unix:can0") -> ServerConnection:
     """A client that speaks by hand and takes no shortcut."""
-    return Stream(parse_address(address), packets.Hello())
+    return ServerConnection(parse_address(address), packets.Hello())
 
 
 def test_who_does_not_read_loses_the_oldest(opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,7 +54,7 @@ def test_who_does_not_read_loses_the_oldest(opened: Open, monkeypatch: pytest.Mo
                 if kind == packets.REPORT:
                     dropped = packets.read_report(body)[2]
                 else:
-                    kept += [int.from_bytes(one[-1][:4], "big") for one in packets.records(kind, body)]
+                    kept += [int.from_bytes(one[-1][:4], "big") for one in packets.unpack_records(kind, body)]
         assert kept == sorted(kept)
         assert len(kept) + dropped == count
 
@@ -132,7 +132,7 @@ def test_a_bad_client_costs_only_itself(opened: Open, garbage: bytes) -> None:
         while data := bad.recv(65536):
             answer += data
         bad.close()
-        kinds = [kind for kind, _ in packets.split(answer)[0]]
+        kinds = [kind for kind, _ in packets.split_packets(answer)[0]]
         assert kinds[-1] == packets.REFUSED
         one.send(message(1, b"ok"))
         assert received(two)[0].data == b"ok"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame import FD_LENGTHS, Frame
+from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.hardware.served import packets
 
 FRAMES = st.builds(
@@ -43,13 +43,13 @@ def test_frames_survive_packets(frames: list[tuple[Frame, int]], data: st.DataOb
     """Frames come out of packets as they went in, in order, wherever the stream is cut."""
     stream = b"".join(packets.packed(packets.frame_record(frame, when) for frame, when in frames))
     cut = data.draw(st.integers(0, len(stream)))
-    first, rest = packets.split(stream[:cut])
-    second, rest = packets.split(rest + stream[cut:])
+    first, rest = packets.split_packets(stream[:cut])
+    second, rest = packets.split_packets(rest + stream[cut:])
     assert rest == b""
     found = [
-        (packets.to_frame(identifier, flags, length, padded), when)
+        (packets.record_to_frame(identifier, flags, length, padded), when)
         for kind, body in first + second
-        for when, identifier, flags, length, padded in packets.records(kind, body)
+        for when, identifier, flags, length, padded in packets.unpack_records(kind, body)
     ]
     assert found == frames
 
@@ -71,11 +71,11 @@ def test_no_bytes_break_a_reader(data: bytes) -> None:
         assert kind
     for kind in (packets.CLASSIC, packets.LONG):
         try:
-            for _, identifier, flags, length, padded in packets.records(kind, data):
-                packets.to_frame(identifier, flags, length, padded)
+            for _, identifier, flags, length, padded in packets.unpack_records(kind, data):
+                packets.record_to_frame(identifier, flags, length, padded)
         except packets.PacketError:
             pass
     try:
-        packets.split(data)
+        packets.split_packets(data)
     except packets.PacketError:
         pass

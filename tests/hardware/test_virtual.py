@@ -9,9 +9,9 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frame import Frame
-from aces_bus.hardware.frame_time import frame_bits
-from aces_bus.hardware.virtual import AcesBus, virtual_clock
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.backend import AcesBus, virtual_clock
+from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.runtime import VirtualClock
 
 

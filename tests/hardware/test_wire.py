@@ -11,10 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
-from aces_bus.hardware.faults import Faults
-from aces_bus.hardware.frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, frame_bits
-from aces_bus.hardware.wire import OFF, PASSIVE, RECOVERY, Babbler, Node, Recorder, Wire, WireEvent
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.bus import (
+    OFF,
+    PASSIVE,
+    RECOVERY,
+    Babbler,
+    BusNode,
+    ListeningNode,
+    SimulatedBus,
+    SimulatedBusEvent,
+)
+from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, frame_bits
 from aces_bus.runtime import VirtualClock
 
 BIT = 1_000  # ns, at 1 Mbit/s
@@ -26,13 +35,13 @@ def clock() -> VirtualClock:
 
 
 @pytest.fixture
-def wire(clock: VirtualClock) -> Wire:
-    return Wire(clock, bitrate=1_000_000)
+def wire(clock: VirtualClock) -> SimulatedBus:
+    return SimulatedBus(clock, bitrate=1_000_000)
 
 
-def test_a_frame_takes_its_stuffed_bits(clock: VirtualClock, wire: Wire) -> None:
+def test_a_frame_takes_its_stuffed_bits(clock: VirtualClock, wire: SimulatedBus) -> None:
     """It arrives at the end of EOF; the next one starts three bits later."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach()  # somebody has to acknowledge
     node = wire.attach()
     first, second = Frame(0x123, b"\x00" * 8), Frame(0x124, b"\xaa\x55")
@@ -47,8 +56,8 @@ def test_a_frame_takes_its_stuffed_bits(clock: VirtualClock, wire: Wire) -> None
 
 def test_fd_frames_switch_the_bit_rate(clock: VirtualClock) -> None:
     """Behind BRS, bits last as long as the data bit rate says."""
-    wire = Wire(clock, bitrate=500_000, data_bitrate=4_000_000)
-    heard = Recorder(wire)
+    wire = SimulatedBus(clock, bitrate=500_000, data_bitrate=4_000_000)
+    heard = ListeningNode(wire)
     wire.attach()
     frame = Frame(0x1ABCDEF0, bytes(range(64)), is_extended_id=True, is_fd=True, bitrate_switch=True)
     wire.attach().send(frame)
@@ -91,17 +100,17 @@ def on_the_wire(frame: Frame) -> list[int]:
 def test_contending_nodes_win_by_identifier(frames: list[Frame]) -> None:
     """Whoever sends a recessive bit and sees a dominant one steps back: lists of bits compare like that."""
     clock = VirtualClock()
-    wire = Wire(clock, bitrate=1_000_000)
-    heard = Recorder(wire)
+    wire = SimulatedBus(clock, bitrate=1_000_000)
+    heard = ListeningNode(wire)
     for frame in frames:
         wire.attach().send(frame)
     clock.advance(20_000_000)
     assert [frame for _, frame in heard.heard] == sorted(frames, key=on_the_wire)
 
 
-def test_a_node_sends_its_most_urgent_frame_first(clock: VirtualClock, wire: Wire) -> None:
+def test_a_node_sends_its_most_urgent_frame_first(clock: VirtualClock, wire: SimulatedBus) -> None:
     """What waits in one controller is ordered by identifier, equal ones by age."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach()
     node = wire.attach()
     for number, data in ((5, b"a"), (3, b"b"), (5, b"c"), (1, b"d")):
@@ -110,9 +119,9 @@ def test_a_node_sends_its_most_urgent_frame_first(clock: VirtualClock, wire: Wir
     assert b"".join(frame.data for frame in heard.frames()) == b"dbac"
 
 
-def test_a_more_urgent_frame_waits_for_the_one_on_the_wire(clock: VirtualClock, wire: Wire) -> None:
+def test_a_more_urgent_frame_waits_for_the_one_on_the_wire(clock: VirtualClock, wire: SimulatedBus) -> None:
     """What comes during a transmission goes next, and neither is lost; a frame on the wire cannot be taken back."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach()
     node = wire.attach()
     node.send(Frame(5))
@@ -125,11 +134,11 @@ def test_a_more_urgent_frame_waits_for_the_one_on_the_wire(clock: VirtualClock, 
     assert [frame.arbitration_id for frame in heard.frames()] == [5, 1]
 
 
-def test_nobody_acknowledges(clock: VirtualClock, wire: Wire) -> None:
+def test_nobody_acknowledges(clock: VirtualClock, wire: SimulatedBus) -> None:
     """A lone node retransmits, becomes passive, and stays so: it does not go bus-off for want of company."""
-    events: list[WireEvent] = []
+    events: list[SimulatedBusEvent] = []
     node = wire.attach("lone", happened=events.append)
-    Recorder(wire)  # listens, and acknowledges nothing
+    ListeningNode(wire)  # listens, and acknowledges nothing
     node.send(Frame(0x10))
     clock.advance(100_000_000)
     assert (node.state, node.transmit_errors, node.pending) == ("error-passive", PASSIVE + 1, 1)
@@ -141,9 +150,9 @@ def test_nobody_acknowledges(clock: VirtualClock, wire: Wire) -> None:
     assert partner.state == "error-active"
 
 
-def test_two_nodes_with_one_identifier_destroy_each_other(clock: VirtualClock, wire: Wire) -> None:
+def test_two_nodes_with_one_identifier_destroy_each_other(clock: VirtualClock, wire: SimulatedBus) -> None:
     """Equal identifiers and other data: bit errors at both, until both are off the bus; then they may come back."""
-    events: list[WireEvent] = []
+    events: list[SimulatedBusEvent] = []
     left, right = wire.attach("left", happened=events.append), wire.attach("right", happened=events.append)
     wire.attach("witness")
     left.send(Frame(0x100, b"\x01"))
@@ -159,9 +168,9 @@ def test_two_nodes_with_one_identifier_destroy_each_other(clock: VirtualClock, w
     assert (left.state, left.transmit_errors, left.pending) == ("error-active", 0, 0)
 
 
-def test_equal_frames_at_once_are_one_frame(clock: VirtualClock, wire: Wire) -> None:
+def test_equal_frames_at_once_are_one_frame(clock: VirtualClock, wire: SimulatedBus) -> None:
     """Two nodes that send the same bits at the same time both succeed."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     for _ in range(2):
         wire.attach().send(Frame(0x100, b"\x01"))
     clock.advance(1_000_000)
@@ -169,7 +178,7 @@ def test_equal_frames_at_once_are_one_frame(clock: VirtualClock, wire: Wire) -> 
     assert not any(node.pending for node in wire.nodes)
 
 
-def test_error_counters_go_down_with_success(clock: VirtualClock, wire: Wire) -> None:
+def test_error_counters_go_down_with_success(clock: VirtualClock, wire: SimulatedBus) -> None:
     """Each frame that works takes one off the transmitter's counter; at 127 it is active again."""
     node = wire.attach("node")
     other = wire.attach("other", listen_only=True)
@@ -183,9 +192,9 @@ def test_error_counters_go_down_with_success(clock: VirtualClock, wire: Wire) ->
     assert (node.state, node.transmit_errors) == ("error-active", PASSIVE - 2)
 
 
-def test_a_passive_transmitter_waits_longer(clock: VirtualClock, wire: Wire) -> None:
+def test_a_passive_transmitter_waits_longer(clock: VirtualClock, wire: SimulatedBus) -> None:
     """Behind its own frame a passive node leaves eight bits more to others."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach()
     node = wire.attach()
     node.transmit_errors, node.state = 200, "error-passive"
@@ -196,9 +205,9 @@ def test_a_passive_transmitter_waits_longer(clock: VirtualClock, wire: Wire) -> 
     assert second - first == (INTERMISSION + SUSPEND + frame_bits(Frame(0x10)).total) * BIT
 
 
-def test_a_classic_controller_destroys_fd_frames(clock: VirtualClock, wire: Wire) -> None:
+def test_a_classic_controller_destroys_fd_frames(clock: VirtualClock, wire: SimulatedBus) -> None:
     """One node that does not know FD, and no FD frame gets through."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach("old", fd=False)
     node = wire.attach("new")
     node.send(Frame(0x10, bytes(12), is_fd=True))
@@ -207,9 +216,9 @@ def test_a_classic_controller_destroys_fd_frames(clock: VirtualClock, wire: Wire
     assert node.state == "bus-off"
 
 
-def test_pulling_the_plug(clock: VirtualClock, wire: Wire) -> None:
+def test_pulling_the_plug(clock: VirtualClock, wire: SimulatedBus) -> None:
     """A node that is unplugged hears nothing and sends nothing; plugged in again it sends what waited."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach()
     got: list[Frame] = []
     node = wire.attach("node", lambda frame, _: got.append(frame))
@@ -224,9 +233,9 @@ def test_pulling_the_plug(clock: VirtualClock, wire: Wire) -> None:
     assert [frame.arbitration_id for frame in heard.frames()] == [2, 1]
 
 
-def test_a_babbling_node_takes_the_bus(clock: VirtualClock, wire: Wire) -> None:
+def test_a_babbling_node_takes_the_bus(clock: VirtualClock, wire: SimulatedBus) -> None:
     """Its frames have the bus to themselves until it stops."""
-    heard = Recorder(wire)
+    heard = ListeningNode(wire)
     wire.attach()
     babbler = Babbler(wire, Frame(0))
     node = wire.attach()
@@ -242,7 +251,7 @@ def test_a_babbling_node_takes_the_bus(clock: VirtualClock, wire: Wire) -> None:
 def traffic(faults: Faults, seconds: float = 0.2) -> tuple[list[Any], Any]:
     """Three nodes at about 70 % load: all that was heard, and the load."""
     clock = VirtualClock()
-    wire = Wire(clock, bitrate=1_000_000, faults=faults)
+    wire = SimulatedBus(clock, bitrate=1_000_000, faults=faults)
     heard: list[Any] = []
     rng = random.Random(3)
 
@@ -251,7 +260,7 @@ def traffic(faults: Faults, seconds: float = 0.2) -> tuple[list[Any], Any]:
 
     nodes = [wire.attach(f"n{number}", ear(number), heard.append) for number in range(3)]
 
-    def planned(node: Node, base: int) -> None:
+    def planned(node: BusNode, base: int) -> None:
         node.send(Frame(base + rng.randrange(256), rng.randbytes(rng.randrange(9))))
         clock.call_in(rng.randrange(200_000, 500_000), lambda: planned(node, base))
 
@@ -282,10 +291,10 @@ def test_faults_do_what_they_say() -> None:
     corrupted, bad_load = traffic(Faults(seed=1, corrupt=0.1))
     assert load.errors == 0 < bad_load.errors
     assert bad_load.busy_ns > load.busy_ns
-    assert {e.kind for e in corrupted if isinstance(e, WireEvent)} >= {"bit error", "sent"}
+    assert {e.kind for e in corrupted if isinstance(e, SimulatedBusEvent)} >= {"bit error", "sent"}
 
 
-def test_an_error_frame_takes_its_time(clock: VirtualClock, wire: Wire) -> None:
+def test_an_error_frame_takes_its_time(clock: VirtualClock, wire: SimulatedBus) -> None:
     """Nobody acknowledges: up to the ACK slot, the error frame, the intermission, then again."""
     node = wire.attach()
     frame = Frame(0x2AA, b"\x55")
@@ -299,10 +308,10 @@ def test_an_error_frame_takes_its_time(clock: VirtualClock, wire: Wire) -> None:
 def test_impossible_rates(clock: VirtualClock, rates: tuple[int, int | None]) -> None:
     """A rate that no controller has is refused with the rates that there are."""
     with pytest.raises(CallerError, match="bit rate"):
-        Wire(clock, bitrate=rates[0], data_bitrate=rates[1])
+        SimulatedBus(clock, bitrate=rates[0], data_bitrate=rates[1])
 
 
-def test_a_listener_cannot_send(wire: Wire) -> None:
+def test_a_listener_cannot_send(wire: SimulatedBus) -> None:
     """By construction, not by discipline."""
     with pytest.raises(CallerError, match="only listens"):
         wire.attach("ear", listen_only=True).send(Frame(1))

@@ -10,17 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.kinematics import Body, Chain, Fixed, Move, Slide, Turn
+from aces_bus.kinematics import Body, Chain, Fixed, Move, Prismatic, Revolute
 
 ARM = Body(
     "arm",
     [
         Chain(
             "hand",
-            (Turn("z", "S"), Move(0.3), Turn("y", "E", -1), Slide("x", "R"), Turn("x", "W"), Move(0.2, 0.1)),
+            (
+                Revolute("z", "S"),
+                Move(0.3),
+                Revolute("y", "E", -1),
+                Prismatic("x", "R"),
+                Revolute("x", "W"),
+                Move(0.2, 0.1),
+            ),
         ),
-        Chain("elbow", (Turn("z", "S"), Move(0.3))),
-        Chain("eye", (Fixed("y", 0.4), Turn("z", "S"), Move(0, 0, 0.1), Turn("z", "S", 0.5))),
+        Chain("elbow", (Revolute("z", "S"), Move(0.3))),
+        Chain("eye", (Fixed("y", 0.4), Revolute("z", "S"), Move(0, 0, 0.1), Revolute("z", "S", 0.5))),
     ],
 )
 angles = st.lists(st.floats(-3, 3), min_size=4, max_size=4)
@@ -36,7 +43,7 @@ def test_a_straight_arm_is_as_long_as_its_links() -> None:
 def test_turns_are_right_handed() -> None:
     """A quarter turn about z takes x to y; about y, z to x; about x, y to z."""
     for axis, expected in (("z", (0, 1, 0)), ("y", (0, 0, -1)), ("x", (1, 0, 0))):
-        body = Body("one", [Chain("tip", (Turn(axis, "q"), Move(1)))])  # type: ignore[arg-type]
+        body = Body("one", [Chain("tip", (Revolute(axis, "q"), Move(1)))])  # type: ignore[arg-type]
         assert np.allclose(body.forward([math.pi / 2])["tip"].position, expected)
 
 
@@ -87,7 +94,7 @@ def test_angles_go_by_name_or_by_order() -> None:
 
 def test_names_that_do_not_exist_are_found_at_definition() -> None:
     """Of joints in limits and posture, and of tips; the message lists those that exist."""
-    chain = Chain("tip", (Turn("z", "q"),))
+    chain = Chain("tip", (Revolute("z", "q"),))
     with pytest.raises(UnknownNameError, match="there are: q"):
         Body("b", [chain], limits={"p": (0, 1)})
     with pytest.raises(UnknownNameError, match="there are: q"):

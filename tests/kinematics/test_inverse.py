@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.kinematics import Body, Chain, Goal, Move, Turn, solve
+from aces_bus.kinematics import Body, Chain, Goal, Move, Revolute, solve
 from aces_bus.kinematics.inverse import level_error, rotation_error
 
-PLANAR = (Turn("z", "S"), Move(0.3), Turn("z", "E"), Move(0.2))
+PLANAR = (Revolute("z", "S"), Move(0.3), Revolute("z", "E"), Move(0.2))
 ARM = Body("arm", [Chain("hand", PLANAR)])
 BENT = Body("arm", [Chain("hand", PLANAR)], limits={"E": (0.0, 2.5)}, posture={"E": 1.0})
 #: Six joints: any pose within reach.
@@ -25,14 +25,14 @@ SIX = Body(
             "tool",
             (
                 *(
-                    Turn("z", "a"),
+                    Revolute("z", "a"),
                     Move(0, 0, 0.3),
-                    Turn("y", "b"),
+                    Revolute("y", "b"),
                     Move(0, 0, 0.4),
-                    Turn("y", "c"),
+                    Revolute("y", "c"),
                     Move(0, 0, 0.3),
                 ),
-                *(Turn("z", "d"), Turn("y", "e"), Turn("z", "f"), Move(0, 0, 0.1)),
+                *(Revolute("z", "d"), Revolute("y", "e"), Revolute("z", "f"), Move(0, 0, 0.1)),
             ),
         )
     ],
@@ -121,7 +121,7 @@ def test_a_level_tip_keeps_its_heading_free() -> None:
 @given(st.floats(0.0, math.pi - 1e-3), st.integers(0, 2))
 def test_the_rotation_error_is_axis_times_angle(angle: float, axis: int) -> None:
     """About each axis, up to nearly half a turn; at half a turn its length is still right."""
-    body = Body("one", [Chain("tip", (Turn("xyz"[axis], "q"),))])  # type: ignore[arg-type]
+    body = Body("one", [Chain("tip", (Revolute("xyz"[axis], "q"),))])  # type: ignore[arg-type]
     error = rotation_error(body.forward([angle])["tip"].rotation, np.eye(3))
     assert np.allclose(error, angle * np.eye(3)[axis], atol=1e-6)
     half = rotation_error(body.forward([math.pi])["tip"].rotation, np.eye(3))

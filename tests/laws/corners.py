@@ -41,7 +41,6 @@ from construct import (
 
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Counter,
     Crc,
     Enumeration,
@@ -49,6 +48,7 @@ from aces_bus.protocol import (
     Flags,
     Fletcher,
     IdBytes,
+    IdField,
     InvertedSum,
     Multiplexed,
     Protocol,
@@ -76,7 +76,7 @@ can_corners = Protocol(
     },
     broadcast={"node": 31},
 )
-Node = Capture("node", range(32))
+Node = IdField("node", range(32))
 kind = can_corners.configured("kind", by="node")
 
 can_corners.message(
@@ -181,7 +181,7 @@ can_corners.message("Poll", id=0x2A0 + Node, remote=True, direction="to device")
 can_corners.message("Empty", id=0x2A0 + Node, direction="from device")
 can_corners.message(
     "Wide",
-    id=Capture("upper", range(7)) << 26 | Capture("middle", (0, 3, 5, 200)) << 8 | Capture("node", range(32)),
+    id=IdField("upper", range(7)) << 26 | IdField("middle", (0, 3, 5, 200)) << 8 | IdField("node", range(32)),
     extended=True,
     fd=True,
     length=(8, 12, 16, 64),
@@ -189,7 +189,7 @@ can_corners.message(
 )
 can_corners.message(
     "Signed",
-    id=0x1000000 | Capture("number", range(1 << 14)) << 2 | 0x1,
+    id=0x1000000 | IdField("number", range(1 << 14)) << 2 | 0x1,
     extended=True,
     check=Crc("CRC8-AUTOSAR", over=(IdBytes(4, mask=0xFFFF), slice(1, None), Extra()), field="crc"),
     check_extra=b"\x42",
@@ -257,7 +257,7 @@ _opaque(
 )
 _opaque(
     "Sized",
-    match={"kind": Capture("size", range(16, 21))},
+    match={"kind": IdField("size", range(16, 21))},
     payload=Struct("data" / Bytes(this._.size - 16), "end" / Const(b"!")),
 )
 _opaque("Many", match={"kind": 6}, payload=Struct("many" / Array(70, Byte)))
@@ -291,7 +291,7 @@ _fletch = check_corners.framing(
     max_size=261,
     check=Fletcher(over=slice(0, -2)),
 )
-_fletch("Fields", match={"set": Capture("group", range(4)) + 0x80}, payload=Struct("fields" / GreedyBytes))
+_fletch("Fields", match={"set": IdField("group", range(4)) + 0x80}, payload=Struct("fields" / GreedyBytes))
 _fletch("Ping", match={"set": 0x01})
 
 extra_corners = Protocol("extra_corners", link="serial")

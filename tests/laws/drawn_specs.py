@@ -23,10 +23,10 @@ import construct
 
 import aces_bus.protocol as words
 from aces_bus.errors import AcesError, FieldError
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Reference, Unknown, Variant, make_scanner
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
 from tests.laws import bit_arithmetic as plain
 from tests.laws.bit_arithmetic import Node
 
@@ -555,7 +555,7 @@ def _frames(variant: Variant, messages: list[Told], is_fd: bool, random: Random,
             None if one is None else (one[0], {"node": node, **one[1]})
             for one, (node, _) in zip(wanted, cases, strict=True)
         ]
-        scanner = make_scanner([variant], everything=True, raw=raw)
+        scanner = make_scanner([variant], include_unknown=True, raw=raw)
         records = scanner.feed(frames)
         for (_, data), one, record in zip(cases, wanted, records, strict=True):
             _same("live", data, one, record)
@@ -644,7 +644,7 @@ def _stream(
     expected: list[tuple[int, int, tuple[str, dict[str, Any]] | None]] = []
     for raw in (False, True):
         expected = [(o, size, _expected(messages, key, payload, raw=raw)) for o, size, key, payload in wanted]
-        scanner: Any = make_scanner([variant], everything=True, raw=raw)
+        scanner: Any = make_scanner([variant], include_unknown=True, raw=raw)
         records = []
         at = 0
         while at < len(data):

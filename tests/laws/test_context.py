@@ -17,8 +17,8 @@ from hypothesis import settings
 
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Message, Request, StreamScanner, Variant, as_dict
-from aces_bus.protocol.spec.ambiguity import needing_context
-from aces_bus.protocol.spec.order import ordered
+from aces_bus.protocol.declare.ambiguity import needing_context
+from aces_bus.protocol.declare.order import ordered
 from aces_bus.testing import laws
 from aces_bus.testing._play import image_of
 from aces_bus.testing._source import spread
@@ -64,7 +64,7 @@ class Model:
 
     def __init__(self, variant: Variant, direction: laws.Way) -> None:
         self.broadcast = variant.protocol.broadcast
-        self.messages = ordered(variant.facing(direction))
+        self.messages = ordered(variant.messages_for(direction))
         self.bound = needing_context(self.messages)
         needed = [m for m in self.messages if m.name in self.bound]
         self.asking = {r.message.name for m in needed for r in (*m.reply_to, *m.after)}
@@ -179,9 +179,9 @@ def test_replies_in_a_stream_are_told_by_the_rule(name: str) -> None:
         source = spread(seed, 2000)
         model = Model(variant, "both")
         scanner.reset()
-        packets: list[laws.Packet] = []
+        packets: list[laws.DrawnPacket] = []
         for _ in range(12):
-            packet = draw_packet(source.choice(variant.facing(None)), source.branch(), variant)
+            packet = draw_packet(source.choice(variant.messages_for(None)), source.branch(), variant)
             asked = [packet.request] if packet.request is not None and source.integer(0, 3) else []
             packets += [*asked, *[packet] * source.choice((1, 1, 2))]
         for packet in packets:

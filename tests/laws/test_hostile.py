@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import CanScanner, StreamScanner, Variant, make_scanner
-from aces_bus.protocol.scan.columns import make_column_scanner
-from aces_bus.protocol.spec.framing import Framing
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.declare.framing import Framing
 from aces_bus.testing import laws
 from aces_bus.testing.laws import Way
 from tests.counting import calls

@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from aces_bus.protocol import make_scanner
 from aces_bus.testing import laws, strategies
 from aces_bus.testing._bench import Bench
-from aces_bus.testing._saved import load, save
+from aces_bus.testing._saved import load_scene, save_scene
 from aces_bus.testing._source import spread
 from aces_bus.testing.fuzz import shrink
 from aces_bus.testing.laws import LAWS, Law
@@ -83,7 +83,7 @@ def _holds(asked: Sequence[Law], case: Case, folder: Path | None) -> None:
             ((law, arguments),) = broken
             trial = laws.Trial(Bench(case.wire, case.direction), *arguments)
             failure = shrink(law, trial, str(error))
-            saved = save(folder, case.wire, case.direction, failure.scene, failure.cuts, law=law.number)
+            saved = save_scene(folder, case.wire, case.direction, failure.scene, failure.cuts, law=law.number)
             error.add_note(f"kept in {saved.scene}: `make test` replays it from now on")
         raise
 
@@ -95,7 +95,7 @@ def test_laws_hold(case: Case) -> None:
 
 
 @pytest.mark.parametrize(
-    "case", [one for one in (*CASES, *MIXED) if laws.variants_of(one.wire)[0].link != "can"], ids=str
+    "case", [one for one in (*CASES, *MIXED) if laws.wire_variants(one.wire)[0].link != "can"], ids=str
 )
 def test_work_is_bounded(case: Case) -> None:
     """Whatever comes over a serial line, headers that promise long packets too, the law of bounded work holds."""
@@ -104,11 +104,11 @@ def test_work_is_bounded(case: Case) -> None:
 
 def replay(path: Path) -> None:
     """Ask a scene that was kept of the law that it broke."""
-    loaded = load(path)
+    loaded = load_scene(path)
     (case,) = [
         one
         for one in (*CASES, *MIXED)
-        if " + ".join(v.label for v in laws.variants_of(one.wire)) == loaded.label
+        if " + ".join(v.label for v in laws.wire_variants(one.wire)) == loaded.label
         and one.direction == loaded.direction
     ]
     trial = laws.Trial(
@@ -142,23 +142,23 @@ def test_a_scene_that_breaks_a_law_is_kept(tmp_path: Path, monkeypatch: pytest.M
     (path,) = tmp_path.glob("*.json")
     with pytest.raises(laws.LawError):
         replay(path)
-    assert len(load(path).words) == 9
+    assert len(load_scene(path).words) == 9
     is_broken = False
     replay(path)
 
 
 def test_every_registered_protocol_is_tested() -> None:
     """The cases hold every dialect, configuration and direction of every registered protocol."""
-    tested = {(v.name, v.dialect, v.configuration) for case in CASES for v in laws.variants_of(case.wire)}
+    tested = {(v.name, v.dialect, v.configuration) for case in CASES for v in laws.wire_variants(case.wire)}
     assert REGISTERED
     for protocol in REGISTERED.values():
         for dialect in protocol.dialects or [None]:
             for configuration in protocol.configurations or [None]:
                 assert (protocol.name, dialect, configuration) in tested
     for case in CASES:
-        (variant,) = laws.variants_of(case.wire)
+        (variant,) = laws.wire_variants(case.wire)
         ways: set[laws.Way] = {c.direction for c in CASES if c.wire is case.wire}
-        heard = {m.name for way in ways for m in variant.facing(way)}
+        heard = {m.name for way in ways for m in variant.messages_for(way)}
         assert heard == set(variant.messages), f"{variant}: no direction has {set(variant.messages) - heard}"
 
 
@@ -185,9 +185,12 @@ def test_python_can_messages_are_frames(name: str) -> None:
         ]
         frames = [msgspec.structs.replace(frame, timestamp=frame.timestamp or 0.0) for frame in scene.words]
         alike = laws.Scene(tuple(frames), (), scene.sent_at)
-        wanted = laws.heard(laws.scanner_of(variant, None), alike)
-        assert laws.heard(laws.scanner_of(variant, None), laws.Scene(messages, (), scene.sent_at)) == wanted
-    scanner = make_scanner([variant], everything=True)
+        wanted = laws.scanned_items(laws.scanner_of(variant, None), alike)
+        assert (
+            laws.scanned_items(laws.scanner_of(variant, None), laws.Scene(messages, (), scene.sent_at))
+            == wanted
+        )
+    scanner = make_scanner([variant], include_unknown=True)
     odd = [
         can.Message(arbitration_id=1, dlc=8),
         can.Message(arbitration_id=0x1FFFFFFF, dlc=64, is_fd=True, data=[0] * 64),

@@ -15,9 +15,9 @@ from hypothesis import settings
 
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Crc,
     Flags,
+    IdField,
     InvertedSum,
     Protocol,
     Quantity,
@@ -25,11 +25,11 @@ from aces_bus.protocol import (
     StreamScanner,
     bits,
 )
-from aces_bus.protocol.codegen import load
-from aces_bus.protocol.scan import can, find, stream
-from aces_bus.protocol.scan.counts import Counts
-from aces_bus.protocol.scan.decider import Decider
-from aces_bus.protocol.spec import ambiguity, checks, fields
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.protocol.declare import ambiguity, checks, fields
+from aces_bus.protocol.generate import load
+from aces_bus.protocol.live import can, find, stream
+from aces_bus.protocol.live.decide import Decider
 from aces_bus.testing import _laws_of_content, laws
 from aces_bus.testing._source import spread
 from aces_bus.testing.laws import LAWS, Law, Way
@@ -62,7 +62,7 @@ def a_stream() -> Protocol:
 def a_bus() -> Protocol:
     """Frames with unused bits, signs, a check, a request with its answers."""
     made = Protocol("victim", link="can")
-    node = Capture("node", range(8))
+    node = IdField("node", range(8))
     made.message(
         "Layout",
         id=0x10 + node,
@@ -90,7 +90,7 @@ def a_bus() -> Protocol:
         reply_to=ask.where(which=2),
         payload=Struct("y" / Int16sl),
     )
-    made.message("Exact", id=0x60, payload=Struct(Const(b"\x01"), "rest" / Byte), over="General")
+    made.message("Exact", id=0x60, payload=Struct(Const(b"\x01"), "rest" / Byte), overrides="General")
     made.message("General", id=0x60, payload=Struct("all" / Int16ul))
     return made
 
@@ -185,7 +185,7 @@ def a_bad_header_costs_a_packet(patch: pytest.MonkeyPatch) -> None:
 
 def checks_are_not_looked_at(patch: pytest.MonkeyPatch) -> None:
     _printed(patch, stream, "print_stream", "if not good:\n            ", "if False:\n            ")
-    patch.setattr(find.Finder, "_checked", lambda self, data, check, starts, ends: starts >= 0)
+    patch.setattr(find.PacketFinder, "_checked", lambda self, data, check, starts, ends: starts >= 0)
 
 
 def checks_of_frames_are_not_looked_at(patch: pytest.MonkeyPatch) -> None:
@@ -193,14 +193,14 @@ def checks_of_frames_are_not_looked_at(patch: pytest.MonkeyPatch) -> None:
 
 
 def losses_are_counted_short(patch: pytest.MonkeyPatch) -> None:
-    good = Counts.lose
-    patch.setattr(Counts, "lose", lambda self, size, reason: good(self, size - (size > 3), reason))
+    good = ScanCounts.lose
+    patch.setattr(ScanCounts, "lose", lambda self, size, reason: good(self, size - (size > 3), reason))
 
 
 def error_frames_are_not_counted(patch: pytest.MonkeyPatch) -> None:
-    good = Counts.lose
+    good = ScanCounts.lose
     patch.setattr(
-        Counts,
+        ScanCounts,
         "lose",
         lambda self, size, reason: None if reason == "error frame" else good(self, size, reason),
     )
@@ -272,7 +272,7 @@ def test_a_law_finds_an_ambiguity_that_slipped_in(monkeypatch: pytest.MonkeyPatc
     """Messages that the declaration let pass are found when the law asks."""
     made = Protocol("victim", link="can")
     monkeypatch.setattr(ambiguity, "check_against", lambda made, declared: None)
-    made.message("One", id=0x10 + Capture("node", range(8)), payload=Struct("x" / Int16ul))
+    made.message("One", id=0x10 + IdField("node", range(8)), payload=Struct("x" / Int16ul))
     made.message("Two", id=0x17, payload=Struct(Const(b"\x05"), "y" / Byte))
     said = fails(LAWS[8], made, tries=2)
     assert "Two and One are ambiguous: both accept 017#05" in said
@@ -280,7 +280,7 @@ def test_a_law_finds_an_ambiguity_that_slipped_in(monkeypatch: pytest.MonkeyPatc
 
 def test_check_work_is_what_checks_read(monkeypatch: pytest.MonkeyPatch) -> None:
     """`check_work`, which law 7 trusts, is the number of bytes that were in truth summed (in chunks below a stride)."""
-    scanner = a_stream().scanner(everything=True)
+    scanner = a_stream().scanner(include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     summed = 0
     names = scanner._scan.__globals__

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from aces_bus.protocol import CanScanner, Protocol, Scanner, StreamScanner, Unknown, make_scanner
 from aces_bus.testing import laws, strategies
-from aces_bus.testing._play import plain
+from aces_bus.testing._play import comparable
 from aces_bus.testing._source import Entropy, spread
-from aces_bus.testing._values import Packet, UndrawableError, draw_packet
+from aces_bus.testing._values import DrawnPacket, UndrawableError, draw_packet
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 IS_LONG = settings().max_examples > 100
@@ -26,15 +26,15 @@ VARIANTS = [v for protocol in PROTOCOLS.values() for v in protocol.variants()]
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: v.label)
 def test_every_message_is_drawn_and_heard(variant: Any) -> None:
     """A scanner that hears nothing but a drawn packet, its request having been sent, hears that message."""
-    scanner = make_scanner([variant], direction=laws.directions(variant)[0], everything=True)
-    for message in variant.facing(None):
+    scanner = make_scanner([variant], direction=laws.directions(variant)[0], include_unknown=True)
+    for message in variant.messages_for(None):
         for seed in range(6 if IS_LONG else 3):
             packet = draw_packet(message, spread(seed), variant)
             scanner.reset()
             assert [type(r).__name__ for r in _hear(scanner, packet)] == [message.name]
 
 
-def _hear(scanner: Scanner, packet: Packet) -> list[Any]:
+def _hear(scanner: Scanner, packet: DrawnPacket) -> list[Any]:
     if isinstance(scanner, CanScanner):
         if packet.request is not None:
             scanner.sent(packet.request.word)
@@ -53,8 +53,8 @@ def test_strategies_draw_valid_packets(name: str, data: st.DataObject) -> None:
     variant = PROTOCOLS[name].variant()
     packet = data.draw(strategies.packets(variant))
     request = packet.request.values if packet.request is not None else packet.values
-    read = plain(packet.message.struct.parse(packet.image, raw=True, request=request))
-    assert {k: read[k] for k in packet.values} == plain(packet.values)
+    read = comparable(packet.message.struct.parse(packet.image, raw=True, request=request))
+    assert {k: read[k] for k in packet.values} == comparable(packet.values)
     values = data.draw(strategies.fields(packet.message))
     assert set(values) <= set(packet.message.fields)
 
@@ -64,7 +64,7 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
     """Among some scenes there are records, losses of several kinds, and our own transmissions where replies need them."""
     variant = PROTOCOLS[name].variant()
     for direction in laws.directions(variant):
-        scanner = make_scanner([variant], direction=direction, everything=True)
+        scanner = make_scanner([variant], direction=direction, include_unknown=True)
         reasons: set[str] = set()
         decoded = total = 0
         for seed in range(1, 20 if IS_LONG else 11):
@@ -75,7 +75,7 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
             decoded += scanner.counts.decoded
             total += scanner.counts.total
         # Where every byte alone is a packet nothing is skipped or malformed, and noise weighs as much as a packet.
-        bare = any(m.framing is not None and m.framing.max_size == 1 for m in variant.facing(direction))
+        bare = any(m.framing is not None and m.framing.max_size == 1 for m in variant.messages_for(direction))
         assert (0.2 if bare else 0.3) < decoded / total < 0.95
         assert len(reasons) >= (1 if bare else 2)
 

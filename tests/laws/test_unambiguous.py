@@ -11,8 +11,9 @@ import pytest
 from construct import Array, Byte, Bytes, Const, GreedyBytes, Int16ub, Int16ul, Int32ul, Struct, this
 
 from aces_bus.errors import SpecError
-from aces_bus.protocol import Capture, Cobs, Crc, InvertedSum, Message, Multiplexed, Protocol, can_image
-from aces_bus.protocol.spec.ambiguity import conflict
+from aces_bus.protocol import Cobs, Crc, IdField, InvertedSum, Message, Multiplexed, Protocol
+from aces_bus.protocol.declare.ambiguity import conflict
+from aces_bus.protocol.declare.packet import can_image
 from aces_bus.testing import laws
 from tests.laws.wires import CASES, Case
 
@@ -25,7 +26,7 @@ Declare = Callable[[Protocol], None]
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_no_pair_is_ambiguous(case: Case) -> None:
     """Exhaustive: every pair of messages of the wire is told apart by its bytes or by what the spec says."""
-    for variant in laws.variants_of(case.wire):
+    for variant in laws.wire_variants(case.wire):
         found = laws.conflicts(variant, case.direction)
         assert [f"{c.one.name} and {c.other.name}: {c.how}" for c in found] == []
 
@@ -33,8 +34,8 @@ def test_no_pair_is_ambiguous(case: Case) -> None:
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_witness_is_one(case: Case) -> None:
     """What the checker shows for messages that share packets (and are told apart by other words) is accepted by both."""
-    for variant in laws.variants_of(case.wire):
-        for one, other in itertools.combinations(variant.facing(case.direction), 2):
+    for variant in laws.wire_variants(case.wire):
+        for one, other in itertools.combinations(variant.messages_for(case.direction), 2):
             found = conflict(one, other)
             if found is None or found.witness is None:
                 continue
@@ -53,13 +54,13 @@ def test_a_witness_is_one(case: Case) -> None:
 
 
 def overlapping_identifiers(p: Protocol) -> None:
-    p.message("One", id=0x100 + Capture("node", range(0x30)), payload=Struct("a" / Int16ul))
+    p.message("One", id=0x100 + IdField("node", range(0x30)), payload=Struct("a" / Int16ul))
     p.message("Two", id=0x12F, payload=Struct("b" / Int16ul))
 
 
 def overlapping_bit_layouts(p: Protocol) -> None:
-    p.message("One", id=Capture("node", range(64)) << 5 | 0x09, payload=Struct("a" / Byte))
-    p.message("Two", id=Capture("low", range(32)) | 0x20, payload=Struct("b" / Byte))
+    p.message("One", id=IdField("node", range(64)) << 5 | 0x09, payload=Struct("a" / Byte))
+    p.message("Two", id=IdField("low", range(32)) | 0x20, payload=Struct("b" / Byte))
 
 
 def open_lengths(p: Protocol) -> None:
@@ -191,10 +192,10 @@ def other_flags(p: Protocol) -> None:
 def sets_that_do_not_meet(p: Protocol) -> None:
     head = Struct("op" / Byte)
     p.message(
-        "One", id=5, prefix=head, match={"op": Capture("n", range(16)) + 0x30}, payload=Struct("a" / Byte)
+        "One", id=5, prefix=head, match={"op": IdField("n", range(16)) + 0x30}, payload=Struct("a" / Byte)
     )
     p.message(
-        "Two", id=5, prefix=head, match={"op": Capture("n", range(16)) + 0x40}, payload=Struct("b" / Byte)
+        "Two", id=5, prefix=head, match={"op": IdField("n", range(16)) + 0x40}, payload=Struct("b" / Byte)
     )
 
 
@@ -206,10 +207,10 @@ def a_selector_whose_lengths_differ(p: Protocol) -> None:
 def a_wide_head_of_many_values(p: Protocol) -> None:
     head = Struct("op" / Int16ul)
     p.message(
-        "One", id=5, prefix=head, match={"op": Capture("n", range(0, 60000, 10))}, payload=Struct("a" / Byte)
+        "One", id=5, prefix=head, match={"op": IdField("n", range(0, 60000, 10))}, payload=Struct("a" / Byte)
     )
     p.message(
-        "Two", id=5, prefix=head, match={"op": Capture("n", range(5, 60000, 10))}, payload=Struct("b" / Byte)
+        "Two", id=5, prefix=head, match={"op": IdField("n", range(5, 60000, 10))}, payload=Struct("b" / Byte)
     )
 
 
@@ -253,7 +254,7 @@ def test_order_settles_an_ambiguity() -> None:
     """What is ambiguous passes when the spec says which one goes first."""
     made = Protocol("planted", link="can")
     made.message("Any", id=5, payload=Struct("a" / Byte))
-    made.message("Seven", id=5, over="Any", payload=Struct(Const(7, Byte)))
+    made.message("Seven", id=5, overrides="Any", payload=Struct(Const(7, Byte)))
     scanner = made.scanner()
     frames = [made.encode("Any", a=n) for n in (6, 7)]
     assert [type(record).__name__ for record in scanner.feed(frames)] == ["Any", "Seven"]
@@ -267,8 +268,8 @@ def _random_message(made: Protocol, name: str, rng: random.Random) -> Message:
     identifier = rng.choice(
         (
             rng.randrange(8),
-            Capture("n", range(rng.randrange(1, 5))) + rng.randrange(4),
-            Capture("n", (0, 1)) << 2 | 1,
+            IdField("n", range(rng.randrange(1, 5))) + rng.randrange(4),
+            IdField("n", (0, 1)) << 2 | 1,
         )
     )
     values = tuple(sorted(rng.sample(range(6), rng.randrange(1, 4))))
@@ -285,7 +286,7 @@ def _random_message(made: Protocol, name: str, rng: random.Random) -> Message:
         prefix, match = Struct("op" / Byte), {"op": values}
         payload = Struct("a" / Bytes(rng.randrange(2)))
     else:
-        prefix, match = Struct("op" / Byte), {"op": Capture("k", range(3)) << 1 | rng.randrange(2)}
+        prefix, match = Struct("op" / Byte), {"op": IdField("k", range(3)) << 1 | rng.randrange(2)}
         payload = Struct("a" / GreedyBytes)
     length: int | tuple[int, ...] | None = None
     if kind in (0, 4) and rng.randrange(2):

@@ -42,7 +42,7 @@ class Case:
     share: int
 
     def __str__(self) -> str:
-        variants = laws.variants_of(self.wire)
+        variants = laws.wire_variants(self.wire)
         return f"{'+'.join(v.label for v in variants)}-{(self.direction or 'any').replace(' ', '_')}"
 
 

@@ -11,12 +11,12 @@ from construct import Byte, Int16sl, Struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import CanScanner, Capture, Counter, Protocol, load_protocol
-from aces_bus.protocol.scan.can_columns import CanColumns
-from aces_bus.protocol.scan.message_table import MessageTable
-from aces_bus.protocol.spec.protocol import Variant
+from aces_bus.frames import Frame
+from aces_bus.protocol import CanScanner, Counter, IdField, Protocol, load_protocol
+from aces_bus.protocol.columns.can import CanColumns
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.declare.protocol import Variant
 
 
 def flat(tables: Iterable[MessageTable]) -> list[Any]:
@@ -34,11 +34,11 @@ def flat(tables: Iterable[MessageTable]) -> list[Any]:
 
 def apart(variant: Variant, table: FrameTable, cuts: list[int]) -> tuple[list[Any], Any]:
     """The same from pieces, each decoded by a scanner of its own that hands over through a pipe."""
-    whole = CanColumns([variant], everything=True)
+    whole = CanColumns([variant], include_unknown=True)
     lines: list[Any] = []
     first = 0
     for start, end in zip([0, *cuts], [*cuts, len(table)], strict=True):
-        piece = CanColumns([variant], everything=True, defer=True)
+        piece = CanColumns([variant], include_unknown=True, defer=True)
         own = flat(piece.feed(table.take(slice(start, end))))
         given_over = pickle.loads(pickle.dumps(piece.hand_over()))
         lines += [(row + first, *rest) for row, *rest in own] + flat(whole.adopt(given_over))
@@ -81,7 +81,7 @@ def test_pieces_decoded_apart_are_the_capture(seed: int, cuts: list[int]) -> Non
     """Replies find their requests across the borders of pieces; losses and counts are those of one scanner."""
     variant = load_protocol("hubo").variant()
     table = hubo_traffic(seed, 60)
-    one = CanColumns([variant], everything=True)
+    one = CanColumns([variant], include_unknown=True)
     expected = flat(one.feed(table))
     assert len(expected) == len(table)
     lines, counts = apart(variant, table, cuts)
@@ -94,7 +94,7 @@ def counting() -> Protocol:
     protocol = Protocol("counting", link="can")
     protocol.message(
         "Tick",
-        id=0x100 + Capture("node", range(4)),
+        id=0x100 + IdField("node", range(4)),
         payload=Struct("count" / Counter(Byte, modulo=16), "value" / Int16sl),
     )
     return protocol
@@ -120,7 +120,7 @@ def test_records_from_a_table_are_those_of_its_frames(seed: int) -> None:
     """Without frames in between, the live scanner says the same: records, losses, transport, counts."""
     variant = load_protocol("hubo").variant()
     table = hubo_traffic(seed, 60)
-    one, other = CanScanner([variant], everything=True), CanScanner([variant], everything=True)
+    one, other = CanScanner([variant], include_unknown=True), CanScanner([variant], include_unknown=True)
     assert repr(one.feed_table(table)) == repr(other.feed(table.frames()))
     assert one.feed_table(table) == other.feed(table.frames())
     assert one.counts == other.counts

@@ -8,11 +8,11 @@ import pytest
 from construct import Byte, Int16ul, Struct
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import Capture, Protocol, as_dict, make_scanner
-from aces_bus.protocol.scan.columns import make_column_scanner
-from aces_bus.protocol.spec.protocol import Variant
+from aces_bus.frames import Frame
+from aces_bus.protocol import IdField, Protocol, as_dict, make_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.declare.protocol import Variant
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +22,11 @@ def buses() -> list[Variant]:
     engine.message("Speed", id=0x100, payload=Struct("rpm" / Int16ul))
     body = Protocol("body", link="can")
     body.message("Doors", id=0x100, payload=Struct("left" / Byte, "right" / Byte))
-    asked = body.message("Ask", id=0x200 + Capture("unit", range(4)), payload=Struct("what" / Byte))
+    asked = body.message("Ask", id=0x200 + IdField("unit", range(4)), payload=Struct("what" / Byte))
     for value in (1, 2):
         body.message(
             f"Answer{value}",
-            id=0x210 + Capture("unit", range(4)),
+            id=0x210 + IdField("unit", range(4)),
             payload=Struct(f"answer{value}" / Byte),
             reply_to=asked.where(what=value),
         )
@@ -49,7 +49,7 @@ FRAMES = [
 
 def test_each_channel_has_its_own_protocols(buses: list[Variant]) -> None:
     """One identifier is a speed on one bus, doors on another and unknown on a third."""
-    scanner = make_scanner(buses, everything=True)
+    scanner = make_scanner(buses, include_unknown=True)
     given = [type(item).__name__ for item in scanner.feed(FRAMES)]
     assert given == ["Speed", "Doors", "Unknown", "Beat", "Ask", "Unknown", "Answer2", "Beat"]
     assert (scanner.counts.total, scanner.counts.decoded, scanner.counts.unknown) == (8, 6, 2)
@@ -59,14 +59,14 @@ def test_each_channel_has_its_own_protocols(buses: list[Variant]) -> None:
 def test_columns_say_the_same(buses: list[Variant], cut: int) -> None:
     """Whole tables give what single frames give, in the same order, wherever the capture is cut."""
     whole = FrameTable.from_frames(FRAMES)
-    scanner = make_column_scanner(buses, everything=True)
+    scanner = make_column_scanner(buses, include_unknown=True)
     tables = scanner.feed(whole.take(slice(0, cut))) + scanner.feed(whole.take(slice(cut, None)))
     found: dict[int, Any] = {}
     for table in tables:
         columns = {column.name: column.to_list() for column in table.columns()}
         for line, row in enumerate(table.row.tolist()):
             found[row] = (table.message, {name: values[line] for name, values in columns.items()})
-    live = make_scanner(buses, everything=True).feed(FRAMES)
+    live = make_scanner(buses, include_unknown=True).feed(FRAMES)
     for row, item in enumerate(live):
         if type(item).__name__ == "Unknown":
             assert found[row] == ("", {"reason": item.reason, "raw": item.meta.raw})

@@ -18,18 +18,18 @@ from construct import Array, Byte, Int16ul, Int32sl, Struct
 from aces_bus.errors import FieldError
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Flags,
     Frame,
+    IdField,
     Protocol,
     Quantity,
     StreamScanner,
     bits,
     load_protocol,
 )
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.codegen.load import codec, print_decoders
-from aces_bus.protocol.codegen.print_records import print_records
+from aces_bus.protocol.generate.load import codec, print_decoders
+from aces_bus.protocol.generate.records import print_records
+from aces_bus.protocol.plan.flatten import flatten
 
 ROOT = Path(__file__).resolve().parents[2]
 Golden = Callable[[str, str], None]
@@ -42,7 +42,7 @@ def small() -> Protocol:
     protocol = Protocol("small", link="can")
     protocol.message(
         "Position",
-        id=0x060 + Capture("board", range(4)),
+        id=0x060 + IdField("board", range(4)),
         payload=Struct("position" / Array(2, Quantity(Int32sl, unit="rad", scale=0.001))),
         doc="Where the motors are.",
     )
@@ -77,7 +77,7 @@ def test_the_same_spec_prints_the_same_bytes_in_every_process() -> None:
     """Neither hash order nor the current folder leaves a trace in generated source."""
     program = (
         "from aces_bus.protocol import load_protocol\n"
-        "from aces_bus.protocol.codegen.load import print_decoders\n"
+        "from aces_bus.protocol.generate.load import print_decoders\n"
         "import hashlib\n"
         f"for name in {PROTOCOLS!r}:\n"
         "    for variant in load_protocol(name).variants():\n"

@@ -16,22 +16,22 @@ import pytest
 from construct import Byte, Float32l, Int16sl, Int16ul, Struct, this
 from hypothesis import settings
 
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Counter,
     Enumeration,
     Flags,
+    IdField,
     InvertedSum,
     Multiplexed,
     Protocol,
     Quantity,
     bits,
 )
-from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
-from aces_bus.protocol.scan.message_table import Column, MessageTable
+from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
+from aces_bus.protocol.columns.table import Column, MessageTable
 from aces_bus.testing import _columns, laws
 from aces_bus.testing._source import spread
 from tests.laws.wires import CASES, MIXED, Case
@@ -47,7 +47,7 @@ def _some(cases: Sequence[Case]) -> list[Case]:
     seen: dict[str, int] = {}
     chosen: list[Case] = []
     for case in cases:
-        name = laws.variants_of(case.wire)[0].name
+        name = laws.wire_variants(case.wire)[0].name
         number = seen[name] = seen.get(name, -1) + 1
         if number % max(1, -(-case.share // LONG_CASES)) == 0:
             chosen.append(case)
@@ -58,7 +58,7 @@ def _some(cases: Sequence[Case]) -> list[Case]:
 def test_long_scenes_are_the_same_in_columns(case: Case) -> None:
     """Some hundred frames or packets, cut somewhere, give the same values in columns as one by one."""
     scene, cuts = laws.draw_arguments(laws.LAWS[1], case.wire, case.direction, spread(11, 1 << 14), size=SIZE)
-    laws.check_columns(case.wire, case.direction, scene, cuts[::16])
+    laws.columns_law(case.wire, case.direction, scene, cuts[::16])
 
 
 # ---------------------------------------------------------------------- what scenes seldom have
@@ -67,7 +67,7 @@ def test_long_scenes_are_the_same_in_columns(case: Case) -> None:
 def a_bus() -> Protocol:
     """Requests with their answers, a counter, pages, names, flags, values that are unknown."""
     made = Protocol("victim", link="can")
-    node = Capture("node", range(8))
+    node = IdField("node", range(8))
     made.message(
         "Layout",
         id=0x10 + node,
@@ -155,14 +155,14 @@ def test_requests_counters_and_pages_carry_on(name: str, step: int) -> None:
     """However a capture is cut, requests find their answers and counters what is missing, in columns as one by one."""
     make, scene = SCENES[name]
     cuts = tuple(range(step, len(scene), step))
-    laws.check_columns(make().variant(), None, scene, cuts)
+    laws.columns_law(make().variant(), None, scene, cuts)
     counts = laws.scanner_of(make().variant(), None).counts
     assert counts.total == 0  # a scanner of its own, as if just made
 
 
 def test_the_scenes_hold_what_they_are_for() -> None:
     """Answers of both kinds and unanswered ones, counters that jump, absent and unknown values, losses."""
-    scanner = a_bus().scanner(everything=True)
+    scanner = a_bus().scanner(include_unknown=True)
     items = scanner.feed(SCENES["bus"][1].words)
     names = {type(item).__name__ for item in items}
     assert names >= {"Layout", "Count", "State", "Ask", "Answer1", "Answer2", "Unknown"}
@@ -170,7 +170,7 @@ def test_the_scenes_hold_what_they_are_for() -> None:
     states = [item for item in items if type(item).__name__ == "State"]
     assert {None} < {state.angle for state in states}
     assert {"off", "on"} <= {state.mode for state in states}
-    stream = a_stream().scanner(everything=True)
+    stream = a_stream().scanner(include_unknown=True)
     stream.feed(SCENES["stream"][1].words)
     assert stream.counts.records > 40
     assert stream.counts.malformed
@@ -389,4 +389,4 @@ def test_a_fault_in_columns_is_found(
     protocol, scene = SCENES[name]
     monkeypatch.setattr(_columns, "make_column_scanner", make)
     with pytest.raises(AssertionError, match=r"law 2 \(oracle\) of victim, direction None: columns"):
-        laws.check_columns(protocol().variant(), None, scene, (20, 70))
+        laws.columns_law(protocol().variant(), None, scene, (20, 70))

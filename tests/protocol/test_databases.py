@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import CallerError, SpecError
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Unknown, make_scanner
-from aces_bus.protocol.codegen import load as loading
-from aces_bus.protocol.foreign import dbc, load_database
-from aces_bus.protocol.scan.columns import make_column_scanner
-from aces_bus.protocol.scan.record import names_of
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.exchange import import_dbc as dbc
+from aces_bus.protocol.exchange import load_database
+from aces_bus.protocol.generate import load as loading
+from aces_bus.protocol.record import field_names
 from tests.protocol.test_foreign import CAR, EDS, imported, laws_hold, reasons
 
 cantools = pytest.importorskip("cantools")
@@ -25,8 +26,8 @@ J1939 = 'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "";\nBA_ "P
 
 def told(protocol: Protocol, *frames: Frame) -> list[tuple[str, dict[str, Any]]]:
     """Message (or reason) and fields of each frame: live, and asserted to be the same as columns."""
-    records = make_scanner([protocol.variant()], everything=True).feed(frames)
-    scanner = make_column_scanner([protocol.variant()], everything=True)
+    records = make_scanner([protocol.variant()], include_unknown=True).feed(frames)
+    scanner = make_column_scanner([protocol.variant()], include_unknown=True)
     tables = scanner.feed(FrameTable.from_frames(list(frames))) + scanner.close()
     rows = {
         row: (table.message, {name: table[name].to_list()[place] for name in table.names})
@@ -39,7 +40,7 @@ def told(protocol: Protocol, *frames: Frame) -> list[tuple[str, dict[str, Any]]]
             assert rows[number][0] == ""
             found.append((record.reason, {}))
             continue
-        fields = {name: getattr(record, name) for name in names_of(type(record))}
+        fields = {name: getattr(record, name) for name in field_names(type(record))}
         assert rows[number] == (record.meta.message, fields)
         found.append((record.meta.message, fields))
     return found
@@ -330,7 +331,7 @@ def test_two_messages_of_one_identifier_keep_their_formats(tmp_path: Path) -> No
 def test_code_is_made_for_the_messages_that_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a large database, and for each way to decode: nothing before the first frame, then one message's."""
     made: list[str] = []
-    load = loading.load
+    load = loading.load_source
 
     def counted(source: str, name: str, names: Any) -> dict[str, Any]:
         made.append(name)
@@ -354,7 +355,7 @@ def test_code_is_made_for_the_messages_that_come(tmp_path: Path, monkeypatch: py
 
 def test_declaring_compares_only_what_may_clash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The work grows with the number of messages, not with its square."""
-    from aces_bus.protocol.spec import ambiguity
+    from aces_bus.protocol.declare import ambiguity
 
     asked = 0
     unresolved = ambiguity.unresolved
@@ -378,5 +379,5 @@ def test_the_collector_is_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "none.dbc"
     for _ in range(2):
         with pytest.raises(CallerError):
-            dbc.load(str(path), "dbc")
+            dbc.load_dbc(str(path), "dbc")
         assert gc.isenabled()

@@ -18,12 +18,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Unknown
-from aces_bus.protocol.foreign import load_database
-from aces_bus.protocol.scan.columns import make_column_scanner
-from aces_bus.protocol.scan.record import names_of
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.exchange import load_database
+from aces_bus.protocol.record import field_names
 
 cantools = pytest.importorskip("cantools")
 
@@ -202,7 +202,7 @@ def _columns_agree(protocol: Protocol, frames: list[Frame], records: list[Any]) 
 
 def _encodes(protocol: Protocol, message: Any, record: Any, frame: Frame, named: Any) -> None:
     """What was decoded is built again: by us to the same bytes, by cantools to the same bytes but those of no signal."""
-    fields = {name: getattr(record, name) for name in names_of(type(record))}
+    fields = {name: getattr(record, name) for name in field_names(type(record))}
     built = protocol.encode(record.meta.message, **fields)
     floats = [s.name for s in message.signals if s.conversion.is_float]
     if any(isinstance(fields[name], float) and not math.isfinite(fields[name]) for name in floats):
@@ -227,7 +227,7 @@ def _is_exact(signal: Any, value: Any) -> bool:
 def _scanner(protocol: Protocol, raw: bool) -> Any:
     from aces_bus.protocol import make_scanner
 
-    return make_scanner([protocol.variant()], everything=True, raw=raw)
+    return make_scanner([protocol.variant()], include_unknown=True, raw=raw)
 
 
 @given(text=databases(), seed=st.integers(0, 2**32))

@@ -31,13 +31,13 @@ from construct import (
 
 import aces_bus.protocol as protocol_words
 from aces_bus.errors import CallerError, FieldError, SpecError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import (
     AsciiNumber,
     BitLayout,
-    Capture,
     Check,
     Enumeration,
+    IdField,
     Protocol,
     Quantity,
     Reference,
@@ -48,7 +48,7 @@ from aces_bus.protocol import (
     bits,
     make_scanner,
 )
-from aces_bus.protocol.spec import vocabulary
+from aces_bus.protocol.declare import vocabulary
 
 
 def can(payload: c.Construct, **more: Any) -> Protocol:
@@ -61,10 +61,10 @@ def can(payload: c.Construct, **more: Any) -> Protocol:
 def everywhere(protocol: Protocol, data: bytes, identifier: int = 1) -> Any:
     """What live, reference and columns make of a frame: its record, or the reason of its loss; they agree."""
     frame = Frame(identifier, data)
-    scanner = protocol.scanner(everything=True)
+    scanner = protocol.scanner(include_unknown=True)
     (record,) = scanner.feed([frame])
     (found,) = Reference([protocol.variant()]).frames([frame])
-    tables = protocol.decode([frame], everything=True)
+    tables = protocol.decode([frame], include_unknown=True)
     if isinstance(record, Unknown):
         assert (found.message, found.reason) == (None, record.reason)
         assert "M" not in tables or not len(tables["M"])
@@ -225,7 +225,7 @@ def test_choices_are_the_same_in_raw_mode(case: str) -> None:
         more["prefix"] = Struct(kind)
         payload = Struct("d" / Switch(this._.kind, by_name, default=GreedyBytes))
     elif case == "capture":
-        more["id"] = 0x100 + Capture("kind", (4, 7), names=KIND)
+        more["id"] = 0x100 + IdField("kind", (4, 7), names=KIND)
         payload = Struct(Const(4, Byte), "d" / Switch(this._.kind, by_name, default=GreedyBytes))
     elif case == "condition":
         payload = Struct(kind, "d" / c.IfThenElse(this.kind == "accel", accel, time))
@@ -260,7 +260,7 @@ def test_a_match_of_the_length_holds_when_reading_and_writing() -> None:
 
     data = made(1, 4) + made(1, 5) + made(1, 3) + made(2, 5) + made(2, 8)
     wanted = ["A", "B", None, None, "A"]
-    found = wire.scanner(everything=True).feed(data)
+    found = wire.scanner(include_unknown=True).feed(data)
     assert [None if isinstance(one, Unknown) else type(one).__name__ for one in found] == wanted
     assert [one.message for one in Reference([wire.variant()]).stream(data)] == wanted
     assert {name: len(table) for name, table in wire.decode(data).items()} == {"A": 2, "B": 1}
@@ -269,7 +269,7 @@ def test_a_match_of_the_length_holds_when_reading_and_writing() -> None:
         wire.encode("A", kind=1, d=bytes(3))
     with pytest.raises(SpecError, match=r"length of C is the length of the packet; match it with numbers"):
         packet(
-            "C", match={"kind": 3, "length": 1 + Capture("n", range(3))}, payload=Struct("d" / GreedyBytes)
+            "C", match={"kind": 3, "length": 1 + IdField("n", range(3))}, payload=Struct("d" / GreedyBytes)
         )
 
 
@@ -475,31 +475,31 @@ def test_a_time_that_is_none_has_no_nanoseconds() -> None:
 
 
 def test_over_names_messages() -> None:
-    """`over=` may name a later message; a name that never comes is refused before anything is read or sent."""
+    """`overrides=` may name a later message; a name that never comes is refused before anything is read or sent."""
     made = Protocol("over", link="can")
-    made.message("First", id=1, over="Later", payload=Struct(Const(1, Byte), "x" / Byte))
+    made.message("First", id=1, overrides="Later", payload=Struct(Const(1, Byte), "x" / Byte))
     made.message("Later", id=1, payload=Struct("y" / Int16ul))
     assert type(made.scanner().feed([Frame(1, b"\1\2")])[0]).__name__ == "First"
-    made.message("Typing", id=2, over="Frist", payload=Struct("x" / Byte))
+    made.message("Typing", id=2, overrides="Frist", payload=Struct("x" / Byte))
     with pytest.raises(
         SpecError, match=r"test_declarations.py:\d+: Typing is over 'Frist', and no message has that name"
     ):
         made.scanner()
     with pytest.raises(SpecError, match=r"over names messages, as text; 3 does not"):
-        made.message("Number", id=3, over=3)  # type: ignore[arg-type]
+        made.message("Number", id=3, overrides=3)  # type: ignore[arg-type]
 
 
 def test_over_goes_in_no_circle() -> None:
     """No order of trial is right where messages are over each other, however far around."""
     made = Protocol("circle", link="can", dialects={"old": "", "new": ""})
-    made.message("A", id=1, over="C", payload=Struct("x" / Byte))
-    made.message("B", id=1, over="A", payload=Struct("x" / Byte))
+    made.message("A", id=1, overrides="C", payload=Struct("x" / Byte))
+    made.message("B", id=1, overrides="A", payload=Struct("x" / Byte))
     with pytest.raises(
-        SpecError, match=r"over= goes in a circle: 'C' is before 'B' .* which is before 'C'|circle"
+        SpecError, match=r"overrides= goes in a circle: 'C' is before 'B' .* which is before 'C'|circle"
     ):
-        made.message("C", id=1, over="B", payload=Struct("x" / Byte))
+        made.message("C", id=1, overrides="B", payload=Struct("x" / Byte))
     with pytest.raises(SpecError, match=r"message 'D' cannot be over itself"):
-        made.message("D", id=1, over="D", payload=Struct("x" / Byte))
+        made.message("D", id=1, overrides="D", payload=Struct("x" / Byte))
 
 
 def test_a_frame_shown_as_ambiguous_is_one() -> None:

@@ -20,8 +20,8 @@ from aces_bus.protocol import (
     list_protocols,
     load_protocol,
 )
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 from tests.conftest import Golden
 from tests.specs.catalogue import SPECS
 
@@ -100,7 +100,7 @@ def scalars(fields: tuple[p.PlanField, ...], prefix: str) -> Iterator[tuple[str,
     for field in fields:
         if field.when is not None:
             continue
-        if isinstance(field.node, p.Group):
+        if isinstance(field.node, p.NestedRecord):
             yield from scalars(field.node.fields, f"{prefix}{field.name}.")
         elif isinstance(field.node, p.Many):
             for index, item in enumerate(field.node.items):
@@ -113,7 +113,7 @@ def scalars(fields: tuple[p.PlanField, ...], prefix: str) -> Iterator[tuple[str,
 @pytest.mark.parametrize("message", MESSAGES)
 def test_every_field_has_its_row(message: Message) -> None:
     """The table names every value of the record, in order."""
-    rows = draw.table(flatten(message), draw.captured_values(message))
+    rows = draw.field_table(flatten(message), draw.captured_values(message))
     assert list(dict.fromkeys(row.name.partition(".")[0] for row in rows)) == list(message.fields)
 
 
@@ -149,7 +149,7 @@ Packet = framing("Packet", payload=Struct("value" / Int16ul, "rest" / GreedyByte
 @pytest.mark.parametrize("message", [Orders, Layout, Long, Open, Packet], ids=lambda m: m.name)
 def test_pictures(message: Message, golden: Golden) -> None:
     """Byte orders, split and multiplexed fields, long and open messages look as they always did."""
-    rows = draw.table(flatten(message), draw.captured_values(message))
+    rows = draw.field_table(flatten(message), draw.captured_values(message))
     table = [" | ".join([r.name, r.place, r.type, r.unit, r.scale, r.range, r.names, r.doc]) for r in rows]
     golden(f"draw/{message.name}.txt", "\n".join([*draw.picture(message), "", *table, ""]))
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Variant
+from aces_bus.protocol.declare.examples import parse_word
 from aces_bus.protocol.explain import Attempt, Tracer
 from aces_bus.protocol.explain.template import Template
-from aces_bus.protocol.lint.examples import frame_of
-from aces_bus.protocol.spec.examples import parse_word
+from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.testing import laws
-from aces_bus.testing._play import Heard, image_of, joined, plain
+from aces_bus.testing._play import ScannedItem, comparable, image_of, join_losses
 from aces_bus.testing._source import spread
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
@@ -23,20 +23,20 @@ from tests.laws.wires import CASES, MIXED, Case
 WIRES = 3
 
 
-def heard_of(attempts: list[Attempt]) -> list[Heard]:
+def heard_of(attempts: list[Attempt]) -> list[ScannedItem]:
     """Attempts in the form in which scanners and reference are compared."""
     found = [
-        Heard(
+        ScannedItem(
             one.start,
             one.found.size * one.run,
             one.found.message,
-            plain(one.found.fields),
+            comparable(one.found.fields),
             one.found.reason,
             one.found.protocol,
         )
         for one in attempts
     ]
-    return found if attempts and attempts[0].is_can else joined(found)
+    return found if attempts and attempts[0].is_can else join_losses(found)
 
 
 def explained(variants: tuple[Variant, ...], direction: Any, scene: Any) -> list[Attempt]:
@@ -57,12 +57,12 @@ def explained(variants: tuple[Variant, ...], direction: Any, scene: Any) -> list
 @pytest.mark.parametrize("case", [*CASES, *MIXED], ids=str)
 def test_what_is_explained_is_what_scanners_hear(case: Case) -> None:
     """Over drawn wires the attempts are the scanner's records and losses; who is accepted lives, who is not dies."""
-    variants = laws.variants_of(case.wire)
+    variants = laws.wire_variants(case.wire)
     for seed in range(max(1, WIRES // case.share)):
         (scene,) = laws.draw_arguments(laws.LAWS[0], case.wire, case.direction, spread(seed), size=150)
         attempts = explained(variants, case.direction, scene)
         scanner = laws.scanner_of(case.wire, case.direction, raw=False)
-        assert heard_of(attempts) == laws.heard(scanner, scene)
+        assert heard_of(attempts) == laws.scanned_items(scanner, scene)
         for attempt in attempts:
             alive = attempt.steps[-1].alive if attempt.steps else ()
             names = {name.rpartition(".")[2] for name in alive}
@@ -77,7 +77,7 @@ def test_what_is_explained_is_what_scanners_hear(case: Case) -> None:
 @pytest.mark.parametrize("case", [c for c in CASES if c.share <= 3], ids=str)
 def test_values_read_on_the_way_are_the_records_values(case: Case) -> None:
     """A field that is shown when its last bit comes has the value that the record has in the end."""
-    variants = laws.variants_of(case.wire)
+    variants = laws.wire_variants(case.wire)
     (scene,) = laws.draw_arguments(laws.LAWS[0], case.wire, case.direction, spread(7), size=150)
     for attempt in explained(variants, case.direction, scene):
         fields = attempt.found.fields
@@ -85,7 +85,7 @@ def test_values_read_on_the_way_are_the_records_values(case: Case) -> None:
             value: Any = fields
             for part in reading.name.split("."):
                 value = value[int(part)] if isinstance(value, (list, tuple)) else value[part]
-            assert plain(reading.value) == plain(value), reading
+            assert comparable(reading.value) == comparable(value), reading
 
 
 def test_a_packet_word_by_word() -> None:
@@ -113,7 +113,7 @@ def test_a_request_decides_between_replies() -> None:
     """Of replies that look alike all live to the last byte; the request that was seen is named."""
     tracer = Tracer([hubo.variant()])
     reply = "1C5#C8 00 01 00 F4 01 A0 4F"
-    frames = [frame_of(parse_word(text, is_can=True)) for text in ("001#05 24 07", reply, reply)]
+    frames = [example_frame(parse_word(text, is_can=True)) for text in ("001#05 24 07", reply, reply)]
     _, told, lost = tracer.explain_frames(frames)
     assert told.verdict == "Parameters1"
     assert told.request is not None

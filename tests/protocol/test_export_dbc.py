@@ -18,17 +18,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Reference, Unknown, Variant, make_scanner
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.foreign import load_database
-from aces_bus.protocol.printers import Loss
-from aces_bus.protocol.printers.dbc import print_dbc
-from aces_bus.protocol.printers.leaves import Leaf, bits_of, leaves, leaves_of, scale_of
-from aces_bus.protocol.printers.source import print_source
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.exchange import Loss, load_database
+from aces_bus.protocol.exchange.export_dbc import print_dbc
+from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol.exchange.leaves import PlanLeaf, bits_of, fixed_leaves, plan_leaves, scale_of
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 from aces_bus.testing.strategies import protocols
 from aces_protocols.canopen.spec import canopen
 from aces_protocols.hubo.spec import hubo
@@ -70,7 +69,7 @@ Decoded = tuple[str, Any] | None
 
 
 def by_scanner(variant: Variant, frames: Sequence[Frame]) -> list[Decoded]:
-    records = make_scanner([variant], everything=True, raw=True).feed(frames)
+    records = make_scanner([variant], include_unknown=True, raw=True).feed(frames)
     return [None if isinstance(one, Unknown) else (one.meta.message, one) for one in records]
 
 
@@ -102,12 +101,14 @@ def check(variant: Variant, seeds: Iterable[int], decode: Any = by_scanner) -> t
             found = message.decode(frame.data, decode_choices=False, allow_truncated=True)
         except cantools.database.errors.DecodeError:  # a value of a multiplexer that has no signal
             continue
-        for leaf in leaves_of(variant[name])[0]:
+        for leaf in fixed_leaves(variant[name])[0]:
             compared += _compare(leaf, name, record, found, lost)
     return compared, losses
 
 
-def _compare(leaf: Leaf, name: str, record: Any, found: dict[str, Any], lost: set[tuple[str, str]]) -> int:
+def _compare(
+    leaf: PlanLeaf, name: str, record: Any, found: dict[str, Any], lost: set[tuple[str, str]]
+) -> int:
     node = leaf.node
     if isinstance(node, (p.Rest, p.Opaque)) or (isinstance(node, p.FromIdentifier) and node.number is None):
         return 0
@@ -245,7 +246,7 @@ def test_from_dbc_to_source_to_dbc(text: str) -> None:
         assert (other.identifier.constant, other.extended, other.fd) == (
             message.identifier.constant, message.extended, message.fd
         )  # fmt: skip
-        mine, theirs = ({x.path: x for x in leaves(flatten(m))} for m in (message, other))
+        mine, theirs = ({x.path: x for x in plan_leaves(flatten(m))} for m in (message, other))
         for path, leaf in mine.items():
             if (message.name, path) in lost or isinstance(leaf.node, p.Rest):
                 continue
@@ -272,7 +273,7 @@ def test_what_is_exported_reads_back_the_same(variant: Variant) -> None:
     lost = {(loss.message, loss.field) for loss in losses}
     gone = {loss.message for loss in losses if not loss.field and "left out" in loss.reason}
     frames = [frame for frame in drawn(variant, range(2)) if not frame.is_remote_frame]
-    scanner = make_column_scanner([again], everything=True)
+    scanner = make_column_scanner([again], include_unknown=True)
     back: dict[int, tuple[str, dict[str, Any]]] = {}
     for table in scanner.feed(FrameTable.from_frames(frames)) + scanner.close():
         values = {name: table[name].to_list() for name in table.names}
@@ -289,7 +290,7 @@ def test_what_is_exported_reads_back_the_same(variant: Variant) -> None:
         name, record = decoded
         message, found = back[number]
         assert message, (frame, name, found)
-        for leaf in leaves_of(variant[name])[0]:
+        for leaf in fixed_leaves(variant[name])[0]:
             compared += _compare(leaf, name, record, found, lost)
         theirs = database.get_message_by_frame_id(frame.arbitration_id)
         shorter += len(frame.data) < theirs.length

@@ -8,9 +8,9 @@ import pytest
 from construct import Byte, Struct
 
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.draw import captured_values, table
-from aces_bus.protocol.printers.markdown import print_markdown
+from aces_bus.protocol.draw import captured_values, field_table
+from aces_bus.protocol.exchange.export_markdown import print_markdown
+from aces_bus.protocol.plan.flatten import flatten
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
@@ -35,7 +35,7 @@ def test_every_message_and_field_is_there(variant: Variant) -> None:
     for message in variant.messages.values():
         part = re.split(rf"^## {re.escape(message.name).replace('_', '.?_')}$", text, flags=re.MULTILINE)[1]
         part = part.partition("\n## ")[0]
-        for row in table(flatten(message), captured_values(message)):
+        for row in field_table(flatten(message), captured_values(message)):
             assert f"| `{row.name}` |" in part, (message.name, row.name)
     assert set(re.findall(r"\]\(#([^)]*)\)", text)) <= anchors(text)
     width = 0

@@ -21,14 +21,14 @@ import pytest
 from construct import Byte, GreedyRange, Struct
 from hypothesis import settings
 
-from aces_bus.capture.write.pcapng import PcapngWriter
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import Enumeration, Protocol, Quantity, StreamScanner, Unknown, Variant, make_scanner
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.printers.leaves import leaves_of, scale_of
-from aces_bus.protocol.printers.wireshark import print_dissector
+from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_bus.protocol.exchange.leaves import fixed_leaves, scale_of
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.recordings.write.pcapng import PcapngWriter
 from aces_bus.testing._source import spread
 from aces_bus.testing._values import UndrawableError, draw_packet
 from aces_protocols.hubo.spec import hubo
@@ -118,13 +118,13 @@ def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
     assert shown["message"] == [name], (shown, record)
     own = next((key.partition(".")[0] for key in shown if "." in key), "")
     count = 0
-    for leaf in leaves_of(variant[name])[0]:
+    for leaf in fixed_leaves(variant[name])[0]:
         node = leaf.node
         if isinstance(node, p.Opaque):
             continue
         key = f"{own}.{leaf.identifier}"
-        value = value_at(record, leaf.path) if not isinstance(node, (p.Cell, p.MoreCells)) else None
-        if isinstance(node, p.Cell):
+        value = value_at(record, leaf.path) if not isinstance(node, (p.DelimitedField, p.MoreCells)) else None
+        if isinstance(node, p.DelimitedField):
             found = shown.get(key, [""])[0]
             text = getattr(record, leaf.path)
             assert found == (text or "") or not _is_plain(text), (leaf, found, text)
@@ -173,7 +173,7 @@ def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list
     """Words of every message of a variant, each behind the request that it answers."""
     words: list[Any] = []
     for seed in seeds:
-        for message in variant.facing(direction):
+        for message in variant.messages_for(direction):
             try:
                 packet = draw_packet(message, spread(seed), variant)
             except UndrawableError:
@@ -188,8 +188,8 @@ def check_can(folder: Path, variant: Variant, words: Sequence[Frame]) -> set[str
     """Assert that tshark shows of each frame what a scanner decodes; names of the messages that were among them."""
     frames = [Frame(w.arbitration_id, w.data, is_extended_id=w.is_extended_id, is_remote_frame=w.is_remote_frame,
                     is_fd=w.is_fd, timestamp=0.001 * n) for n, w in enumerate(words)]  # fmt: skip
-    raw = make_scanner([variant], everything=True, raw=True).feed(frames)
-    physical = make_scanner([variant], everything=True).feed(frames)
+    raw = make_scanner([variant], include_unknown=True, raw=True).feed(frames)
+    physical = make_scanner([variant], include_unknown=True).feed(frames)
     source, _ = print_dissector(variant)
     shown = tshark(folder, source, record(folder, frames))
     assert len(shown) == len(raw) == len(frames)
@@ -230,7 +230,7 @@ def test_every_message_of_other_protocols_on_can(name: str, tmp_path: Path) -> N
 def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence[bytes]) -> set[str]:
     """As `check_can`, for words in packets of their own."""
     scanners = [
-        StreamScanner([variant], direction=direction, everything=True, raw=raw) for raw in (True, False)
+        StreamScanner([variant], direction=direction, include_unknown=True, raw=raw) for raw in (True, False)
     ]
     wanted: list[list[Any]] = []
     for word in words:
@@ -259,7 +259,7 @@ def test_streams(name: str, tmp_path: Path) -> None:
     protocol = robotis if name == "robotis" else SPECS[name]
     for variant in protocol.variants():
         for direction in ("to device", "from device", "both") if IS_LONG else ("both",):
-            if not variant.facing(direction):
+            if not variant.messages_for(direction):
                 continue
             words = drawn(variant, range(SEEDS), direction)
             rng = random.Random(name)

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import CallerError, FieldError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import Unknown, draw, make_scanner
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.foreign import Imported, load_database
-from aces_bus.protocol.foreign.names import plain
-from aces_bus.protocol.foreign.problems import EXCERPT
-from aces_bus.protocol.foreign.statements import split
+from aces_bus.protocol.exchange import ImportedProtocol, load_database
+from aces_bus.protocol.exchange.import_names import python_name
+from aces_bus.protocol.exchange.import_statements import split_statements
+from aces_bus.protocol.exchange.problems import EXCERPT
+from aces_bus.protocol.plan.flatten import flatten
 from aces_bus.testing import laws
 from aces_bus.testing._source import spread
 from tests.protocol.test_dbc_equal import agree
@@ -27,22 +27,22 @@ HEAD = 'VERSION ""\n\nNS_ :\n\tNS_DESC_\n\tCM_\n\tBA_\n\nBS_:\n\nBU_: ECU Gate\n
 ABOVE = HEAD.count("\n")
 
 
-def imported(tmp_path: Path, body: str, name: str = "car.dbc", encoding: str = "utf-8") -> Imported:
+def imported(tmp_path: Path, body: str, name: str = "car.dbc", encoding: str = "utf-8") -> ImportedProtocol:
     path = tmp_path / name
     path.write_bytes((HEAD + body if name.endswith(".dbc") else body).encode(encoding))
     return load_database(path)
 
 
-def decoded(found: Imported, *frames: Frame) -> list[Any]:
-    return make_scanner([found.protocol.variant()], everything=True, direction="both").feed(frames)
+def decoded(found: ImportedProtocol, *frames: Frame) -> list[Any]:
+    return make_scanner([found.protocol.variant()], include_unknown=True, direction="both").feed(frames)
 
 
-def reasons(found: Imported) -> list[tuple[int, str]]:
+def reasons(found: ImportedProtocol) -> list[tuple[int, str]]:
     """(line of the body, reason) of each problem."""
     return [(problem.line - ABOVE, problem.reason) for problem in found.problems]
 
 
-def laws_hold(found: Imported, scenes: int = 4) -> None:
+def laws_hold(found: ImportedProtocol, scenes: int = 4) -> None:
     """The laws of CAN on drawn scenes: round trip, oracle and columns, calm, …"""
     variant = found.protocol.variant()
     for law in laws.LAWS:
@@ -80,7 +80,7 @@ def test_a_message_says_what_the_database_says(tmp_path: Path) -> None:
     assert speed.doc == "How fast it goes.\nOn every road.\nsent by ECU; to Gate; every 50 ms"
     assert speed.place.line == ABOVE + 1
     assert str(speed.place).endswith(f"car.dbc:{ABOVE + 1}")
-    rows = {row.name: row for row in draw.table(flatten(speed))}
+    rows = {row.name: row for row in draw.field_table(flatten(speed))}
     assert (rows["speed"].unit, rows["speed"].scale, rows["speed"].range) == ("km/h", "0.01", "0…250")
     assert rows["speed"].doc == 'measured at the "left" wheel'
     assert rows["temperature"].names == "255=not available, 254=error"
@@ -272,7 +272,7 @@ BO_ 4 len: 1 ECU
 
 def test_a_plain_name_stays() -> None:
     """Only what cannot be a Python name changes."""
-    assert [plain(n) for n in ("Speed", "1st gear", "_x", "a-b", "", "__", "größe")] == [
+    assert [python_name(n) for n in ("Speed", "1st gear", "_x", "a-b", "", "__", "größe")] == [
         "Speed",
         "n1st_gear",
         "x_",
@@ -486,7 +486,7 @@ VAL_ 1 s 1 "{evil}\\"\\"\\"" ;
 def test_encodings(tmp_path: Path, encoding: str) -> None:
     """UTF-8 with or without a mark, Windows-1252, UTF-16."""
     found = imported(tmp_path, CAR, encoding=encoding)
-    rows = draw.table(flatten(found.protocol["Speed"]))
+    rows = draw.field_table(flatten(found.protocol["Speed"]))
     assert [row.unit for row in rows if row.name == "temperature"] == ["°C"]
 
 
@@ -560,7 +560,7 @@ def test_every_line_is_in_a_statement() -> None:
     pieces = [*(HEAD + CAR + MUX).splitlines(keepends=True), '"\n', "x\n", "\n", "SG_ \n", 'CM_ "\n']
     for _ in range(50):
         text = "".join(rng.choice(pieces) for _ in range(30))
-        lines = "".join(one.whole for one in split(text)).splitlines()
+        lines = "".join(one.whole for one in split_statements(text)).splitlines()
         assert sorted(lines) == sorted(text.splitlines())
 
 
@@ -610,7 +610,7 @@ def test_a_container_is_listed(tmp_path: Path) -> None:
     from cantools.database import Database
     from cantools.database.can import Message
 
-    from aces_bus.protocol.foreign.build import build
+    from aces_bus.protocol.exchange.import_build import build
 
     inner = Message(1, "Inner", 8, [], header_id=5)
     database = Database([Message(2, "Outer", 64, [], contained_messages=[inner], is_fd=True), inner])
@@ -771,7 +771,7 @@ def test_a_large_database_is_quick(tmp_path: Path) -> None:
     body = "".join(f'BO_ {n} M{n}: 8 ECU\n SG_ a : 0|8@1+ (0.5,0) [0|0] "" Gate\n' for n in range(1, 400))
     found = imported(tmp_path, body)
     assert len(found.protocol.declared) == 399
-    from aces_bus.protocol.spec import ambiguity
+    from aces_bus.protocol.declare import ambiguity
 
     assert ambiguity.conflict.cache_info().currsize < 60_000
     (record,) = decoded(found, Frame(7, b"\x03" + bytes(7)))

@@ -9,10 +9,10 @@ from construct import Byte, Const, GreedyBytes, Int8ul, Int16sb, Int16sl, Int16u
 
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Crc,
     Enumeration,
     IdBytes,
+    IdField,
     Protocol,
     Quantity,
     SignMagnitude,
@@ -20,9 +20,9 @@ from aces_bus.protocol import (
     Xor,
     bits,
 )
+from aces_bus.protocol.declare.examples import parse_word
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire
 from aces_bus.protocol.lint.units import is_unit, suggest
-from aces_bus.protocol.spec.examples import parse_word
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 
@@ -48,7 +48,7 @@ def serial() -> Protocol:
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_sound_specs_have_notes_at_most(name: str) -> None:
     """Nothing that ships, and no spec of the tests, has an error or a warning, but for those that are meant to."""
-    meant = {"over"} if name in ("can_corners", "stream_corners") else set[str]()
+    meant = {"overrides"} if name in ("can_corners", "stream_corners") else set[str]()
     bad = [str(f) for f in check_protocol(PROTOCOLS[name]) if f.level != "note" and f.rule not in meant]
     if name in REGISTERED:
         assert not bad
@@ -251,30 +251,30 @@ def test_messages_that_nothing_can_be() -> None:
     assert (only(p, "unreachable").message, only(p, "unreachable").level) == ("Never", "error")
     q = Protocol("probe", link="can", configurations={"small": {"kinds": {0: "a", 1: "b"}}})
     kinds = q.configured("kinds", by="node")
-    q.message("Nowhere", id=0x100 + Capture("node", range(4)), when=kinds("c"), payload=Struct("a" / Byte))
+    q.message("Nowhere", id=0x100 + IdField("node", range(4)), when=kinds("c"), payload=Struct("a" / Byte))
     assert "no shipped dialect and configuration" in only(q, "unreachable").text
 
 
 def test_messages_that_others_always_take() -> None:
-    """With `over=`, a message whose every frame is another's is never reached; one that has more is."""
+    """With `overrides=`, a message whose every frame is another's is never reached; one that has more is."""
     p = can()
     p.message("Special", id=5, payload=Struct(Const(1, Byte), "a" / Byte))
-    p.message("General", id=5, over="Special", payload=Struct("kind" / Byte, "a" / Byte))
+    p.message("General", id=5, overrides="Special", payload=Struct("kind" / Byte, "a" / Byte))
     one = only(p, "unreachable")
     assert (one.message, one.level) == ("Special", "error")
     assert one.others == (p["General"].place,)
     q = can()
     q.message("General", id=5, payload=Struct("kind" / Byte, "a" / Byte))
-    q.message("Special", id=5, over="General", payload=Struct(Const(1, Byte), "a" / Byte))
+    q.message("Special", id=5, overrides="General", payload=Struct(Const(1, Byte), "a" / Byte))
     assert not found(q, "unreachable")
 
 
 def test_precedence_that_settles_nothing() -> None:
-    """`over=` of a message that shares no packet is doubtful."""
+    """`overrides=` of a message that shares no packet is doubtful."""
     p = can()
     p.message("A", id=5, payload=Struct("a" / Byte))
-    p.message("B", id=6, over="A", payload=Struct("a" / Byte))
-    assert [(one.message, one.level) for one in found(p, "over")] == [("B", "warning")]
+    p.message("B", id=6, overrides="A", payload=Struct("a" / Byte))
+    assert [(one.message, one.level) for one in found(p, "overrides")] == [("B", "warning")]
 
 
 def test_requests_that_cannot_have_been() -> None:
@@ -306,7 +306,7 @@ def test_a_reply_that_is_never_recognised() -> None:
 def test_protocols_on_one_bus_collide_with_a_witness() -> None:
     """Two protocols that claim a frame are found, exactly, and the witness is a frame of both."""
     one = Protocol("one", link="can")
-    one.message("State", id=0x100 + Capture("node", range(8)), payload=Struct("a" / Int16ul))
+    one.message("State", id=0x100 + IdField("node", range(8)), payload=Struct("a" / Int16ul))
     other = Protocol("other", link="can")
     other.message("Apart", id=0x110, payload=Struct("b" / Int16ul))
     other.message("Alike", id=0x105, payload=Struct(Const(3, Byte), "c" / Byte))

@@ -12,10 +12,10 @@ from aces_bus.errors import SpecError
 from aces_bus.protocol import (
     AsciiInteger,
     AsciiNumber,
-    Capture,
     Delimited,
     Enumeration,
     Flags,
+    IdField,
     Protocol,
     Quantity,
     Sum,
@@ -23,9 +23,9 @@ from aces_bus.protocol import (
     as_dict,
     make_scanner,
 )
+from aces_bus.protocol.declare.examples import Example, parse_word
 from aces_bus.protocol.lint import check_protocol
-from aces_bus.protocol.lint.examples import agree, failure, frame_of
-from aces_bus.protocol.spec.examples import Example, parse_word
+from aces_bus.protocol.lint.examples import agree, example_frame, failure
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 
@@ -34,7 +34,7 @@ def spoken(**changed: Any) -> Protocol:
     p = Protocol("probe", link="can")
     p.message(
         "State",
-        id=changed.get("id", 0x100 + Capture("node", range(8))),
+        id=changed.get("id", 0x100 + IdField("node", range(8))),
         payload=Struct(
             "mode" / Enumeration(Byte, changed.get("names", {"off": 0, "on": 1})),
             "error" / Flags(Byte, changed.get("flags", {"hot": 0, "cold": 3})),
@@ -65,8 +65,8 @@ def test_a_right_example_says_nothing() -> None:
         ({"number": Int16sb}, "speed is read as 120.27, and should be -12.34"),
         ({"scale": 0.1}, "speed is read as -123.4"),
         ({"number": Byte}, "its length does not go with"),
-        ({"id": 0x110 + Capture("node", range(8))}, "it is not State: another identifier"),
-        ({"id": 0x0FF + Capture("node", range(8))}, "node is read as 4, and should be 3"),
+        ({"id": 0x110 + IdField("node", range(8))}, "it is not State: another identifier"),
+        ({"id": 0x0FF + IdField("node", range(8))}, "node is read as 4, and should be 3"),
         ({"names": {"off": 1, "on": 2}}, "mode is read as 'off', and should be 'on'"),
         ({"flags": {"hot": 0, "cold": 2}}, "error is read as"),
     ],
@@ -114,7 +114,7 @@ def test_a_message_that_another_takes_is_said() -> None:
     """An example that scanners give to another message does not hold."""
     p = Protocol("probe", link="can")
     p.message("Second", id=1, payload=Struct("x" / Byte), examples=[("001#05", {"x": 5})])
-    p.message("First", id=1, over="Second", payload=Struct("y" / Byte))
+    p.message("First", id=1, overrides="Second", payload=Struct("y" / Byte))
     assert "in probe it is read as First" in said(p)
 
 
@@ -181,7 +181,7 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
     scanner.reset()
     if variant.link == "can":
         words = [example.word] if example.request is None else [example.request, example.word]
-        records = scanner.feed([frame_of(word) for word in words])[len(words) - 1 :]
+        records = scanner.feed([example_frame(word) for word in words])[len(words) - 1 :]
     else:
         if example.request is not None:
             scanner.sent(example.request.data)

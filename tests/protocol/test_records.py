@@ -21,9 +21,9 @@ from aces_bus.protocol import (
     load_protocol,
     record_types,
 )
-from aces_bus.protocol.codegen.load import records_of
-from aces_bus.protocol.codegen.print_stub import print_stub
-from aces_bus.protocol.scan.record import Record, names_of
+from aces_bus.protocol.generate.load import records_of
+from aces_bus.protocol.generate.stubs import print_stub
+from aces_bus.protocol.record import Record, field_names
 from tests.specs.catalogue import SPECS
 
 INSTALLED = sorted(list_protocols())
@@ -130,7 +130,7 @@ def test_a_stub_has_every_field_of_every_record(name: str) -> None:
     found = classes(text)
     for variant in protocol.variants():
         for message, kind in records_of(variant).items():
-            assert set(names_of(kind)) <= set(found[message])
+            assert set(field_names(kind)) <= set(found[message])
     known = {
         alias.name
         for node in ast.walk(ast.parse(text))

@@ -33,15 +33,15 @@ from construct import (
 )
 
 from aces_bus.errors import CallerError, FieldError, SpecError
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
     CanScanner,
-    Capture,
     Crc,
     Enumeration,
     Flags,
+    IdField,
     Insert,
     InvertedSum,
     Multiplexed,
@@ -53,11 +53,11 @@ from aces_bus.protocol import (
     Unknown,
     as_dict,
     bits,
-    can_image,
     make_scanner,
 )
-from aces_bus.protocol.codegen.print_stub import print_stub
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.declare.packet import can_image
+from aces_bus.protocol.generate.stubs import print_stub
 
 
 def _summed() -> Protocol:
@@ -74,7 +74,7 @@ def _summed() -> Protocol:
 
 
 def _streaming(made: Protocol, direction: str | None = None) -> StreamScanner:
-    scanner = make_scanner([made.variant()], direction=direction, everything=True)  # type: ignore[arg-type]
+    scanner = make_scanner([made.variant()], direction=direction, include_unknown=True)  # type: ignore[arg-type]
     assert isinstance(scanner, StreamScanner)
     return scanner
 
@@ -152,18 +152,18 @@ def test_wide_heads_are_tested_against_their_pattern() -> None:
     made = Protocol("wide", link="can")
     head = Struct("n" / Int16ul)
     made.message(
-        "Range", id=1, prefix=head, match={"n": Capture("n", range(5000))}, payload=Struct("x" / Byte)
+        "Range", id=1, prefix=head, match={"n": IdField("n", range(5000))}, payload=Struct("x" / Byte)
     )
     made.message(
         "Scattered",
         id=2,
         prefix=Struct("n" / Int32ul),
         match={
-            "n": Capture("a", range(1000)) << 3 | Capture("b", range(7)) | Capture("c", range(1000)) << 15
+            "n": IdField("a", range(1000)) << 3 | IdField("b", range(7)) | IdField("c", range(1000)) << 15
         },
         payload=Struct("x" / Byte),
     )
-    scanner = made.scanner(everything=True)
+    scanner = made.scanner(include_unknown=True)
     given = scanner.feed(
         [
             Frame(1, b"\x87\x13\x01"),
@@ -177,7 +177,7 @@ def test_wide_heads_are_tested_against_their_pattern() -> None:
 
 def _asking() -> Protocol:
     made = Protocol("asking", link="can")
-    node = Capture("node", range(4))
+    node = IdField("node", range(4))
     ask = made.message("Ask", id=0x10 + node, direction="to device", payload=Struct("which" / Byte))
     for name, which in (("One", 1), ("Two", 2)):
         made.message(
@@ -215,7 +215,7 @@ def test_what_we_send_is_noted_by_the_protocol_that_it_is_of() -> None:
         return made
 
     first, second = asking("first", b"\xa1"), asking("second", b"\xa2")
-    scanner = make_scanner([first.variant(), second.variant()], direction="from device", everything=True)
+    scanner = make_scanner([first.variant(), second.variant()], direction="from device", include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     scanner.sent(b"\xa2\x02\x00\x00")
     given = scanner.feed(b"\xa1abc\xa2abc")
@@ -227,7 +227,7 @@ def test_a_reply_that_another_protocol_claimed_leaves_no_reason_behind() -> None
     """The reason "needs request" of a frame that somebody else then claimed was given to the next frame lost."""
     other = Protocol("other", link="can")
     other.message("Mine", id=0x21, payload=Struct("x" / Int16ul))
-    scanner = make_scanner([_asking().variant(), other.variant()], everything=True)
+    scanner = make_scanner([_asking().variant(), other.variant()], include_unknown=True)
     assert isinstance(scanner, CanScanner)
     given = scanner.feed([Frame(0x21, b"\x05\x00"), Frame(0x21, b"\x05")])
     assert type(given[0]).__name__ == "Mine"
@@ -236,7 +236,7 @@ def test_a_reply_that_another_protocol_claimed_leaves_no_reason_behind() -> None
 
 def test_reset_forgets_everything() -> None:
     """A scanner that was reset is as if just made: no counts, no held bytes, no requests."""
-    scanner = make_scanner([_asking().variant()], everything=True)
+    scanner = make_scanner([_asking().variant()], include_unknown=True)
     assert isinstance(scanner, CanScanner)
     scanner.feed([Frame(0x11, b"\x01"), Frame(0x7FF)])
     scanner.reset()
@@ -279,7 +279,7 @@ def test_nested_records_that_no_walk_foresees(nested: Construct) -> None:
     made = Protocol("nested", link="can")
     message = made.message("Nested", id=1, payload=Struct("n" / nested, "rest" / GreedyBytes))
     for data in (b"\x01\x02", b"\x01\x00", b"\x00", b"\x05\x06\x00"):
-        (record,) = made.scanner(everything=True).feed([Frame(1, data)])
+        (record,) = made.scanner(include_unknown=True).feed([Frame(1, data)])
         try:
             message.struct.parse(can_image(1, data))
         except Exception:
@@ -382,7 +382,7 @@ def test_what_a_prefixed_does_not_use_up_is_not_lost() -> None:
     """Bytes behind the content were dropped without a word: what was read could not be built again."""
     made = Protocol("prefixed", link="can")
     made.message("Text", id=1, payload=Struct("pair" / Prefixed(Byte, Struct("a" / Byte, "b" / Byte))))
-    scanner = made.scanner(everything=True)
+    scanner = made.scanner(include_unknown=True)
     whole, longer = scanner.feed([Frame(1, b"\x02\x05\x06"), Frame(1, b"\x03\x05\x06\x07")])
     assert as_dict(whole) == {"pair": {"a": 5, "b": 6}}
     assert isinstance(longer, Unknown)
@@ -536,8 +536,8 @@ def test_a_message_may_have_any_name(name: str) -> None:
 def test_captures_of_alike_names_stay_apart() -> None:
     """`A` with a capture `B_c` and `A_B` with a capture `c` shared the function that writes it."""
     made = Protocol("alike", link="can")
-    made.message("A", id=0x100 + Capture("B_c", range(4)), payload=Struct("x" / Byte))
-    made.message("A_B", id=0x200 + Capture("c", range(8)), payload=Struct("x" / Byte))
+    made.message("A", id=0x100 + IdField("B_c", range(4)), payload=Struct("x" / Byte))
+    made.message("A_B", id=0x200 + IdField("c", range(8)), payload=Struct("x" / Byte))
     assert made.encode("A_B", c=7, x=1).arbitration_id == 0x207
     with pytest.raises(FieldError, match="B_c: 7 is not one of"):
         made.encode("A", B_c=7, x=1)

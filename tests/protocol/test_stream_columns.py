@@ -31,14 +31,14 @@ from aces_bus.protocol import (
     Xor,
     make_scanner,
 )
-from aces_bus.protocol.scan import stream_columns
-from aces_bus.protocol.scan.columns import RecordColumns, make_column_scanner
-from aces_bus.protocol.scan.crc_columns import CrcColumns, done_alone
-from aces_bus.protocol.scan.find import Survey
-from aces_bus.protocol.scan.message_table import MessageTable
-from aces_bus.protocol.scan.packet_rows import cells_of, rows_of
-from aces_bus.protocol.scan.packet_tables import Batch
-from aces_bus.protocol.scan.stream_columns import StreamColumns
+from aces_bus.protocol.columns import stream as stream_columns
+from aces_bus.protocol.columns.crc import CrcColumns, done_alone
+from aces_bus.protocol.columns.packet_rows import cells_of, packet_rows
+from aces_bus.protocol.columns.packets import Batch
+from aces_bus.protocol.columns.scanner import RecordColumns, make_column_scanner
+from aces_bus.protocol.columns.stream import StreamColumns
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.live.find import Survey
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
 from tests.specs.cases import STREAMS
@@ -64,7 +64,7 @@ def framed(sync: bytes, check: Check | None, name: str = "line", **more: Any) ->
     packet("Pair", match={"kind": 1}, payload=Struct("a" / Int16ul, "b" / Byte))
     packet("Tail", match={"kind": 2}, payload=Struct("a" / Byte, "rest" / GreedyBytes))
     packet("Marked", match={"kind": 3}, payload=Struct(Const(0x55, Byte), "data" / Bytes(2)))
-    packet("Plain", match={"kind": 3}, payload=Struct("code" / Byte, "x" / Byte), over="Marked")
+    packet("Plain", match={"kind": 3}, payload=Struct("code" / Byte, "x" / Byte), overrides="Marked")
     packet("Counted", match={"kind": 4}, payload=Struct("count" / Counter(Byte), "value" / Int32ul))
     packet("List", match={"kind": 5}, payload=Struct("many" / GreedyRange(Struct("v" / Byte))))
     return protocol
@@ -290,7 +290,7 @@ def assert_same(
     variants = [protocol.variant()]
     columns = make_column_scanner(variants, direction=direction, **options)
     assert isinstance(columns, StreamColumns)
-    live = make_scanner(variants, direction=direction, everything=True, raw=options.get("raw", False))
+    live = make_scanner(variants, direction=direction, include_unknown=True, raw=options.get("raw", False))
     assert isinstance(live, StreamScanner)
     records = RecordColumns(variants, direction=direction, **options, scanner=live)
     tables = played(columns.feed, columns.idle, events)
@@ -309,11 +309,13 @@ def test_columns_are_what_the_live_scanner_finds(
     name: str, line: list[tuple[int, int]], cuts: Any, direction: Way, how: int
 ) -> None:
     """Values, offsets, instants, losses and counts are the same, however the stream is cut and gathered."""
-    if not any(m.framing is not None for m in PROTOCOLS[name].variant().facing(direction)):
+    if not any(m.framing is not None for m in PROTOCOLS[name].variant().messages_for(direction)):
         direction = "both"
     stream = b"".join(piece(name, *one) for one in line)
     with gathering((1, 200, 1 << 16)[how % 3], (300, 1 << 20)[how // 3 % 2], (0, 100, 0)[how // 6 % 3]):
-        assert_same(PROTOCOLS[name], cut(stream, *cuts), direction, everything=how >= 18, raw=how % 5 == 0)
+        assert_same(
+            PROTOCOLS[name], cut(stream, *cuts), direction, include_unknown=how >= 18, raw=how % 5 == 0
+        )
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
@@ -322,8 +324,8 @@ def test_every_kind_of_framing_and_check(name: str) -> None:
     rng = random.Random(name)
     stream = b"".join(piece(name, rng.randrange(9), rng.randrange(1 << 40)) for _ in range(150))
     with gathering(1 << 16, 1000, 0):
-        columns = assert_same(PROTOCOLS[name], [(stream, 1.5)], "both", everything=True)
-        assert_same(PROTOCOLS[name], cut(stream, (97, 800), (0.5, None), 0), "both", everything=False)
+        columns = assert_same(PROTOCOLS[name], [(stream, 1.5)], "both", include_unknown=True)
+        assert_same(PROTOCOLS[name], cut(stream, (97, 800), (0.5, None), 0), "both", include_unknown=False)
     assert columns.counts.records > 5 or columns.reason
     assert columns.counts.total > columns.counts.decoded
 
@@ -351,7 +353,7 @@ def test_wide_checks_are_those_of_the_reference(check: Check) -> None:
     truth = Reference([protocol.variant()]).stream(stream)
     assert found == [item.offset for item in truth if item.message is not None]
     assert len(found) == 80
-    assert_same(protocol, [(stream, None)], "both", everything=True)
+    assert_same(protocol, [(stream, None)], "both", include_unknown=True)
 
 
 @pytest.mark.parametrize(
@@ -419,7 +421,7 @@ def test_waiting_costs_no_memory() -> None:
     """Feeding nothing, with the time of now, as a loop does that waits, keeps nothing, and later packets' times."""
     events: list[Event] = [(status(1)[:3], 1.0), *((b"", 2.0 + n) for n in range(50)), (status(1)[3:], 60.0)]
     scanner = assert_same(
-        robotis, [*events, (b"", 61.0), (b"\xff\xff", None)], "from device", everything=False
+        robotis, [*events, (b"", 61.0), (b"\xff\xff", None)], "from device", include_unknown=False
     )
     for now in range(1000):
         scanner.feed(b"" if now else b"\xff", float(now))
@@ -428,7 +430,7 @@ def test_waiting_costs_no_memory() -> None:
 
 def test_a_long_piece_gives_one_table_a_message() -> None:
     """However long a piece is, the packets of one message in it are one table, in the order of the stream."""
-    scanner = make_column_scanner([robotis.variant()], direction="from device", everything=True)
+    scanner = make_column_scanner([robotis.variant()], direction="from device", include_unknown=True)
     packet = status(9, 1) + b"\x00"
     count = stream_columns.PIECE * 5 // 2 // len(packet)
     tables = scanner.feed(packet * count)
@@ -443,7 +445,7 @@ def test_instants_are_those_of_the_piece_that_decided() -> None:
     first, false = status(1, 2, 3), b"\xff\xff\x02\x28"
     line = first + false + first + bytes(60)
     events: list[Event] = [(line[at : at + 5], at / 10) for at in range(0, len(line), 5)]
-    columns = assert_same(robotis, events, "from device", everything=False)
+    columns = assert_same(robotis, events, "from device", include_unknown=False)
     assert columns.counts.records == 2
     scanner = make_column_scanner([robotis.variant()], direction="from device")
     assert isinstance(scanner, StreamColumns)
@@ -482,7 +484,7 @@ def test_a_long_run_of_losses_comes_in_pieces(size: int) -> None:
     line = b"\x01" + status(1) + bytes(size) + status(2) + b"\x05\xff\xff\x01\x00" + bytes(size) + status(3)
     for sizes in ((len(line),), (3000,), (4096, 1)):
         with gathering(1000, 1 << 20, 0):
-            assert_same(robotis, cut(line, sizes, (None,), 0), "from device", everything=True)
+            assert_same(robotis, cut(line, sizes, (None,), 0), "from device", include_unknown=True)
 
 
 def test_long_packets_among_short_ones_keep_their_place() -> None:
@@ -491,16 +493,16 @@ def test_long_packets_among_short_ones_keep_their_place() -> None:
     line = b"".join(
         status(number % 253, *rng.randbytes(200 if number % 1500 == 700 else 1)) for number in range(6000)
     )
-    columns = assert_same(robotis, [(line, None)], "from device", everything=False)
+    columns = assert_same(robotis, [(line, None)], "from device", include_unknown=False)
     assert columns.counts.records == 6000
 
 
 @pytest.mark.parametrize("everything", [False, True])
 @pytest.mark.parametrize("pattern", [b"\xfe", b"\xfe\x00", bytes(range(256)), b"\xfe\xff\x01\x02\x03\x1e"])
-def test_headers_without_end(pattern: bytes, everything: bool) -> None:
+def test_headers_without_end(pattern: bytes, include_unknown: bool) -> None:
     """A stream that is nothing but headers is decided in bounded time, as the live scanner decides it."""
     data = (pattern * 30_000)[:30_000]
-    assert_same(SPECS["mavlink1"], [(data, None)], "both", everything=everything)
+    assert_same(SPECS["mavlink1"], [(data, None)], "both", include_unknown=include_unknown)
 
 
 # ---------------------------------------------------------------------- parts
@@ -549,7 +551,7 @@ def test_cells_are_bytes() -> None:
     """Fields of bytes come out as Python's, cut to the packet's end or to their own size; none is empty bytes."""
     data = bytes(range(40))
     starts, sizes = np.array([0, 5, 20, 30]), np.array([5, 8, 3, 8])
-    rows = rows_of(data, starts, sizes, 8)
+    rows = packet_rows(data, starts, sizes, 8)
     assert cells_of(rows, sizes, 2, None, 1).tolist() == [data[2:4], data[7:12], b"", data[32:37]]
     assert cells_of(rows, sizes, 1, 2, 1).tolist() == [data[1:3], data[6:8], data[21:23], data[31:33]]
     assert cells_of(rows[:1], sizes[:1], 2, None, 1).tolist() == [data[2:4]]

@@ -17,7 +17,7 @@ from aces_bus.protocol import (
     Unknown,
     make_scanner,
 )
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
 
 
 def servo(gap: float | None = 0.1) -> Protocol:
@@ -55,7 +55,7 @@ def names(records: list[object]) -> list[str]:
 
 def test_a_false_header_holds_a_good_reply_until_silence() -> None:
     """A header with a long length makes the scanner wait; when the line falls silent, the reply behind it is found."""
-    scanner = servo().scanner(everything=True)
+    scanner = servo().scanner(include_unknown=True)
     assert scanner.feed(FALSE_HEADER + STATUS) == []
     assert scanner.counts.pending == len(FALSE_HEADER + STATUS)
     assert names(scanner.idle()) == ["malformed: incomplete", "skipped", "Status"]
@@ -77,7 +77,7 @@ def test_silence_shorter_than_the_gap_decides_nothing() -> None:
 
 def test_the_end_finds_what_stands_behind_a_false_header() -> None:
     """At the end of a capture a header that promised too much gives way to the packets behind it."""
-    scanner = servo().scanner(everything=True)
+    scanner = servo().scanner(include_unknown=True)
     scanner.feed(FALSE_HEADER + STATUS + STATUS[:3])
     assert names(scanner.close()) == ["malformed: incomplete", "skipped", "Status", "pending"]
     assert (scanner.counts.decoded, scanner.counts.pending, scanner.counts.balance) == (len(STATUS), 3, 0)
@@ -94,7 +94,7 @@ def test_a_packet_cut_off_by_the_end_is_pending() -> None:
 def test_two_protocols_share_one_wire() -> None:
     """Each byte has one owner, the first protocol that finds a whole packet there."""
     level = gauge().encode("Level", level=770)
-    scanner = make_scanner([servo().variant(), gauge().variant()], everything=True)
+    scanner = make_scanner([servo().variant(), gauge().variant()], include_unknown=True)
     records = scanner.feed(STATUS + level + b"\x00" + level + STATUS)
     assert names(records) == ["Status", "Level", "skipped", "Level", "Status"]
     assert [r.meta.protocol for r in records] == ["servo", "gauge", None, "gauge", "servo"]
@@ -126,7 +126,7 @@ def test_a_packet_without_a_message_is_left_to_the_next_protocol() -> None:
         return protocol
 
     variants = [numbered("one", 1).variant(), numbered("two", 2).variant()]
-    scanner = make_scanner(variants, everything=True)
+    scanner = make_scanner(variants, include_unknown=True)
     data = b"\x55\x02\x02\xbb" + b"\x55\x02\x01\xaa" + b"\x55\x02\x03\xcc"
     assert names(scanner.feed(data)) == ["Two", "One", "unknown"]
 
@@ -142,7 +142,7 @@ def test_links_of_several_kinds_do_not_mix() -> None:
 def test_garbage_costs_no_memory() -> None:
     """A long run of bytes that begin no packet is reported in pieces, the same however it was fed."""
     data = bytes(100_000)
-    whole, pieces = servo().scanner(everything=True), servo().scanner(everything=True)
+    whole, pieces = servo().scanner(include_unknown=True), servo().scanner(include_unknown=True)
     first = whole.feed(data) + whole.close()
     second = [r for at in range(0, len(data), 777) for r in pieces.feed(data[at : at + 777])] + pieces.close()
     assert [(r.meta.offset, r.meta.size) for r in first] == [(r.meta.offset, r.meta.size) for r in second]
@@ -165,8 +165,8 @@ def test_a_reply_that_its_bytes_tell_uses_up_its_request() -> None:
             payload=Struct("value" / Int16ub),
         )
     asked, short, long = Frame(0x10, b"\x01"), Frame(0x20, b"\x05"), Frame(0x20, b"\x00\x05")
-    assert names(protocol.scanner(everything=True).feed([asked, long])) == ["Ask", "Long1"]
-    stray = protocol.scanner(everything=True).feed([asked, short, long])
+    assert names(protocol.scanner(include_unknown=True).feed([asked, long])) == ["Ask", "Long1"]
+    stray = protocol.scanner(include_unknown=True).feed([asked, short, long])
     assert names(stray) == ["Ask", "Short", "unknown: needs request Ask"]
     assert [f.message for f in Reference([protocol.variant()]).frames([asked, short, long])] == [
         "Ask",
@@ -177,7 +177,7 @@ def test_a_reply_that_its_bytes_tell_uses_up_its_request() -> None:
 
 def test_a_datagram_is_not_continued_by_the_next() -> None:
     """A packet cut off by the end of its datagram is lost alone: the next datagram stands for itself."""
-    scanner = StreamScanner([servo().variant()], everything=True)
+    scanner = StreamScanner([servo().variant()], include_unknown=True)
     assert names(scanner.datagram(STATUS[:-1])) == ["malformed: incomplete", "skipped"]
     assert names(scanner.datagram(STATUS + STATUS)) == ["Status", "Status"]
     assert scanner.counts.pending == 0

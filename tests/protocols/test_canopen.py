@@ -9,7 +9,7 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.errors import FieldError
-from aces_bus.protocol.scan.record import as_dict
+from aces_bus.protocol.record import as_dict
 from aces_protocols.canopen.records import Emergency, Heartbeat, SdoAborted, SdoUpload, Sync, Tpdo1
 from aces_protocols.canopen.spec import canopen
 
@@ -20,7 +20,7 @@ def _frame(text: str) -> Frame:
 
 
 def _read(*texts: str) -> list[Any]:
-    return canopen.scanner(everything=True).feed([_frame(text) for text in texts])
+    return canopen.scanner(include_unknown=True).feed([_frame(text) for text in texts])
 
 
 #: Frames of the facts, and what they are.
@@ -131,7 +131,7 @@ def test_what_the_library_sends_is_understood() -> None:
         node.sdo.upload(0x6041, 0)
     with pytest.raises(library.SdoCommunicationError):
         node.sdo.download(0x1008, 0, b"abcdef")
-    found = canopen.scanner(everything=True).feed(sent)
+    found = canopen.scanner(include_unknown=True).feed(sent)
     names = [type(one).__name__ for one in found]
     assert names[:6] == ["Nmt", "SyncCounter", "Time", "SdoUpload", "SdoAbort", "SdoDownloadStart"]
     assert "Unknown" not in names

@@ -16,8 +16,8 @@ import pytest
 from construct import Byte, Struct
 
 from aces_bus.errors import FieldError, SpecError, UnknownNameError
-from aces_bus.frame import Frame
-from aces_bus.protocol import Capture, FlagSet, Protocol, Scanner, Unknown, Variant, as_dict, make_scanner
+from aces_bus.frames import Frame
+from aces_bus.protocol import FlagSet, IdField, Protocol, Scanner, Unknown, Variant, as_dict, make_scanner
 from aces_protocols.hubo import spec
 from aces_protocols.hubo.parameters import selectors
 from aces_protocols.hubo.spec import hubo
@@ -40,7 +40,7 @@ def variant(label: str) -> Variant:
 
 
 def opened(label: str = DEFAULT) -> Scanner:
-    return make_scanner([variant(label)], everything=True)
+    return make_scanner([variant(label)], include_unknown=True)
 
 
 def read(label: str, *frames: str) -> list[Any]:
@@ -282,7 +282,7 @@ def test_the_recorded_set_up_program_is_read_whole(shared_captures: Path) -> Non
     name = "hubo-can/nameinfo_commands.candump"
     lines = [line.split() for line in (shared_captures / name).read_text(encoding="utf-8").splitlines()]
     frames = [frame(text, time=float(time[1:-1]), channel=bus) for time, bus, text in lines]
-    scanner = hubo.scanner(dialect="D08", configuration="hubo2", everything=True)
+    scanner = hubo.scanner(dialect="D08", configuration="hubo2", include_unknown=True)
     found = scanner.feed(frames)
     expected = known[name]["frames"]
     assert (scanner.counts.decoded, scanner.counts.total) == (len(expected), len(expected))
@@ -732,7 +732,7 @@ def test_a_frame_reads_as_its_robot_s_board_sends_it(text: str, expected: dict[s
 def test_a_robot_may_have_its_own_table() -> None:
     """A table given by the caller replaces the shipped ones, whole."""
     mine = {"channels": {0x05: 3}, "sensors": {}}
-    scanner = make_scanner([hubo.variant("D12", mine)], everything=True)
+    scanner = make_scanner([hubo.variant("D12", mine)], include_unknown=True)
     assert names(scanner.feed([frame("065#01 00 02 00 03 00"), frame("060#00 00 00 00 00 00 00 00")])) == [
         "Encoder3",
         "unknown",
@@ -795,7 +795,7 @@ def test_the_protocol_says_what_it_is() -> None:
 @pytest.mark.parametrize("one", hubo.variants(), ids=lambda v: v.label)
 def test_every_dialect_goes_with_every_configuration(one: Variant) -> None:
     """Each combination makes a scanner and an encoder, and none is empty."""
-    scanner = make_scanner([one], everything=True)
+    scanner = make_scanner([one], include_unknown=True)
     assert names(scanner.feed([frame("7FF#00")])) == ["unknown"]
     name, identifier = ("SendStatusD15", 0x213) if one.dialect == "D15" else ("ControlOn", 1)
     assert one.encoder.encode(name, board=3).arbitration_id == identifier
@@ -844,10 +844,10 @@ def test_a_name_is_given_once_even_to_boards_of_two_kinds() -> None:
     """Two messages of one name would hide each other in a robot that has boards of both kinds."""
     made = Protocol("made", link="can", configurations={"one": {"kinds": {0: "a", 1: "b"}}})
     kinds = made.configured("kinds", by="board")
-    made.message("Data", id=0x10 + Capture("board", range(2)), when=kinds("a"), payload=Struct("x" / Byte))
+    made.message("Data", id=0x10 + IdField("board", range(2)), when=kinds("a"), payload=Struct("x" / Byte))
     with pytest.raises(SpecError, match="'Data' is there twice"):
         made.message(
-            "Data", id=0x10 + Capture("board", range(2)), when=kinds("b"), payload=Struct("y" / Byte)
+            "Data", id=0x10 + IdField("board", range(2)), when=kinds("b"), payload=Struct("y" / Byte)
         )
 
 

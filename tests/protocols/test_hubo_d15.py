@@ -8,7 +8,7 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.errors import FieldError, UnknownNameError
-from aces_bus.protocol.scan.record import as_dict
+from aces_bus.protocol.record import as_dict
 from aces_protocols.hubo.records import EncoderD15, ForceTorqueD15, StatusD15, StatusShortD15
 from aces_protocols.hubo.spec import hubo
 
@@ -21,7 +21,7 @@ def _frame(text: str) -> Frame:
 
 
 def _read(*texts: str, direction: Any = None) -> list[Any]:
-    return hubo.scanner(dialect="D15", direction=direction, everything=True).feed(
+    return hubo.scanner(dialect="D15", direction=direction, include_unknown=True).feed(
         [_frame(text) for text in texts]
     )
 
@@ -122,7 +122,7 @@ def test_old_commands_mean_nothing_here() -> None:
     assert type(_read("001#03 0E")[0]).__name__ == "Unknown"
     with pytest.raises(UnknownNameError, match="ControlOn"):
         D15.encoder.encode("ControlOn", board=3)
-    (record,) = hubo.scanner(everything=True).feed([_frame("215#0E 01 01")])
+    (record,) = hubo.scanner(include_unknown=True).feed([_frame("215#0E 01 01")])
     assert type(record).__name__ == "Unknown"
 
 

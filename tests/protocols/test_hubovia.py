@@ -18,7 +18,7 @@ WORKED = [
 
 
 def _scanner() -> StreamScanner:
-    scanner = hubovia.scanner(everything=True)
+    scanner = hubovia.scanner(include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     return scanner
 

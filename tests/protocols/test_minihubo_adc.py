@@ -19,7 +19,7 @@ twelve_bits = st.integers(0, 0xFFF)
 
 def read(*chunks: bytes) -> tuple[list[Any], StreamScanner]:
     """Everything that is found in the chunks, the stream being closed behind them."""
-    scanner = minihubo_adc.scanner(everything=True)
+    scanner = minihubo_adc.scanner(include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     found = [item for chunk in chunks for item in scanner.feed(chunk)] + scanner.close()
     assert scanner.counts.balance == 0

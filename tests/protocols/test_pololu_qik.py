@@ -64,7 +64,7 @@ def test_every_motor_command() -> None:
 
 def test_an_argument_has_seven_bits() -> None:
     """A speed or number of 0x80 or more is no command, and cannot be sent."""
-    scanner = pololu_qik.scanner(direction="to device", everything=True)
+    scanner = pololu_qik.scanner(direction="to device", include_unknown=True)
     found = [*scanner.feed(bytes.fromhex("AA 01 08 AA 05 00 00")), *scanner.close()]
     assert [one.reason for one in found] == ["unknown", "unknown", "skipped"]
     assert scanner.counts.decoded == 0
@@ -82,7 +82,7 @@ def test_format_bytes_must_be_right() -> None:
 
 def test_an_answer_is_its_requests() -> None:
     """One byte means what was asked, of whom it was asked; without a request it means nothing."""
-    scanner = pololu_qik.scanner(direction="from device", everything=True)
+    scanner = pololu_qik.scanner(direction="from device", include_unknown=True)
     asked: list[tuple[str, dict[str, Any], Any, str, Any, int]] = [
         ("GetFirmware", {}, Firmware, "version", "1", 0x31),
         ("GetConfiguration", {"parameter": "pwm"}, Configuration, "value", 0x31, 0x31),
@@ -112,7 +112,7 @@ def test_error_bits() -> None:
 def test_both_ways_on_one_line() -> None:
     """A recording of both ways pairs requests and answers, be an answer AA, which opens every command."""
     data = bytes.fromhex("AA 01 01 32  AA 01 03 03 AA  AA 02 02 00  AA 02 08 10")
-    scanner = pololu_qik.scanner(direction="both", everything=True)
+    scanner = pololu_qik.scanner(direction="both", include_unknown=True)
     records = [*scanner.feed(data), *scanner.close()]
     kinds = [GetFirmware, Firmware, GetConfiguration, Configuration, GetError, Errors, SetSpeed]
     assert [isinstance(one, kind) for one, kind in zip(records, kinds, strict=True)] == [True] * len(kinds)

@@ -25,15 +25,15 @@ def packet(text: str) -> bytes:
     return bytes.fromhex(text)
 
 
-def opened(direction: Direction | Literal["both"], *, everything: bool = False) -> StreamScanner:
-    scanner = robotis.scanner(direction=direction, everything=everything)
+def opened(direction: Direction | Literal["both"], *, include_unknown: bool = False) -> StreamScanner:
+    scanner = robotis.scanner(direction=direction, include_unknown=include_unknown)
     assert isinstance(scanner, StreamScanner)
     return scanner
 
 
 def read(data: bytes, direction: Direction | Literal["both"]) -> list[Any]:
     """Everything that is found in `data`, the stream being closed behind it."""
-    scanner = opened(direction, everything=True)
+    scanner = opened(direction, include_unknown=True)
     found = scanner.feed(data) + scanner.close()
     assert scanner.counts.balance == 0
     return found

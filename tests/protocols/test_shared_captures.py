@@ -18,8 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aces_bus.capture import open_capture
-from aces_bus.protocol import Counts, Protocol, Reference, Unknown, as_dict, make_scanner
+from aces_bus.protocol import Protocol, Reference, ScanCounts, Unknown, as_dict, make_scanner
+from aces_bus.recordings import open_recording
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
 
@@ -105,7 +105,7 @@ def _known_adc(data: bytes, expected: Mapping[str, Any]) -> Known:
 
 
 def _bytes_of(path: Path) -> bytes:
-    capture = open_capture(path, link="serial")
+    capture = open_recording(path, link="serial")
     data = b"".join(chunk.data for chunk in capture)
     assert capture.lines_unreadable == 0
     return data
@@ -117,11 +117,11 @@ class Read:
 
     records: list[Found]
     lost: dict[int, str]
-    counts: Counts
+    counts: ScanCounts
 
 
 def read(known: Known, chunks: Iterable[bytes]) -> Read:
-    scanner: Any = make_scanner([known.protocol.variant()], direction=known.direction, everything=True)
+    scanner: Any = make_scanner([known.protocol.variant()], direction=known.direction, include_unknown=True)
     found: list[Any] = [item for chunk in chunks for item in scanner.feed(chunk)] + scanner.close()
     records: list[Found] = []
     lost: dict[int, str] = {}

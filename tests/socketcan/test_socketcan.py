@@ -24,11 +24,11 @@ import can
 import msgspec
 import pytest
 
-from aces_bus.capture import open_capture, parse_filter
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware import BusEvent, CanGate, Received
 from aces_bus.hardware.socketcan import SocketcanReader
+from aces_bus.recordings import open_recording, parse_filter
 
 NAMED = os.environ.get("ACES_SOCKETCAN", "")
 pytestmark = pytest.mark.skipif(not NAMED, reason="real SocketCAN: run `make test-socketcan`")
@@ -379,7 +379,7 @@ def test_sniff_records_what_candump_logs(tmp_path: Path) -> None:
             generate("-g", "1", "-n", "50", "-R")
             generate("-g", "1", "-n", "50", "-f")
             assert candump.wait(PATIENCE_S) == 0
-    theirs, ours = list(open_capture(log, link="can")), list(open_capture(record, link="can"))
+    theirs, ours = list(open_recording(log, link="can")), list(open_recording(record, link="can"))
     assert len(theirs) == count
 
     def bare(frame: Frame) -> Frame:

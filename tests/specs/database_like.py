@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Enumeration,
+    IdField,
     Multiplexed,
     Protocol,
     Quantity,
@@ -72,7 +72,7 @@ Shared = database_like.message(
 Floats = database_like.message(
     "Floats",
     doc="Floats in and between bytes.",
-    id=0x110 + Capture("node", range(4)),
+    id=0x110 + IdField("node", range(4)),
     fd=True,
     payload=BitLayout(
         21,

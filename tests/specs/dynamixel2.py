@@ -141,7 +141,7 @@ packet(
     direction="from device",
     reply_to="Ping",
     within=0.5,
-    over="Status",
+    overrides="Status",
     payload=Struct(Const(0x55, Byte), error(), "model" / Int16ul, "firmware" / Byte),
     doc="The answer to a ping.",
     source="protocol 2.0, ping",
@@ -152,7 +152,7 @@ packet(
     match={"id": 0xFE},
     reply_to=dynamixel2["FastSyncRead"].where(count=range(1, 256)),
     within=0.5,
-    over="Status",
+    overrides="Status",
     payload=Struct(
         Const(0x55, Byte),
         "first" / Struct(error(), "id" / Byte, "data" / Bytes(this._._.count)),

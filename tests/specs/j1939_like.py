@@ -11,19 +11,19 @@ from __future__ import annotations
 
 from construct import Byte, BytesInteger, GreedyBytes, Int16ul, Int32ul, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Protocol, Quantity, Reserved, bits
+from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, Reserved, bits
 
 j1939_like = Protocol(
     "j1939_like", link="can", bitrate=250_000, doc="Trucks and tractors.", source="SAE J1939-71"
 )
 
-Priority = Capture("priority", range(8))
-Source = Capture("source_address", range(256))
-Destination = Capture("destination", range(256))
+Priority = IdField("priority", range(8))
+Source = IdField("source_address", range(256))
+Destination = IdField("destination", range(256))
 
 Any = j1939_like.message(
     "ParameterGroup",
-    id=Priority << 26 | Capture("pgn", range(1 << 18)) << 8 | Source,
+    id=Priority << 26 | IdField("pgn", range(1 << 18)) << 8 | Source,
     extended=True,
     payload=Struct("data" / GreedyBytes),
     doc="Any other parameter group; of one below 0xF000 the low byte is the destination.",
@@ -33,7 +33,7 @@ Request = j1939_like.message(
     "Request",
     id=Priority << 26 | 0xEA << 16 | Destination << 8 | Source,
     extended=True,
-    over="ParameterGroup",
+    overrides="ParameterGroup",
     payload=Struct("pgn" / BytesInteger(3, swapped=True)),
     doc="Ask for a parameter group.",
     source="J1939-21",
@@ -42,7 +42,7 @@ j1939_like.message(
     "EngineController1",
     id=Priority << 26 | 0xF004 << 8 | Source,
     extended=True,
-    over="ParameterGroup",
+    overrides="ParameterGroup",
     payload=Struct(
         "mode" / BitLayout(1, "torque_mode" / bits(4)),
         "torque_demand" / Quantity(Byte, offset=-125, unit="%", unknown=(0xFF, 0xFE)),
@@ -57,7 +57,7 @@ j1939_like.message(
     "VehicleDistance",
     id=Priority << 26 | 0xFEE0 << 8 | Source,
     extended=True,
-    over="ParameterGroup",
+    overrides="ParameterGroup",
     payload=Struct(
         "trip" / Quantity(Int32ul, scale=0.125, unit="km", unknown=(0xFFFF_FFFF,)),
         "total" / Quantity(Int32ul, scale=0.125, unit="km", unknown=(0xFFFF_FFFF,)),
@@ -69,7 +69,7 @@ j1939_like.message(
     "AddressClaimed",
     id=Priority << 26 | 0xEEFF << 8 | Source,
     extended=True,
-    over="ParameterGroup",
+    overrides="ParameterGroup",
     payload=BitLayout(
         8,
         "identity" / bits(21),

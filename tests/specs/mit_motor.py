@@ -20,7 +20,7 @@ from typing import Any
 
 from construct import Byte, Const, Float32l, GreedyBytes, Int8ul, Int16ul, Int32ul, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Protocol, Quantity, Reserved, bits
+from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, Reserved, bits
 
 #: Model → position (rad), velocity (rad/s), torque (N·m); kp is 500 N·m/rad and kd 5 N·m·s/rad everywhere.
 CHEETAH = {"mini_cheetah": (12.5, 65, 18)}  # motorcontrol, header
@@ -43,10 +43,10 @@ mit_motor = Protocol(
 )
 exists = mit_motor.configured("motors", by="motor")(True)
 
-Motor = Capture("motor", range(1, 128))
-DamiaoMotor = Capture("motor", range(1, 16))
+Motor = IdField("motor", range(1, 128))
+DamiaoMotor = IdField("motor", range(1, 16))
 #: Replies of all motors come under one configured number, or under one each beside the motors' own.
-Master = Capture("master", (0x000, *range(0x010, 0x020)))
+Master = IdField("master", (0x000, *range(0x010, 0x020)))
 
 
 def span(width: int, limit: float, unit: str, *, low: float | None = None) -> Quantity:
@@ -131,7 +131,7 @@ for model, (position, velocity, torque) in MODELS.items():
             prefix=Struct("head" / Byte),
             match={
                 "head": DamiaoMotor
-                | Capture(
+                | IdField(
                     "status",
                     range(16),
                     names={
@@ -174,7 +174,7 @@ for name, last, doc in (
             dialect=models,
             when=exists,
             payload=Struct(Const(b"\xff" * 7 + bytes([last]))),
-            over="Command",  # firmware tests for it first
+            overrides="Command",  # firmware tests for it first
             doc=doc,
             source="motorcontrol main.c",
         )
@@ -188,7 +188,7 @@ mit_motor.message(
     id=0x000 + DamiaoMotor,
     direction="to device",
     payload=Struct(Const(b"\xff" * 7 + b"\xfb")),
-    over="Command",
+    overrides="Command",
     doc="Clear the error state.",
     source="DM_CAN.py",
     **damiao,
@@ -267,7 +267,7 @@ for name, opcode in (("Read", 0x33), ("Write", 0x55)):
             register=numbers,
             reply_to=request,  # a feedback can have the same bytes
             within=0.1,
-            over="Feedback",
+            overrides="Feedback",
             payload=Struct("value" / value),
             doc="What the register holds.",
         )

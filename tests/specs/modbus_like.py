@@ -71,7 +71,7 @@ packet(
     direction="from device",
     match={"function": 0x03},
     reply_to=Read.where(start=180, count=6),
-    over="ReadAnswer",
+    overrides="ReadAnswer",
     payload=Struct(
         Const(12, Byte),
         "force" / Array(3, Quantity(Int16sb, scale=0.01, unit="N")),

@@ -23,7 +23,7 @@ from construct import (
     Struct,
 )
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Flags, Protocol, Quantity, Reserved, bits
+from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Protocol, Quantity, Reserved, bits
 
 odrive_like = Protocol(
     "odrive_like",
@@ -35,7 +35,7 @@ odrive_like = Protocol(
     source="ODrive can-protocol.rst",
 )
 
-Node = Capture("node", range(0x3F))  # 0x3F is everyone, or no address yet
+Node = IdField("node", range(0x3F))  # 0x3F is everyone, or no address yet
 STATES = {
     "undefined": 0, "idle": 1, "startup": 2, "full_calibration": 3, "motor_calibration": 4, "index_search": 6,
     "offset_calibration": 7, "closed_loop": 8, "lockin_spin": 9, "find_direction": 10, "homing": 11,

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import FieldError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import CanScanner, Crc, Reference, Unknown, as_dict, make_scanner
 from tests.specs.automotive import automotive
 from tests.specs.cases import FRAMES, Case
@@ -20,7 +20,7 @@ each = pytest.mark.parametrize("case", FRAMES, ids=[case.key for case in FRAMES]
 
 def scanner_of(case: Case, *, raw: bool = False) -> CanScanner:
     """A scanner that has seen what must be seen before."""
-    scanner = make_scanner([SPECS[case.spec].variant(case.dialect)], everything=True, raw=raw)
+    scanner = make_scanner([SPECS[case.spec].variant(case.dialect)], include_unknown=True, raw=raw)
     assert isinstance(scanner, CanScanner)
     for earlier in case.before:
         assert [type(r).__name__ for r in scanner.feed([earlier.frame])] == [earlier.message]
@@ -162,7 +162,7 @@ def test_motors_of_two_models_share_a_bus() -> None:
     """Each variant has the motors of its configuration; one scanner reads both."""
     ak = mit_motor.variant("AK80_9", {"motors": {1: True, 2: True}})
     dm = mit_motor.variant("DM4310", {"motors": {3: True}})
-    scanner = make_scanner([ak, dm], everything=True)
+    scanner = make_scanner([ak, dm], include_unknown=True)
     zero = bytes.fromhex("7FFF7FF0000007FF")
     ak_reply, dm_reply = bytes([2]) + bytes(7), bytes([0x13]) + bytes(7)
     records = scanner.feed(
@@ -210,7 +210,7 @@ def test_any_wrong_bit_fails_the_check() -> None:
         automotive.encode("WheelSpeeds", **SPEEDS),
         automotive.encode("Steering", angle=1, rate=2, alive=3),
     ):
-        scanner = automotive.scanner(everything=True)
+        scanner = automotive.scanner(include_unknown=True)
         for bit in range(8 * len(good.data)):
             data = (int.from_bytes(good.data, "little") ^ 1 << bit).to_bytes(len(good.data), "little")
             (lost, found) = scanner.feed([Frame(good.arbitration_id, data), good])
@@ -278,7 +278,7 @@ def test_a_record_whose_length_is_its_kind(fields: dict[str, Any], data: str) ->
     """Each kind has its fields and its length; another length is malformed."""
     frame = automotive.encode("Diagnosis", **fields)
     assert bytes(frame.data).hex() == data
-    scanner = automotive.scanner(everything=True)
+    scanner = automotive.scanner(include_unknown=True)
     longer = Frame(frame.arbitration_id, bytes(frame.data) + b"\0")
     (record, lost) = scanner.feed([frame, longer])
     values = {name: value for name, value in as_dict(record).items() if value is not None}

@@ -8,7 +8,7 @@ import pytest
 
 from aces_bus.errors import FieldError
 from aces_bus.protocol import Cobs, Insert, Protocol, Reference, Slip, StreamScanner, Unknown, as_dict
-from aces_bus.protocol.spec.stuffing import Stuffing
+from aces_bus.protocol.declare.stuffing import Stuffing
 from tests.specs.cobs import cobs
 from tests.specs.dynamixel2 import dynamixel2
 from tests.specs.modbus_like import modbus_like
@@ -63,7 +63,7 @@ def test_what_nobody_has_stuffed_is_refused(stuffing: Stuffing, wire: str) -> No
 
 def read(protocol: Protocol, *pieces: bytes, silent: bool = False) -> tuple[list[Any], StreamScanner]:
     """What a scanner and the reference find in pieces (between silences); they must agree."""
-    scanner = protocol.scanner(direction="both", everything=True)
+    scanner = protocol.scanner(direction="both", include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     found: list[Any] = []
     ends = []
@@ -144,7 +144,7 @@ def test_registers_are_written_through_the_stuffing() -> None:
 def test_modbus_packets_end_by_silence_only() -> None:
     """Without silence nothing is decided; two packets without silence between them are one wrong one."""
     read_ = modbus_like.encode("Read", unit=9, function=3, start=180, count=6)
-    scanner = modbus_like.scanner(direction="to device", everything=True)
+    scanner = modbus_like.scanner(direction="to device", include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     assert scanner.feed(read_) == []
     assert scanner.counts.pending == len(read_)
@@ -228,7 +228,7 @@ def test_sentences_with_a_broken_end_do_not_run_together() -> None:
     assert [(r.heading, r.meta.offset) for r in records] == [(274.07, len(data) - len(one))]
     lost = "malformed: a byte that no packet has"
     assert scanner.counts.reasons == {lost: 3, "skipped": 3 * (len(one) - 3) + 2}
-    pieces = nmea0183.scanner(everything=True)
+    pieces = nmea0183.scanner(include_unknown=True)
     assert isinstance(pieces, StreamScanner)
     for byte in data:
         pieces.feed(bytes([byte]))

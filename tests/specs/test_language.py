@@ -9,16 +9,26 @@ import pytest
 from construct import Byte, Const, GreedyRange, If, Int16ul, Int32ul, Struct, this
 
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frame import Frame
-from aces_bus.protocol import Capture, Crc, Extra, Multiplexed, Protocol, StreamScanner, Unknown, Xor, as_dict
-from aces_bus.protocol.spec.checks import xor_of
+from aces_bus.frames import Frame
+from aces_bus.protocol import (
+    Crc,
+    Extra,
+    IdField,
+    Multiplexed,
+    Protocol,
+    StreamScanner,
+    Unknown,
+    Xor,
+    as_dict,
+)
+from aces_bus.protocol.declare.checks import xor_of
 
 
 def test_a_captured_part_may_have_names() -> None:
     """Names of a captured number: shown, sent and refused as those of an enumeration."""
     protocol = Protocol("named", link="can")
-    kind = Capture("kind", range(16), names={"command": 1, "status": 2})
-    protocol.message("Any", id=Capture("node", range(8)) << 4 | kind)
+    kind = IdField("kind", range(16), names={"command": 1, "status": 2})
+    protocol.message("Any", id=IdField("node", range(8)) << 4 | kind)
     scanner = protocol.scanner()
     assert [r.kind for r in scanner.feed([Frame(0x31), Frame(0x32), Frame(0x3F)])] == [
         "command",
@@ -33,7 +43,7 @@ def test_a_captured_part_may_have_names() -> None:
 
 def test_a_long_range_is_not_walked() -> None:
     """The bounds of a range are its ends: a capture of 29 bits costs what one of 8 does."""
-    whole = Capture("id", range(1 << 29))
+    whole = IdField("id", range(1 << 29))
     assert whole.width == 29
     assert (whole + 0).largest == (1 << 29) - 1
 
@@ -66,7 +76,7 @@ def test_a_constant_that_is_not_always_there_is_no_template() -> None:
             "ok" / Byte, "value" / Multiplexed("ok", 1, Struct(Const(b"\x55"), "number" / Int16ul))
         ),
     )
-    records = protocol.scanner(everything=True).feed(
+    records = protocol.scanner(include_unknown=True).feed(
         [Frame(0x10, b"\x00"), Frame(0x10, b"\x01\x55\x02\x00"), Frame(0x10, b"\x01\x54\x02\x00")]
     )
     assert [None if isinstance(r, Unknown) else as_dict(r)["value"] for r in records] == [
@@ -85,7 +95,7 @@ def test_an_optional_tail_has_no_fixed_size() -> None:
     )
     assert message.lengths is not None
     assert set(message.lengths) >= {1, 5}
-    scanner = protocol.scanner(everything=True)
+    scanner = protocol.scanner(include_unknown=True)
     records = scanner.feed([Frame(0x10, b"\0"), Frame(0x10, b"\1\2\0\0\0"), Frame(0x10, b"\1\2")])
     assert [None if isinstance(r, Unknown) else r.time for r in records] == [None, 2, None]
     assert isinstance(records[2], Unknown)
@@ -121,7 +131,7 @@ def test_a_seeded_check_needs_its_seed() -> None:
         packet("Two", match={"kind": 2}, payload=Struct("value" / Byte))
     with pytest.raises(SpecError, match="is seeded by kind; match it"):
         packet("Three", check_extra=b"\x33", payload=Struct("value" / Byte))
-    scanner = protocol.scanner(everything=True)
+    scanner = protocol.scanner(include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     good = protocol.encode("One", value=7)
     scanner.feed(good[:1] + b"\x02" + good[2:] + good)

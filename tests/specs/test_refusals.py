@@ -30,13 +30,13 @@ def declare(spec: str, word: str, instead: str, where: Path) -> None:
     [
         (
             "mit_motor",
-            'over="Command",  # firmware',
+            'overrides="Command",  # firmware',
             "# firmware",
             r"'Enable' is ambiguous with 'Command' .*both accept 001#FFFFFFFFFFFFFFFC",
         ),
         (
             "mit_motor",
-            'over="Feedback",',
+            'overrides="Feedback",',
             "",
             r"'ReadFloatReply' is ambiguous with 'Feedback' .*both accept 000#",
         ),
@@ -49,17 +49,17 @@ def declare(spec: str, word: str, instead: str, where: Path) -> None:
         ),
         (
             "j1939_like",
-            'over="ParameterGroup",',
+            'overrides="ParameterGroup",',
             "",
             r"'Request' is ambiguous with 'ParameterGroup' .*both accept",
         ),
         (
             "dynamixel2",
-            'over="Status",',
+            'overrides="Status",',
             "",
             r"'PingStatus' is ambiguous with 'Status' .*both accept FF FF FD 00",
         ),
-        ("modbus_like", 'over="ReadAnswer",', "", r"'ReadForceTorque' is ambiguous with 'ReadAnswer'"),
+        ("modbus_like", 'overrides="ReadAnswer",', "", r"'ReadForceTorque' is ambiguous with 'ReadAnswer'"),
         (
             "ubx",
             '"message_number" / Byte, "rate" / Byte)',

@@ -16,7 +16,7 @@ each = pytest.mark.parametrize("case", STREAMS, ids=[case.key for case in STREAM
 
 @cache
 def made(spec: str) -> StreamScanner:
-    scanner = SPECS[spec].scanner(direction="both", everything=True)
+    scanner = SPECS[spec].scanner(direction="both", include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     return scanner
 
@@ -167,7 +167,7 @@ def test_all_packets_in_one_stream_are_what_the_reference_finds(name: str) -> No
         ):
             stream += piece
             silences.append(len(stream))
-    scanner = protocol.scanner(direction="both", everything=True)
+    scanner = protocol.scanner(direction="both", include_unknown=True)
     assert isinstance(scanner, StreamScanner)
     found: list[Any] = []
     at = 0

@@ -11,7 +11,7 @@ def test_contenders_agree() -> None:
     """The peers of a subject give the value that the states give."""
     _, peer, _, newest = control.values()
     assert {call() for call in newest.values()} == {newest[peer]()}
-    _, peer, _, inside = control.between()
+    _, peer, _, inside = control.control_between()
     assert inside["omega[-1.2345], linear"]() == pytest.approx(inside[peer]())
     assert inside["omega[-1.2345], cubic"]() == pytest.approx(inside[peer](), abs=1e-3)
     subjects = control.made_of, control.samples, control.filters, control.trajectories, control.laws

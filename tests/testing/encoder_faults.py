@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from aces_bus.protocol.codegen import encoder, print_encode
+from aces_bus.protocol import encoder
+from aces_bus.protocol.generate import encode as print_encode
 from tests.testing.faults import Fault, Patch
 from tests.testing.victims import a_bus, a_line
 

@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 
 from aces_bus.protocol import Protocol, StreamScanner
-from aces_bus.protocol.codegen import load
-from aces_bus.protocol.scan import can, decider, find, rows, stream
-from aces_bus.protocol.scan.context import Context
-from aces_bus.protocol.scan.counts import Counts
-from aces_bus.protocol.scan.segments import Segments
+from aces_bus.protocol.columns import rows
+from aces_bus.protocol.columns.segments import Segments
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.protocol.generate import load
+from aces_bus.protocol.live import can, find, stream
+from aces_bus.protocol.live import decide as decider
+from aces_bus.protocol.live.context import Context
 from tests.testing.victims import (
     a_bus,
     a_line,
@@ -88,7 +90,7 @@ def half_a_check_is_compared(patch: Patch) -> None:
 
 
 def a_stride_takes_bad_checks(patch: Patch) -> None:
-    patch.setattr(find.Finder, "_checked", lambda self, data, check, starts, ends: starts >= 0)
+    patch.setattr(find.PacketFinder, "_checked", lambda self, data, check, starts, ends: starts >= 0)
 
 
 def checks_of_frames_are_not_looked_at(patch: Patch) -> None:
@@ -273,14 +275,14 @@ def a_filter_eats_a_record(patch: Patch) -> None:
 
     def advance(self: StreamScanner, *args: Any, **more: Any) -> Any:
         found = good(self, *args, **more)
-        return found if self.everything or len(found) < 2 else found[:-1]
+        return found if self.include_unknown or len(found) < 2 else found[:-1]
 
     patch.setattr(StreamScanner, "_advance", advance)
 
 
 def long_losses_are_counted_short(patch: Patch) -> None:
-    good = Counts.lose
-    patch.setattr(Counts, "lose", lambda self, size, reason: good(self, size - (size > 3), reason))
+    good = ScanCounts.lose
+    patch.setattr(ScanCounts, "lose", lambda self, size, reason: good(self, size - (size > 3), reason))
 
 
 #: The table: a line a fault and a protocol.

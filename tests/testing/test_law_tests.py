@@ -15,9 +15,9 @@ from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.protocol import Protocol, load_protocol
 from aces_bus.testing import laws
 from aces_bus.testing._bench import Bench
-from aces_bus.testing._play import plain
+from aces_bus.testing._play import comparable
 from aces_bus.testing._pytest_laws import law_tests
-from aces_bus.testing._saved import load, save
+from aces_bus.testing._saved import load_scene, save_scene
 from aces_bus.testing._source import spread
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -88,13 +88,13 @@ def test_a_saved_scene_is_read_back_to_the_bit(made: Protocol, tmp_path: Path) -
     bench = Bench(made.variant(), direction)
     for seed in range(1, 20):
         (scene,) = laws.draw_arguments(laws.LAWS[0], made.variant(), direction, spread(seed), size=120)
-        loaded = load(save(tmp_path, made.variant(), direction, scene, (1, 2), law=2).scene)
+        loaded = load_scene(save_scene(tmp_path, made.variant(), direction, scene, (1, 2), law=2).scene)
         assert (loaded.law, loaded.cuts, loaded.protocol) == (2, (1, 2), made.name)
         again = loaded.scene(bench)
         assert (again.words, again.sent_at) == (scene.words, scene.sent_at)
         assert again.idle_at == tuple(sorted(scene.idle_at))
         assert [p.image for p in again.packets] == [p.image for p in scene.packets]
-        assert [plain(p.values) for p in again.packets] == [plain(p.values) for p in scene.packets]
+        assert [comparable(p.values) for p in again.packets] == [comparable(p.values) for p in scene.packets]
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_what_is_no_scene_says_so(damage: str, tmp_path: Path) -> None:
     """A file of something else is named, whatever is in it."""
     (tmp_path / "x.json").write_text(damage)
     with pytest.raises(CaptureError, match=r"x\.json: not a scene"):
-        load(tmp_path / "x.json")
+        load_scene(tmp_path / "x.json")
 
 
 test_of_a_protocol = law_tests(a_bus(), examples=10)

@@ -12,11 +12,11 @@ from construct import Byte, Const, GreedyBytes, Int16sl, Int16ul, Struct, this
 
 from aces_bus.protocol import (
     BitLayout,
-    Capture,
     Counter,
     Crc,
     Enumeration,
     Fletcher,
+    IdField,
     Multiplexed,
     Protocol,
     Quantity,
@@ -51,7 +51,7 @@ robotis, minihubo_adc, hubo = map(shipped, ("robotis", "minihubo_adc", "hubo"))
 def a_bus() -> Protocol:
     """Frames with a split signed field, a check over the identifier too, scales, a counter, a multiplexer."""
     made = Protocol("victim", link="can")
-    node = Capture("node", range(8))
+    node = IdField("node", range(8))
     made.message(
         "Halves",
         id=0x10 + node,

@@ -7,17 +7,17 @@ from typing import Any
 
 from construct import Array, Byte, Int16sl, Int32sl, Struct
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware import Received
-from aces_bus.protocol import Capture, Protocol, Quantity, make_scanner
-from aces_tools.screen.model import Model, Row
-from aces_tools.screen.paint import Needs, Span, columns
+from aces_bus.protocol import IdField, Protocol, Quantity, make_scanner
+from aces_tools.screen.model import Model, RepeatedFrame
+from aces_tools.screen.paint import Needs, StyledText, visible_columns
 
 MS = 1_000_000
 S = 1_000_000_000
 
 arm = Protocol("arm", link="can", bitrate=1_000_000, doc="An arm for tests.", source="no sheet")
-Board = Capture("board", range(4))
+Board = IdField("board", range(4))
 arm.message(
     "Encoder",
     id=0x060 + Board,
@@ -35,7 +35,7 @@ packet("Sample", payload=Struct("servo" / Byte, "value" / Quantity(Int16sl, unit
 
 def scanner(protocol: Protocol = arm, **more: Any) -> Any:
     """A scanner as the screen needs it."""
-    return make_scanner([protocol.variant()], everything=True, **more)
+    return make_scanner([protocol.variant()], include_unknown=True, **more)
 
 
 def model(**more: Any) -> Model:
@@ -63,13 +63,13 @@ def periodic(made: Model, *, every_ms: float, count: int, board: int = 0, batch:
     return frames[-1].host_ns
 
 
-def only(made: Model) -> Row:
+def only(made: Model) -> RepeatedFrame:
     """The model's one row."""
     (row,) = made.rows.values()
     return row
 
 
-def text(spans: Iterable[Span]) -> str:
+def text(spans: Iterable[StyledText]) -> str:
     return "".join(span.text for span in spans)
 
 
@@ -87,4 +87,4 @@ def filled() -> tuple[Model, int]:
 
 
 def cols(made: Model, width: int = 100) -> Any:
-    return columns(Needs.of(made, made.rows.values()), width)
+    return visible_columns(Needs.of(made, made.rows.values()), width)

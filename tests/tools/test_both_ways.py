@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.capture import Chunk
-from aces_bus.capture.write import open_writer
+from aces_bus.recordings import Chunk
+from aces_bus.recordings.write import open_writer
 from tests.tools.conftest import Aces
 
 SPEC = """

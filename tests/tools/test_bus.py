@@ -18,10 +18,10 @@ import can
 import pytest
 
 from aces_bus.errors import AcesError
-from aces_bus.frame import Frame
-from aces_bus.hardware.faults import Faults
-from aces_bus.hardware.frame_time import INTERMISSION, frame_bits
+from aces_bus.frames import Frame
 from aces_bus.hardware.served import BusServer, ServedChannel
+from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 from aces_tools.bus import parse_faults
 
 from .conftest import Aces
@@ -200,9 +200,9 @@ def test_faults_are_read_as_written() -> None:
 
 def test_the_benchmark_s_bus_is_the_same_twice() -> None:
     """One seed, one bus; another seed, another; and it has the load that it is named for."""
-    from aces_tools.benchmarks.bus import simulate
+    from aces_tools.benchmarks.bus import simulate_bus
 
-    first, again, other = simulate(0.2, 1), simulate(0.2, 1), simulate(0.2, 2)
+    first, again, other = simulate_bus(0.2, 1), simulate_bus(0.2, 1), simulate_bus(0.2, 2)
     assert first.digest == again.digest != other.digest
     assert (first.frames, first.load) == (again.frames, again.load)
     assert 0.65 < first.load < 0.75

@@ -15,11 +15,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.capture import formats, open_capture, parse_filter
-from aces_bus.capture.filter_columns import passing
-from aces_bus.capture.merge import merged
-from aces_bus.frame import Frame
 from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
+from aces_bus.recordings import formats, open_recording, parse_filter
+from aces_bus.recordings.filter_columns import passing
+from aces_bus.recordings.merge import merge_by_time
 from aces_tools import convert, progress
 
 from .conftest import LOG, Aces
@@ -92,8 +92,8 @@ def test_our_serial_log(aces: Aces, tmp_path: Path) -> None:
     """A serial log of ours becomes raw bytes, with what these do not hold counted, and a part of it by time."""
     if "slog" not in formats():
         pytest.skip("no reader of slog")
-    from aces_bus.capture import Chunk
-    from aces_bus.capture.write import open_writer
+    from aces_bus.recordings import Chunk
+    from aces_bus.recordings.write import open_writer
 
     log, raw = tmp_path / "a.slog", tmp_path / "a.bin"
     with open_writer(log) as writer:
@@ -167,7 +167,7 @@ def test_an_unnamed_channel_gets_a_name(aces: Aces, tmp_path: Path) -> None:
     trace.write_bytes(
         b";$FILEVERSION=1.1\r\n;$STARTTIME=42195.5\r\n     1)        10.0  Rx     0001  1  0A\r\n"
     )
-    with open_capture(trace, link="can") as capture:
+    with open_recording(trace, link="can") as capture:
         (frame,) = capture
     if frame.channel is not None:
         pytest.skip("the reader names it")
@@ -211,7 +211,11 @@ def test_merging_sorts_and_loses_nothing(times: list[list[int]], sizes: list[int
         captures.append(
             [whole.take(slice(a, b)) for a, b in zip([0, *cuts], [*cuts, len(whole)], strict=True)]
         )
-    found = [(f.timestamp, f.arbitration_id, f.data[0]) for table in merged(captures) for f in table.frames()]
+    found = [
+        (f.timestamp, f.arbitration_id, f.data[0])
+        for table in merge_by_time(captures)
+        for f in table.frames()
+    ]
     expected = [(time, number, place) for number, row in enumerate(times) for place, time in enumerate(row)]
     assert found == sorted(expected)
 
@@ -220,7 +224,7 @@ def test_merging_keeps_the_order_of_a_capture() -> None:
     """A frame that is earlier than one before it in its capture, or has no time, comes right behind that."""
     one = FrameTable.from_frames([Frame(1, b"", t) for t in (1.0, 5.0, 2.0, None, 6.0)])
     two = FrameTable.from_frames([Frame(2, b"", t) for t in (3.0, 5.5)])
-    found = [frame.timestamp for table in merged([[one], [two]]) for frame in table.frames()]
+    found = [frame.timestamp for table in merge_by_time([[one], [two]]) for frame in table.frames()]
     assert found == [1.0, 3.0, 5.0, 2.0, None, 5.5, 6.0]
 
 

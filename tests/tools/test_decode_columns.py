@@ -332,15 +332,15 @@ def test_what_was_read_before_an_error_is_written(
     aces: Aces, arm: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A recording that breaks off: one line, status 2, and all that came before is counted and in the tables."""
-    from aces_bus.capture import CanCapture
+    from aces_bus.recordings import CanRecording
 
-    whole = CanCapture.tables
+    whole = CanRecording.tables
 
-    def broken(self: CanCapture) -> Any:
+    def broken(self: CanRecording) -> Any:
         yield from whole(self)
         raise CaptureError(f"{self.name}: reading stopped: the disk is gone")
 
-    monkeypatch.setattr(CanCapture, "tables", broken)
+    monkeypatch.setattr(CanRecording, "tables", broken)
     out = tmp_path / "out.parquet"
     result = aces("decode", log, "-p", arm, "-o", out)
     assert result.status == 2
@@ -377,20 +377,20 @@ def test_an_interrupted_file_is_not_written(
     aces: Aces, arm: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_second: bool
 ) -> None:
     """Ctrl-C on a file, and a second one anywhere: status 130, the summary of what was read, and what was there before."""
-    from aces_bus.capture import CanCapture
+    from aces_bus.recordings import CanRecording
 
     out = tmp_path / "out.npz"
     out.write_bytes(b"before")
-    whole = CanCapture.tables
+    whole = CanRecording.tables
 
-    def interrupted(self: CanCapture) -> Any:
+    def interrupted(self: CanRecording) -> Any:
         yield from whole(self)
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0)
         if is_second:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(CanCapture, "tables", interrupted)
+    monkeypatch.setattr(CanRecording, "tables", interrupted)
     result = aces("decode", log, "-p", arm, "-o", out)
     assert result.status == 130
     assert f"interrupted: {out} is not written" in result.messages

@@ -18,7 +18,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """One little knee bend, of a robot that has only the boards of hips, knees and ankles."""
     from aces_devices import robots
 
-    whole = robots.load_robot(demo.ROBOT)
+    whole = robots.load_robot_by_name(demo.ROBOT)
     used = {whole.joints[name].device for name in demo.knee_bends().names}
     devices = {name: replace(one, active=name in used) for name, one in whole.devices.items()}
     monkeypatch.setattr(robots, "load_robot", lambda name: replace(whole, devices=devices))

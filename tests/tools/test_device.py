@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from aces_bus.assembly import VirtualRobot
-from aces_bus.hardware import Recorder
+from aces_bus.hardware import ListeningNode
+from aces_bus.robot import VirtualRobot
 from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_tools import device_do
 from aces_tools.robot_arg import chosen_robot
-from aces_tools.sim_stand import Stand
+from aces_tools.sim_stand import SimulatedRobot
 from tests.tools.conftest import Aces
 from tests.tools.live import interrupt
 
@@ -224,12 +224,12 @@ def test_whatever_ends_it_the_motor_is_off(
     if at == "enabling" and not ends:
         return
     worlds: list[VirtualRobot] = []
-    recorders: list[Recorder] = []
+    recorders: list[ListeningNode] = []
     wait, make = device_do.Doing.wait, VirtualRobot.open
 
     def opens(robot: VirtualRobot) -> VirtualRobot:
         worlds.append(robot)
-        recorders.append(Recorder(robot.wires["can"]))
+        recorders.append(ListeningNode(robot.wires["can"]))
         return make(robot)
 
     def waits(doing: Any, until: Any, duration: int) -> bool:
@@ -402,15 +402,15 @@ def test_a_bus_that_cannot_be_opened(
 @pytest.fixture
 def stand(
     leg: str, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Stand]:
+) -> Iterator[SimulatedRobot]:
     """The robot's twins on a served bus and a pseudo-terminal, with threads of their own."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
     robot = chosen_robot(leg)
     with ExitStack() as stack:
-        yield Stand(robot, {name: {} for name in robot.buses}, 0, stack)
+        yield SimulatedRobot(robot, {name: {} for name in robot.buses}, 0, stack)
 
 
-def test_on_a_served_bus(aces: Aces, leg: str, stand: Stand) -> None:
+def test_on_a_served_bus(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
     """Through a real bus values are read, with another program on it, and without a word on stderr."""
     others: list[int] = []
     robot = chosen_robot(leg)
@@ -418,12 +418,12 @@ def test_on_a_served_bus(aces: Aces, leg: str, stand: Stand) -> None:
     def another() -> None:
         from argparse import Namespace
 
-        from aces_tools.robot_arg import opened
+        from aces_tools.robot_arg import open_robot
 
         options = Namespace(bus=[], interface="aces", baud=None, virtual=False)
         from aces_tools.device import alone
 
-        with opened(alone(robot, "JMC1"), options, rate_hz=100) as live:
+        with open_robot(alone(robot, "JMC1"), options, rate_hz=100) as live:
             heard = live.clock.wait(lambda: live.rig["KNEE.position"].instant is not None, 10_000_000_000)
             others.append(heard)
 
@@ -437,7 +437,7 @@ def test_on_a_served_bus(aces: Aces, leg: str, stand: Stand) -> None:
     assert aces("device", "JMC0", "parameters", "-r", leg, "-i", "aces").status == 0  # only asks: no --tx
 
 
-def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: Stand) -> None:
+def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
     """A servo answers through its line; asking needs no --tx."""
     path = stand.reached["line"]["address"]
     got = aces("device", "TOE", "ping", "-r", leg, "--bus", f"line={path}")
@@ -445,7 +445,7 @@ def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: Stand) -> None:
 
 
 def test_a_device_that_is_not_there(
-    aces: Aces, leg: str, stand: Stand, monkeypatch: pytest.MonkeyPatch
+    aces: Aces, leg: str, stand: SimulatedRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`get` says who does not answer and what to look at; `set` and actions do nothing; status 1."""
     stand.simulation["JMC0"].fault("silent")

@@ -23,7 +23,7 @@ HEAVY = (
     "msgspec",
     "importlib.metadata",
     "aces_bus.protocol",
-    "aces_bus.capture",
+    "aces_bus.recordings",
 )
 
 

@@ -17,31 +17,24 @@ from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, Channels
-from aces_bus.protocol.scan.message_table import Column, ColumnKind, MessageTable
+from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
 from aces_tools.main import main
 from aces_tools.plotting import terminal
-from aces_tools.plotting.formats import Format, parse_format
-from aces_tools.plotting.picture import Line, Panel, Picture, changes
-from aces_tools.plotting.select import (
-    Declared,
-    Signal,
-    declared,
-    parse_groups,
-    parse_pattern,
-    select,
-)
+from aces_tools.plotting.formats import ImageFormat, parse_format
+from aces_tools.plotting.picture import Picture, PlotLine, PlotPanel, value_changes
+from aces_tools.plotting.select import Declared, PlotSignal, declared, parse_groups, parse_pattern, select
 from aces_tools.plotting.series import (
     BUCKETS,
     MOST_LINES,
     MOST_POINTS,
-    Clock,
     Collector,
     Series,
+    TimeAxis,
     broken,
     thin,
 )
 from aces_tools.protocols_arg import parse_protocols
-from aces_tools.window import Window
+from aces_tools.window import TimeWindow
 
 from .conftest import Aces
 
@@ -141,10 +134,10 @@ def test_subplots_and_axes_are_separated() -> None:
 
 def test_formats_are_those_of_matplotlib() -> None:
     """Colour, marker, line style in any order; `|` in front draws stems."""
-    assert parse_format("r--", "x") == Format("r", None, "--")
-    assert parse_format("-.ok", "x") == Format("k", "o", "-.")
-    assert parse_format("C2.", "x") == Format("C2", ".")
-    assert parse_format("|g", "x") == Format("g", is_stem=True)
+    assert parse_format("r--", "x") == ImageFormat("r", None, "--")
+    assert parse_format("-.ok", "x") == ImageFormat("k", "o", "-.")
+    assert parse_format("C2.", "x") == ImageFormat("C2", ".")
+    assert parse_format("|g", "x") == ImageFormat("g", is_stem=True)
 
 
 # ---------------------------------------------------------------------- what is kept
@@ -194,7 +187,7 @@ def test_a_spike_in_a_long_capture_survives_in_bounded_memory(
     messages: dict[tuple[str, str], Declared],
 ) -> None:
     """Of two million samples few are kept, the one that stands out among them, at its time."""
-    collector = Collector(select([parse_pattern("State.load")], messages), Clock())
+    collector = Collector(select([parse_pattern("State.load")], messages), TimeAxis())
     n = 100_000
     for number in range(20):
         load = np.sin(np.arange(n) / 500)
@@ -215,10 +208,10 @@ def test_what_another_page_carries_is_no_gap(messages: dict[tuple[str, str], Dec
     """A value absent because its selector says so is left out; one that is unknown interrupts the line."""
     absent = np.array([False, True, False, True])
     for conditional, kept in ((True, [1.0, 3.0]), (False, [1.0, math.nan, 3.0, math.nan])):
-        signal = Signal("arm", "State", "load", "load", ColumnKind("load"), conditional=conditional)
+        signal = PlotSignal("arm", "State", "load", "load", ColumnKind("load"), conditional=conditional)
         wanted = select([parse_pattern("State.load")], messages)
         wanted["arm", "State"] = type(wanted["arm", "State"])(((signal, ()),), ())
-        collector = Collector(wanted, Clock())
+        collector = Collector(wanted, TimeAxis())
         load = Column(ColumnKind("load"), np.array([1.0, 2.0, 3.0, 4.0]), absent)
         collector.add(_table(range(4), load=load))
         (series,) = collector.series.values()
@@ -230,14 +223,14 @@ def test_times_decide_the_axis(messages: dict[tuple[str, str], Declared]) -> Non
     """Times count from the first; messages without one are left out and counted; without any, frames are counted."""
     wanted = select([parse_pattern("State.load")], messages)
     load, board = np.arange(3.0), np.zeros(3, np.uint8)
-    clock = Clock()
-    collector = Collector(wanted, clock, Window.parse("1000000000.5", None))
+    clock = TimeAxis()
+    collector = Collector(wanted, clock, TimeWindow.parse("1000000000.5", None))
     first = 10**18
     collector.add(_table([first, NO_TIME, first + 2 * 10**9], load=load, board=board))
     (series,) = collector.series.values()
     assert series.points()[0].tolist() == [2.0]
     assert clock.timeless == 1
-    collector = Collector(wanted, Clock())
+    collector = Collector(wanted, TimeAxis())
     collector.add(_table([NO_TIME] * 3, load=load, board=board))
     (series,) = collector.series.values()
     assert series.points()[0].tolist() == [0.0, 1.0, 2.0]
@@ -245,7 +238,7 @@ def test_times_decide_the_axis(messages: dict[tuple[str, str], Declared]) -> Non
 
 def test_too_many_devices_end_the_reading(messages: dict[tuple[str, str], Declared]) -> None:
     """As soon as there are more lines than a picture can show, the call is refused, with what would work."""
-    collector = Collector(select([parse_pattern("State.load")], messages), Clock())
+    collector = Collector(select([parse_pattern("State.load")], messages), TimeAxis())
     n = MOST_LINES + 1
     with pytest.raises(CallerError, match=r"more than 64 lines.*State\[board=0\].load"):
         collector.add(_table(range(n), load=np.zeros(n), board=np.arange(n, dtype=np.uint8)))
@@ -262,7 +255,7 @@ def test_lines_are_broken_where_nothing_came() -> None:
 def test_steps_lose_nothing_by_leaving_out_repetitions(values: list[float]) -> None:
     """What holds at any sample's time is the same with and without the samples that repeat their neighbours."""
     x, y = np.arange(float(len(values))), np.array(values)
-    kept_x, kept_y = changes(x, y)
+    kept_x, kept_y = value_changes(x, y)
     held = kept_y[np.searchsorted(kept_x, x, side="right") - 1]
     assert str(held.tolist()) == str(y.tolist())
 
@@ -343,16 +336,16 @@ def test_no_line_is_wider_than_the_terminal(
     x = np.array(sorted(a for a, _ in samples))
     y = np.array([b for _, b in samples])
     kind = ColumnKind("a_rather_long_name_of_a_signal\x1b", unit="m/s")
-    series = Series(Signal("p", "Message", kind.name, kind.name, kind), ())
-    lines = [Line(series, parse_format(shape, ""), x, y, kind.name) for _ in range(3)]
-    flag = Line(series, Format(), x, np.where(np.isnan(y), y, y > 0), "flag")
+    series = Series(PlotSignal("p", "Message", kind.name, kind.name, kind), ())
+    lines = [PlotLine(series, parse_format(shape, ""), x, y, kind.name) for _ in range(3)]
+    flag = PlotLine(series, ImageFormat(), x, np.where(np.isnan(y), y, y > 0), "flag")
     panels = [
-        Panel("numbers", [lines[:2], lines[2:]], "Title", ["m/s", ""], ["", ""], [(None, None), (0, 5)]),
-        Panel("flags", [[flag]], "Flags", [""], [""], [(None, None)]),
+        PlotPanel("numbers", [lines[:2], lines[2:]], "Title", ["m/s", ""], ["", ""], [(None, None), (0, 5)]),
+        PlotPanel("flags", [[flag]], "Flags", [""], [""], [(None, None)]),
     ]
     for paint in (None, lambda style, text: text):
-        text = terminal.draw(
-            Picture(panels, Clock(origin=0, is_set=True), is_step=is_step), width, paint=paint
+        text = terminal.draw_terminal(
+            Picture(panels, TimeAxis(origin=0, is_set=True), is_step=is_step), width, paint=paint
         )
         assert max(map(len, text.splitlines())) <= width
         assert "\x1b" not in text
@@ -577,7 +570,7 @@ def test_a_figure_shows_what_was_asked_for(
     from aces_tools.plotting import figure
 
     shown: list[Any] = []
-    draw = figure.draw
+    draw = figure.draw_figure
 
     def keep(picture: Picture, made: Figure) -> None:
         draw(picture, made)

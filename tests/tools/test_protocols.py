@@ -42,8 +42,8 @@ def test_a_protocol_lists_messages_and_registers(aces: Aces) -> None:
 def test_a_dialect_has_its_messages(aces: Aces) -> None:
     """NAME lists the messages of all dialects, NAME:DIALECT those of one."""
     hubo = load_protocol("hubo")
-    everything = json.loads(aces("protocols", "hubo", "--json").out)["messages"]
-    assert len(everything) == len(hubo.declared)
+    include_unknown = json.loads(aces("protocols", "hubo", "--json").out)["messages"]
+    assert len(include_unknown) == len(hubo.declared)
     some = json.loads(aces("protocols", "hubo:D08", "--json").out)["messages"]
     assert {m["name"] for m in some} == set(hubo.variant("D08").messages)
 
@@ -125,7 +125,7 @@ def test_a_protocol_that_cannot_be_imported_does_not_hide_the_others(
         "broken": EntryPoint("broken", "no_such_module_here:x", "aces_bus.protocols"),
     }
     monkeypatch.setattr(verb, "list_protocols", lambda: points)
-    monkeypatch.setattr("aces_bus.protocol.scan.scanner.list_protocols", lambda: points)
+    monkeypatch.setattr("aces_bus.protocol.live.scanner.list_protocols", lambda: points)
     monkeypatch.setattr("aces_tools.protocols_arg.list_protocols", lambda: points)
     result = aces("protocols")
     assert result.status == 2

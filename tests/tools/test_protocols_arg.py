@@ -8,33 +8,33 @@ import pytest
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
-from aces_tools.protocols_arg import named, parse_protocols, read_configuration
+from aces_tools.protocols_arg import named_protocol, parse_protocols, read_configuration
 
 
 def refusal(text: str) -> str:
     with pytest.raises(AcesError) as raised:
-        named(text).variant()
+        named_protocol(text).variant()
     return str(raised.value)
 
 
 def test_an_installed_protocol() -> None:
     """A name is an installed protocol in its default dialect and configuration."""
-    assert named("robotis").variant() is load_protocol("robotis").variant()
+    assert named_protocol("robotis").variant() is load_protocol("robotis").variant()
 
 
 def test_dialect_and_configuration() -> None:
     """NAME:DIALECT and NAME:DIALECT@CONFIGURATION choose."""
     hubo = load_protocol("hubo")
-    assert named("hubo:D08").variant() is hubo.variant("D08")
-    assert named("hubo:D08@hubo2").variant() is hubo.variant("D08", "hubo2")
-    assert named("hubo@hubo2").variant() is hubo.variant(None, "hubo2")
+    assert named_protocol("hubo:D08").variant() is hubo.variant("D08")
+    assert named_protocol("hubo:D08@hubo2").variant() is hubo.variant("D08", "hubo2")
+    assert named_protocol("hubo@hubo2").variant() is hubo.variant(None, "hubo2")
 
 
 @pytest.mark.parametrize("text", ["nosuch", "hubo:D99", "hubo@nosuch", "robotis:x"])
 def test_an_unknown_name_lists_those_that_exist(text: str) -> None:
     """Of protocols, dialects and configurations."""
     with pytest.raises(UnknownNameError, match="there are:"):
-        named(text).variant()
+        named_protocol(text).variant()
 
 
 @pytest.mark.parametrize("text", ["", ":", "@x", "hubo:", "hubo@", "a:b:c"])
@@ -117,14 +117,14 @@ ONE = "from aces_bus.protocol import Protocol\nmine = Protocol('mine', link='can
 def test_a_file_with_one_protocol(tmp_path: Path) -> None:
     """The name may be left out; what follows is a dialect."""
     (tmp_path / "my_spec.py").write_text(ONE)
-    assert named(f"{tmp_path / 'my_spec.py'}").variant().label == "mine:a"
-    assert named(f"{tmp_path / 'my_spec.py'}:b").variant().label == "mine:b"
-    assert named(f"{tmp_path / 'my_spec.py'}:mine:b").variant().label == "mine:b"
+    assert named_protocol(f"{tmp_path / 'my_spec.py'}").variant().label == "mine:a"
+    assert named_protocol(f"{tmp_path / 'my_spec.py'}:b").variant().label == "mine:b"
+    assert named_protocol(f"{tmp_path / 'my_spec.py'}:mine:b").variant().label == "mine:b"
 
 
 def test_a_file_with_several_needs_the_name(spec: Path) -> None:
     """And lists them."""
-    assert named(f"{spec}:line").protocol.name == "line"
+    assert named_protocol(f"{spec}:line").protocol.name == "line"
     assert "my_spec.py:arm" in refusal(str(spec))
     assert "there are: arm, line" in refusal(f"{spec}:amr")
 
@@ -133,24 +133,24 @@ def test_protocols_that_a_file_imports_do_not_count(tmp_path: Path) -> None:
     """Where it declares one of its own."""
     path = tmp_path / "my_spec.py"
     path.write_text("from aces_protocols.robotis.spec import robotis\n" + ONE)
-    assert named(str(path)).protocol.name == "mine"
+    assert named_protocol(str(path)).protocol.name == "mine"
     path = tmp_path / "again.py"
     path.write_text("from aces_protocols.robotis.spec import robotis as r\n")
-    assert named(str(path)).protocol is load_protocol("robotis")
+    assert named_protocol(str(path)).protocol is load_protocol("robotis")
 
 
 def test_a_file_may_import_what_stands_beside_it(tmp_path: Path) -> None:
     """As it may when it is run; in a package, relatively too."""
     (tmp_path / "boards_beside.py").write_text("BOARDS = range(3)\n")
     (tmp_path / "my_spec.py").write_text("from boards_beside import BOARDS\n" + ONE)
-    assert named(str(tmp_path / "my_spec.py")).protocol.name == "mine"
+    assert named_protocol(str(tmp_path / "my_spec.py")).protocol.name == "mine"
     package = tmp_path / "outer_pkg" / "inner_pkg"
     package.mkdir(parents=True)
     for folder in (package, package.parent):
         (folder / "__init__.py").write_text("")
     (package / "boards.py").write_text("BOARDS = range(3)\n")
     (package / "spec.py").write_text("from .boards import BOARDS\n" + ONE)
-    assert named(str(package / "spec.py")).protocol.name == "mine"
+    assert named_protocol(str(package / "spec.py")).protocol.name == "mine"
 
 
 @pytest.mark.parametrize(
@@ -192,16 +192,16 @@ def test_tables_of_a_file(spec: Path, tmp_path: Path) -> None:
     """Keys are numbers of any base; tables that the protocol does not know are left alone."""
     robot = tmp_path / "robot.toml"
     robot.write_text('title = "x"\n[channels]\n0x00 = 2\n"1" = 3\n0b10 = 2\n03 = 3\n[devices]\nneck = "y"\n')
-    arm = named(f"{spec}:arm").protocol
+    arm = named_protocol(f"{spec}:arm").protocol
     assert read_configuration(str(robot), arm) == {"channels": {0: 2, 1: 3, 2: 2, 3: 3}}
-    assert named(f"{spec}:arm@{robot}").variant().configuration == "custom"
+    assert named_protocol(f"{spec}:arm@{robot}").variant().configuration == "custom"
 
 
 def test_a_base_is_changed_entry_by_entry(spec: Path, tmp_path: Path) -> None:
     """With `base` only what differs is written; the shipped tables stay as they are."""
     robot = tmp_path / "robot.toml"
     robot.write_text('base = "two"\n[channels]\n0x01 = 3\n')
-    arm = named(f"{spec}:arm").protocol
+    arm = named_protocol(f"{spec}:arm").protocol
     assert read_configuration(str(robot), arm) == {"channels": {0: 2, 1: 3, 2: 3}}
     assert arm.configurations["two"]["channels"] == {0: 2, 1: 2, 2: 3}
 
@@ -234,4 +234,4 @@ def test_a_configuration_file_that_cannot_be_used(tmp_path: Path) -> None:
     assert "not a TOML file" in refusal(f"hubo@{tmp_path / 'bin.toml'}")
     (tmp_path / "x.toml").write_text("")
     with pytest.raises(CallerError, match="takes no configuration"):
-        named(f"robotis@{tmp_path / 'x.toml'}").variant()
+        named_protocol(f"robotis@{tmp_path / 'x.toml'}").variant()

@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import Joint, Robot, load_robot
+from aces_bus.device import Joint, Robot
 from aces_bus.protocol import load_protocol
+from aces_bus.robot import load_robot
 from aces_devices.robots import list_robots
-from aces_devices.robots import load_robot as load_named
-from aces_tools.protocols_arg import named, read_configuration
+from aces_devices.robots import load_robot_by_name as load_named
+from aces_tools.protocols_arg import named_protocol, read_configuration
 
 from .conftest import Aces
 
@@ -146,10 +147,10 @@ def test_a_robots_file_configures_a_protocol(robot: Path) -> None:
     """Its devices say which board is what; its bus says the dialect, unless the call does."""
     hubo = load_protocol("hubo")
     assert read_configuration(str(robot), hubo) == {"channels": {0x01: 2}, "sensors": {}}
-    assert named(f"hubo@{robot}").variant().tables["channels"] == {0x01: 2}
+    assert named_protocol(f"hubo@{robot}").variant().tables["channels"] == {0x01: 2}
     robot.write_text(ROBOT.replace("D12", "D08"))
-    assert named(f"hubo@{robot}").variant().dialect == "D08"
-    assert named(f"hubo:D12@{robot}").variant().dialect == "D12"
+    assert named_protocol(f"hubo@{robot}").variant().dialect == "D08"
+    assert named_protocol(f"hubo:D12@{robot}").variant().dialect == "D12"
 
 
 @pytest.mark.parametrize("name", ["hubo2", "hubo2plus", "drc_hubo"])
@@ -158,7 +159,10 @@ def test_a_shipped_file_and_the_configuration_of_its_name_agree(name: str, tmp_p
     path = tmp_path / f"{name}.toml"
     path.write_text(list_robots()[name], encoding="utf-8")
     for dialect in ("D08", "D12"):
-        ours, theirs = named(f"hubo:{dialect}@{path}").variant(), named(f"hubo:{dialect}@{name}").variant()
+        ours, theirs = (
+            named_protocol(f"hubo:{dialect}@{path}").variant(),
+            named_protocol(f"hubo:{dialect}@{name}").variant(),
+        )
         assert ours.tables == theirs.tables
         assert {m.name: str(m.identifier) for m in ours.messages.values()} == {
             m.name: str(m.identifier) for m in theirs.messages.values()
@@ -248,7 +252,7 @@ def imported(aces: Aces, folder: Path, *names: str) -> tuple[Robot, dict[str, An
     """What `aces robot import` makes of shared files, and what is known of the first."""
     result = aces("robot", "import", *(folder / name for name in names))
     assert result.status == 0, result.err
-    from aces_bus.device import parse_robot
+    from aces_bus.robot import parse_robot
 
     robot, problems = parse_robot(result.out)
     assert robot is not None, problems

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.assembly import run_virtual
 from aces_bus.controller import Player, Supervisor, Trajectory
-from aces_bus.device import Robot, parse_robot, simulate
+from aces_bus.device import Robot
 from aces_bus.hardware import CanGate, port_of
+from aces_bus.robot import parse_robot, run_virtual, simulate
 from aces_bus.runtime import Loop
 from aces_tools.running.figures import Watch
 from aces_tools.running.loading import default_states, load_controllers, make_loggers
-from aces_tools.running.panel import panel, plain, to_rich
+from aces_tools.running.panel import panel, plain_line, to_rich
 from tests.device.fan import ROBOT, drivers
 from tests.tools.conftest import Aces, small_disk
 
@@ -294,7 +294,7 @@ def test_what_is_missing_is_named_and_nothing_moves(
     aces: Aces, robot: Path, knee: Path, served: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A driven device that does not answer ends the run before motion, with its name and status 1."""
-    monkeypatch.setattr("aces_bus.assembly.runner.HEARD_S", 0.3)
+    monkeypatch.setattr("aces_bus.robot.runner.HEARD_S", 0.3)
     robot.write_text(FANS.replace("board = 0x02", "board = 0x05"))
     result = aces("run", robot, knee, *served, "--for", "1s", "--tx")
     assert result.status == 1
@@ -420,7 +420,7 @@ def test_the_panel_fits(width: int, height: int) -> None:
         assert "B: silent" in text
         assert "stopped" in text
         assert "A.left" in text
-    assert "\x1b" not in plain(figures)
+    assert "\x1b" not in plain_line(figures)
     assert str(to_rich(panel(figures, "t", 80, 20)))
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import load_robot
 from aces_bus.errors import SpecError
+from aces_bus.robot import load_robot
 from aces_tools.robot_arg import chosen_robot
-from aces_tools.sim_stand import Stand
+from aces_tools.sim_stand import SimulatedRobot
 from tests.tools.conftest import Aces
 from tests.tools.test_device import leg as leg
 
@@ -49,7 +49,7 @@ def test_something_is_missing(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPa
         .replace("credentials = { board = 1 }", "credentials = { board = 5 }")
     )
     other = load_other(Path(leg), text)
-    from aces_tools import scan
+    from aces_tools import discover as scan
 
     whole = chosen_robot(leg)
     hosts = scan._hosts
@@ -78,7 +78,7 @@ def test_a_file_of_what_was_found(
     robot = chosen_robot(lone)
     path = tmp_path / "found.toml"
     with ExitStack() as stack:
-        stand = Stand(robot, {"line": {}}, 0, stack)
+        stand = SimulatedRobot(robot, {"line": {}}, 0, stack)
         line = stand.reached["line"]["address"]
         found = aces("scan", "-p", "pololu_qik", "--bus", line, "--baud", "38400", "-o", path)
         assert (found.status, found.out, found.err) == (0, "", "found=2 missing=0\n")
@@ -92,7 +92,7 @@ def test_a_file_of_what_was_found(
 def test_nobody_is_there(aces: Aces, lone: str) -> None:
     """Nothing found is status 1, with what to look at, and no file."""
     with ExitStack() as stack:
-        stand = Stand(chosen_robot(lone), {"line": {}}, 0, stack)
+        stand = SimulatedRobot(chosen_robot(lone), {"line": {}}, 0, stack)
         for twin in stand.simulation.twins.values():
             twin.power(False)
         line = stand.reached["line"]["address"]

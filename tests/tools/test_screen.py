@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
-from aces_bus.hardware import BusEvent, Heard, Received
-from aces_bus.hardware.gate import Counters
+from aces_bus.frames import Frame
+from aces_bus.hardware import BusEvent, Received, ReceivedBytes
+from aces_bus.hardware.gate import GateCounters
 from aces_bus.hardware.inbox import Inbox
 from aces_bus.runtime import VirtualClock
 from aces_tools.screen import check_screen, make_screen
@@ -39,7 +39,7 @@ class Gate:
 
     name: str = "can0"
     state: str = "open"
-    counters: Counters = field(default_factory=Counters)
+    counters: GateCounters = field(default_factory=GateCounters)
     clock: VirtualClock = field(default_factory=VirtualClock)
 
 
@@ -359,7 +359,7 @@ def test_a_screen_is_made_for_a_gate(kind: str) -> None:
     gate.events.tell(BusEvent("lost", 0, "bus"))
     app.model.take_events()
     assert app.model.event_counts == {"lost": 1}
-    item = Heard(bytes([0xAA, 1, 2, 3, 4]), 5) if kind == "serial" else Received(encoder(0), 5)
+    item = ReceivedBytes(bytes([0xAA, 1, 2, 3, 4]), 5) if kind == "serial" else Received(encoder(0), 5)
     gate._put([item])
     asyncio.run(app.hear())
     assert only(app.model).name == ("Encoder" if kind == "can" else "Sample")

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
-from aces_bus.hardware import Heard, Received, frame_bits
-from aces_bus.hardware.frame_time import INTERMISSION
+from aces_bus.frames import Frame
+from aces_bus.hardware import Received, ReceivedBytes, frame_bits
+from aces_bus.hardware.simulated.frame_time import INTERMISSION
 from aces_bus.protocol import make_scanner
 from aces_tools.screen.meter import Meter
 from aces_tools.screen.model import CHANNELS, Model, changed_bits
 from aces_tools.screen.paint import FADE_NS
-from aces_tools.screen.stream import Stream
+from aces_tools.screen.stream import ModelFeed
 from tests.tools.screening import (
     MS,
     S,
@@ -213,11 +213,11 @@ def test_clear_begins_anew() -> None:
 def test_rows_of_a_line_are_messages_by_whom_they_are_about() -> None:
     """Bytes cut anywhere become rows; noise between packets has a row too, and bytes are the line's load."""
     made = Model(scanner(wire), name="tty", bitrate=115_200)
-    stream = Stream(made)
+    stream = ModelFeed(made)
     data = b"".join(bytes([0xAA, 1, n, 0, n]) for n in range(20))
     for at in range(0, len(data), 7):
-        stream.feed([Heard(data[at : at + 7], at * MS)])
-    stream.feed([Heard(b"\x00\x01", 200 * MS)])
+        stream.feed([ReceivedBytes(data[at : at + 7], at * MS)])
+    stream.feed([ReceivedBytes(b"\x00\x01", 200 * MS)])
     stream.idle(200 * MS + 5 * S)
     rows = {row.name: row for row in made.rows.values()}
     assert rows["Sample"].count == 20
@@ -229,7 +229,7 @@ def test_rows_of_a_line_are_messages_by_whom_they_are_about() -> None:
 def test_bytes_without_a_protocol_are_refused() -> None:
     """There is nothing to make rows of."""
     with pytest.raises(CallerError, match="-p NAME"):
-        Stream(Model(None))
+        ModelFeed(Model(None))
 
 
 def test_a_meter_reads_right_from_the_beginning() -> None:

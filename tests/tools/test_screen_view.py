@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware import BusEvent
 from aces_tools.screen.detail import detail
-from aces_tools.screen.head import Status, head, text_of
+from aces_tools.screen.head import Status, head, plain_text
 from aces_tools.screen.model import Model
 from aces_tools.screen.paint import bar, line, styles, title
 from aces_tools.screen.values import sparkline
@@ -203,8 +203,8 @@ def test_what_comes_over_a_wire_does_not_reach_the_terminal_as_control() -> None
     made = Model(None)
     made.feed(heard(Frame(1, channel="\x1b[2J")))
     said = text(line(only(made), made, cols(made), 0))
-    said += text_of(head(made, Status("\x1b[2J", title="\x07"), View(made), 1, 0, 80))
-    said += text_of(detail(only(made), made, 0, 80))
+    said += plain_text(head(made, Status("\x1b[2J", title="\x07"), View(made), 1, 0, 80))
+    said += plain_text(detail(only(made), made, 0, 80))
     assert "\x1b" not in said
     assert "\x07" not in said
 
@@ -235,20 +235,20 @@ def test_the_head_says_what_is_wrong() -> None:
     view.look_for("enc")
     view.freeze(now)
     status = Status("can0", "arm", "lost", lost=1234, bad_input=2, missed=3, recording="walk.log 5")
-    said = text_of(head(made, status, view, 3, now, 200))
+    said = plain_text(head(made, status, view, 3, now, 200))
     for part in (
         "can0 lost", "arm", "FROZEN", "walk.log 5", "1,234 lost", "1 errors", "2 bad input", "3 missed",
         "20 unknown", "3 of 5 rows", "/enc", "lost: unplugged", "%", "frames/s", "can1",
     ):  # fmt: skip
         assert part in said, part
-    assert "nothing lost" in text_of(head(model(), Status("can0"), View(model()), 0, 0, 80))
+    assert "nothing lost" in plain_text(head(model(), Status("can0"), View(model()), 0, 0, 80))
 
 
 def test_details_have_every_field_its_curve_the_bits_and_the_layout() -> None:
     """Each number apart, with its unit and its place; bytes as bits; the picture where there is room."""
     made = model()
     now = periodic(made, every_ms=100, count=40, batch=1)
-    said = text_of(detail(only(made), made, now, 100))
+    said = plain_text(detail(only(made), made, now, 100))
     for part in (
         "060 Encoder", "from device", "Positions of both motors.", "40 times, 10.0/s, every 100 ± 0.00 ms",
         "position.0", "39 count", "byte 0…3", "▁", "█", "27 0010 0111", "position.1 7…0",
@@ -256,4 +256,4 @@ def test_details_have_every_field_its_curve_the_bits_and_the_layout() -> None:
         assert part in said, part
     narrow = detail(only(made), made, now, 50)
     assert all(len(text(one)) <= 50 for one in narrow)
-    assert "┌" not in text_of(narrow)
+    assert "┌" not in plain_text(narrow)

@@ -13,8 +13,8 @@ import can
 import pytest
 
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.frame import Frame
-from aces_tools.live import LivePatience, Outgoing
+from aces_bus.frames import Frame
+from aces_tools.live import LivePatience, SendQueue
 from aces_tools.live_text import notation
 from aces_tools.protocols_arg import parse_protocols
 from aces_tools.send import raw_word
@@ -305,7 +305,7 @@ def test_deadlines_are_absolute(aces: Aces, node: Node, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(LivePatience, "wait_until", wait_until)
     monkeypatch.setattr(send, "time", Clock)
-    monkeypatch.setattr(Outgoing, "pending", property(lambda _: 0))
+    monkeypatch.setattr(SendQueue, "pending", property(lambda _: 0))
     found = aces("send", "123#00", *node.options, "--tx", "--every", "10ms", "--count", 6)
     assert [instant // 1_000_000 for instant in due[:5]] == [10, 20, 30, 50, 60]
     assert found.summary["late"] == 1

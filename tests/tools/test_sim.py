@@ -17,7 +17,7 @@ import pytest
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_tools.robot_arg import chosen_robot
 from aces_tools.sim import parse_fault
-from aces_tools.sim_stand import Stand
+from aces_tools.sim_stand import SimulatedRobot
 from tests.tools.conftest import Aces
 from tests.tools.test_device import leg as leg
 
@@ -84,10 +84,10 @@ def _position(leg: str) -> Any:
     from argparse import Namespace
 
     from aces_tools.device import alone
-    from aces_tools.robot_arg import opened
+    from aces_tools.robot_arg import open_robot
 
     options = Namespace(bus=[], interface="aces", baud=None, virtual=False)
-    with opened(alone(chosen_robot(leg), "JMC1"), options, rate_hz=100) as live:
+    with open_robot(alone(chosen_robot(leg), "JMC1"), options, rate_hz=100) as live:
         signal_ = live.rig["KNEE.position"]
         assert live.clock.wait(lambda: signal_.instant is not None, round(WAIT_S * 1e9))
         return signal_.last
@@ -97,7 +97,7 @@ def test_a_name_that_is_served(aces: Aces, leg: str) -> None:
     """A second one says who is there and how to have another name; named, a served bus is joined, a new one is made."""
     robot = chosen_robot(leg)
     with ExitStack() as stack:
-        Stand(robot, {name: {} for name in robot.buses}, 0, stack)
+        SimulatedRobot(robot, {name: {} for name in robot.buses}, 0, stack)
         second = aces("sim", leg, "--for", "10ms")
         assert second.status == 2
         assert (

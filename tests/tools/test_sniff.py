@@ -25,11 +25,11 @@ from hypothesis import strategies as st
 import aces_tools.live_text
 import aces_tools.recorder
 import aces_tools.sniff
-from aces_bus.capture import open_capture
-from aces_bus.capture.write.candump import CandumpWriter
 from aces_bus.errors import CallerError
-from aces_bus.frame import FD_LENGTHS, Frame
+from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
+from aces_bus.recordings import open_recording
+from aces_bus.recordings.write.candump import CandumpWriter
 from aces_tools.live import Told, parse_duration
 from aces_tools.live_text import CandumpLines, Times
 from tests.tools.conftest import small_disk
@@ -132,7 +132,7 @@ def test_without_a_protocol_the_lines_are_candumps(aces: Aces, opened: Opened, t
         found = aces("sniff", *node.options, "-t", "a", "-n", 5)
     finally:
         node.close()
-    frames = list(open_capture(io.BytesIO(found.out.encode()), link="can"))
+    frames = list(open_recording(io.BytesIO(found.out.encode()), link="can"))
     assert [(f.arbitration_id, f.data, f.is_extended_id, f.is_remote_frame, f.is_fd) for f in frames] == [
         (0x123, b"\xde\xad\xbe\xef", False, False, False),
         (0x12345678, b"\0", True, False, False),
@@ -199,7 +199,7 @@ def frames(draw: st.DrawFn) -> Frame:
 def test_lines_are_read_back_as_the_same_frames(sent: list[Frame]) -> None:
     """Whatever is shown, candump's reader reads as it was, but for the flags that candump hides too."""
     lines = CandumpLines(Times("a")).frames(sent)
-    read = list(open_capture(io.BytesIO(lines), link="can"))
+    read = list(open_recording(io.BytesIO(lines), link="can"))
     assert len(read) == len(sent)
     for mine, other in zip(sent, read, strict=True):
         assert (mine.arbitration_id, mine.data, mine.channel) == (
@@ -217,7 +217,7 @@ def test_lines_are_read_back_as_the_same_frames(sent: list[Frame]) -> None:
 def test_dates_are_read_back_as_the_same_instant() -> None:
     """`-t A` is local time, as candump writes and our reader reads it."""
     lines = CandumpLines(Times("A")).frames(STAMPED)
-    assert [frame.timestamp for frame in open_capture(io.BytesIO(lines), link="can")] == [
+    assert [frame.timestamp for frame in open_recording(io.BytesIO(lines), link="can")] == [
         frame.timestamp for frame in STAMPED
     ]
 
@@ -245,7 +245,7 @@ def test_filters_apply_to_what_is_shown_and_not_to_what_is_recorded(
     found = aces("sniff", *node.options, "-p", arm, "--filter", wanted, "-n", 3, "--record", record)
     assert len([line for line in found.out.splitlines() if " 06" in line]) == 3
     assert found.summary["filtered"] == 2
-    assert len(list(open_capture(record, link="can"))) == 5
+    assert len(list(open_recording(record, link="can"))) == 5
     opened.event.clear()
     opened.then(walk(node))
     found = aces("sniff", *node.options, "--filter", "060~7F0", "-n", 2)
@@ -483,7 +483,7 @@ def test_recordings_of_any_format(aces: Aces, node: Node, opened: Opened, tmp_pa
     record = tmp_path / name
     found = aces("sniff", *node.options, "-n", 5, "-q", "--record", record)
     assert found.status == 0
-    frames = list(open_capture(record, link="can"))
+    frames = list(open_recording(record, link="can"))
     assert [frame.arbitration_id for frame in frames] == [0x060, 0x300, 0x060, 0x7FE, 0x061]
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert f"recorded 5 frames in {record}" in found.messages
@@ -583,7 +583,7 @@ def test_a_serial_line_is_decoded_and_recorded(
     (one,) = found.objects
     assert (one["message"], one["offset"], one["size"], one["direction"]) == ("Status", 0, 6, "from device")
     assert found.summary["decoded"] == 6
-    chunks = list(open_capture(record, link="serial"))
+    chunks = list(open_recording(record, link="serial"))
     assert b"".join(chunk.data for chunk in chunks) == bytes.fromhex("FFFF010200FC")
     assert {chunk.direction for chunk in chunks} == {"from device"}
     assert all(chunk.time is not None and chunk.time > 1.7e9 for chunk in chunks)
@@ -773,7 +773,7 @@ def test_kill_9_loses_less_than_a_second(
     shown = [json.loads(process.stdout.readline()) for _ in range(1300)]
     process.send_signal(signal.SIGKILL)
     process.wait()
-    with open_capture(f"{record}.log", link="can") as capture:
+    with open_recording(f"{record}.log", link="can") as capture:
         kept = list(capture)
         assert capture.lines_unreadable <= 1
     assert len(kept) >= len(shown) - 1000
@@ -797,7 +797,7 @@ def test_signals_end_it_with_a_whole_recording(
     assert process.stderr is not None
     assert b"frames=%d " % shown in process.stderr.read().splitlines()[-1]
     assert process.wait() == 0
-    assert len(list(open_capture(record, link="can"))) == shown
+    assert len(list(open_recording(record, link="can"))) == shown
 
 
 @posix

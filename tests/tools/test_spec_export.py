@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.frame import Frame
-from aces_bus.protocol.foreign import load_database
+from aces_bus.frames import Frame
+from aces_bus.protocol.exchange import load_database
 from tests.tools.conftest import Aces
 
 

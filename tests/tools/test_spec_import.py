@@ -22,12 +22,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aces_bus.errors import AcesError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, make_scanner
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.foreign import load_database
-from aces_bus.protocol.foreign.names import plain
-from aces_bus.protocol.printers.source import print_source
+from aces_bus.protocol.exchange import load_database
+from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol.exchange.import_names import python_name
+from aces_bus.protocol.plan.flatten import flatten
 from tests.protocol.test_dbc_equal import databases
 from tests.tools.conftest import Aces
 
@@ -240,7 +240,7 @@ def test_drawn_databases(text: str, seed: int, tmp_path_factory: pytest.TempPath
         for m in imported.protocol.declared
     ]
     one, other = (
-        make_scanner([p.variant()], everything=True).feed(frames) for p in (made, imported.protocol)
+        make_scanner([p.variant()], include_unknown=True).feed(frames) for p in (made, imported.protocol)
     )
     assert list(map(str, one)) == list(map(str, other))
 
@@ -348,7 +348,7 @@ VAL_ 100 mode 1 "{dbc}" 2 "b" ;
 @given(st.text(min_size=1, max_size=12))
 def test_names_of_a_file_are_names_of_python(name: str) -> None:
     """A protocol called anything at all gives a variable that hides no word of the source."""
-    protocol = Protocol(plain(name), link="can", doc=name, source=name)
+    protocol = Protocol(python_name(name), link="can", doc=name, source=name)
     same(run_source(print_source(protocol)), protocol)
 
 

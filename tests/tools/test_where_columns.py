@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import Unknown, make_scanner
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.testing import strategies
 from aces_tools.output.shape import plans_of
 from aces_tools.where import Where
 from aces_tools.where_columns import WhereColumns
-from aces_tools.window import Window
+from aces_tools.window import TimeWindow
 from tests.specs.catalogue import SPECS
 
 META = ("time", "channel", "direction", "identifier", "extended", "fd", "remote", "is_rx", "offset", "size")
@@ -36,10 +36,10 @@ def test_rows_are_kept_as_records_are(data: st.DataObject) -> None:
     draw: Any = data.draw
     protocol = draw(st.sampled_from(sorted(SPECS.values(), key=lambda one: one.name)))
     variant = draw(st.sampled_from(protocol.variants()))
-    direction: Any = "from device" if variant.needs_direction else None
+    direction: Any = "from device" if variant.direction_conflict else None
     words = draw(strategies.scenes(variant, direction, size=200)).words
     is_can = variant.link == "can"
-    live: Any = make_scanner([variant], direction=direction, everything=True)
+    live: Any = make_scanner([variant], direction=direction, include_unknown=True)
     records = [one for one in [*live.feed(words), *live.close()] if type(one) is not Unknown]
     scanner = make_column_scanner([variant], direction=direction)
     tables = [*scanner.feed(FrameTable.from_frames(words) if is_can else words), *scanner.close()]
@@ -79,13 +79,13 @@ def test_windows() -> None:
     none = -(1 << 63)
     times = np.array([none, 10, 11, 12, 13], np.int64) * 1
     times[1:] = times[1:] * 10**9
-    window = Window.parse("1", "3")
+    window = TimeWindow.parse("1", "3")
     assert window is not None
     assert window.inside(times).tolist() == [False, False, True, True, False]
     assert window.untimed == 1
     window.begin()
     assert window.inside(times[3:]).tolist() == [False, True]
-    absolute = Window.parse("100000011", None)
+    absolute = TimeWindow.parse("100000011", None)
     assert absolute is not None
     assert absolute.inside(times + 10**17).tolist()[1:] == [False, True, True, True]
-    assert Window.parse(None, None) is None
+    assert TimeWindow.parse(None, None) is None

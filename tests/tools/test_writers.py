@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import (
     FlagSet,
     Protocol,
@@ -25,11 +25,11 @@ from aces_bus.protocol import (
 )
 from aces_bus.testing import laws, strategies
 from aces_tools.output import Writer
-from aces_tools.output.columns import beside, columns
+from aces_tools.output.columns import beside, column_output
+from aces_tools.output.csv import Sheet
 from aces_tools.output.jsonl import JsonLines
 from aces_tools.output.shape import Plans, plans_of
-from aces_tools.output.sheet import Sheet
-from aces_tools.output.text import Text, decimals, make_paint, no_paint, printable
+from aces_tools.output.text import TextOutput, decimals, make_paint, no_paint, printable
 from tests.specs.catalogue import SPECS
 
 PROTOCOLS: dict[str, Protocol] = {name: load_protocol(name) for name in list_protocols()} | SPECS
@@ -41,7 +41,7 @@ EXAMPLES = max(4, settings().max_examples // 3)
 
 def items_of(variant: Variant, way: Any, scene: Any) -> list[Any]:
     """Everything that a scanner makes of a scene's words."""
-    scanner = make_scanner([variant], direction=way, everything=True)
+    scanner = make_scanner([variant], direction=way, include_unknown=True)
     return [*scanner.feed(scene.words), *scanner.close()]
 
 
@@ -94,16 +94,16 @@ def test_text_is_safe_and_whole(variant: Variant, way: Any, data: st.DataObject)
     """Without a terminal one item is one line; nothing printed is a control character; a width is kept, word by word."""
     items = items_of(variant, way, data.draw(strategies.scenes(variant, way, size=200)))
     link = "can" if variant.link == "can" else "serial"
-    plain_writer = Text(plans_of([variant]), None)
+    plain_writer = TextOutput(plans_of([variant]), None)
     plain_writer.begin("x", link)
     text = plain_writer.items(items).decode()
     assert text.replace("\n", "").isprintable()
     assert text.count("\n") == (len(items) + 1 if items else 0)
-    narrow = Text(plans_of([variant]), None, width=80)
+    narrow = TextOutput(plans_of([variant]), None, width=80)
     narrow.begin("x", link)
     cut = narrow.items(items).decode()
     assert cut.split() == text.split()
-    coloured = Text(plans_of([variant]), None, width=80, paint=make_paint())
+    coloured = TextOutput(plans_of([variant]), None, width=80, paint=make_paint())
     coloured.begin("x", link)
     marked = coloured.items(items).decode()
     for before, after in STYLE_MARKS:
@@ -171,8 +171,8 @@ _declare()
 
 def shown(*frames: Frame, width: int | None = None, encoding: str = "utf-8", **options: Any) -> list[str]:
     """The lines of frames, without the title."""
-    scanner = mixed.scanner(everything=True)
-    writer = Text(plans_of([mixed.variant()]), None, width=width, encoding=encoding, **options)
+    scanner = mixed.scanner(include_unknown=True)
+    writer = TextOutput(plans_of([mixed.variant()]), None, width=width, encoding=encoding, **options)
     items = scanner.feed(frames)
     writer.begin("x.log", "can", items[0].meta.time)
     return writer.items(items).decode(encoding).split("\n")[1:-1]
@@ -263,18 +263,18 @@ ROWS = [("first", "", "a text of several words that takes room"), ("second", "x"
 
 def test_a_table_without_limit_is_a_line_a_row() -> None:
     """Columns are aligned, trailing blanks left out, empty columns dropped."""
-    assert columns(("name", "", ""), ROWS, None, no_paint) == [
+    assert column_output(("name", "", ""), ROWS, None, no_paint) == [
         "name",
         "first      a text of several words that takes room",
         "second  x  short",
     ]
-    assert columns(("name", "none", ""), [("a", "", "b")], None, no_paint) == ["name", "a     b"]
+    assert column_output(("name", "none", ""), [("a", "", "b")], None, no_paint) == ["name", "a     b"]
 
 
 @pytest.mark.parametrize("width", [20, 40, 60])
 def test_a_table_keeps_to_the_width(width: int) -> None:
     """The last column is folded beside the others, or goes below them; no word is lost."""
-    lines = columns(("name", "", ""), ROWS, width, no_paint)
+    lines = column_output(("name", "", ""), ROWS, width, no_paint)
     assert max(map(len, lines)) <= width
     assert " ".join(lines).split() == ["name", *" ".join(map(" ".join, ROWS)).split()]
 
@@ -287,7 +287,7 @@ def test_paragraphs_beside_a_name() -> None:
 def test_writers_are_interchangeable() -> None:
     """All three fulfil the same protocol."""
     writers: list[Writer] = [
-        Text(Plans([]), None),
+        TextOutput(Plans([]), None),
         JsonLines(Plans([]), None),
         Sheet(Plans([]), None, only=None, links=frozenset()),
     ]

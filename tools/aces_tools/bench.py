@@ -18,7 +18,7 @@ WIDTH = 120
 FEWEST = 100
 
 if TYPE_CHECKING:
-    from .benchmarks.timing import Row
+    from .benchmarks.timing import BenchRow
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    rows: Iterable[Row]
+    rows: Iterable[BenchRow]
     if arguments.frames is not None and arguments.frames < FEWEST:
         raise CallerError(f"--frames {arguments.frames}: at least {FEWEST} are needed to measure anything")
     if arguments.subject == "live":

@@ -25,16 +25,16 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.capture import CanCapture, Chunk, SerialCapture, formats, open_capture, parse_filter
-from aces_bus.capture.filter_columns import passing
-from aces_bus.capture.merge import Relabel, merged
-from aces_bus.capture.write import FORMATS, FormatOut, OpenWriter, format_of, open_writer
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, to_ns
+from aces_bus.recordings import CanRecording, Chunk, SerialRecording, formats, open_recording, parse_filter
+from aces_bus.recordings.filter_columns import passing
+from aces_bus.recordings.merge import Relabel, merge_by_time
+from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, writer_format
 
 from .console import Patience, abandon_stdout, say
 from .progress import Progress
-from .window import Window
+from .window import TimeWindow
 
 #: Unreadable lines that are shown, of each file.
 SHOWN = 3
@@ -136,7 +136,7 @@ class Conversion:
         self.total = self.written = self.errors = 0
         self.lines_unreadable = self.dropped = 0
         self.others: dict[str, int] = {}
-        self.captures: list[CanCapture | SerialCapture] = []
+        self.captures: list[CanRecording | SerialRecording] = []
         self.said: dict[int, int] = {}
         self.status = 0
 
@@ -148,7 +148,7 @@ class Conversion:
             if name[:1].isdecimal():
                 raise CallerError(f"--to {name}: this names the format; a time goes to --until")
             raise UnknownNameError("format", name, FORMATS)
-        form = FORMATS[name] if name is not None else format_of(self.target)
+        form = FORMATS[name] if name is not None else writer_format(self.target)
         for other in FORMATS.values():
             mine = tuple(suffix for suffix in other.suffixes if suffix not in PLAIN)
             if other is not form and self.target.lower().removesuffix(".gz").removesuffix(".zst").endswith(
@@ -199,7 +199,7 @@ class Conversion:
         form = self.arguments.input_format
         try:
             with patience.waiting():  # for the first bytes of a pipe
-                capture = open_capture(name, link=self.form.link, format=form)
+                capture = open_recording(name, link=self.form.link, format=form)
         except CaptureError:
             if form is None and os.path.isfile(name) and (other := _link(name)) not in (None, self.form.link):
                 raise CallerError(
@@ -241,7 +241,7 @@ class Conversion:
             if [capture.name] == measured:
                 self.progress.opened(capture)
         wanted = [map(self._passing, capture.tables()) for capture in captures]
-        for table in patience.each(merged(wanted, self.relabel)):
+        for table in patience.each(merge_by_time(wanted, self.relabel)):
             self._write(table, writer)
 
     def _write(self, table: FrameTable, writer: OpenWriter) -> None:
@@ -300,7 +300,7 @@ class Conversion:
             self.lines_unreadable += capture.lines_unreadable
             for kind, count in capture.others.items():
                 self.others[kind] = self.others.get(kind, 0) + count
-            if isinstance(capture, CanCapture):
+            if isinstance(capture, CanRecording):
                 self.dropped += capture.frames_dropped
         unit = "frame" if self.form.link == "can" else "byte"
         self._absences()
@@ -353,9 +353,9 @@ def _renamed(texts: list[str]) -> dict[str | None, str]:
     return names
 
 
-def _window(start: str | None, until: str | None) -> Window | None:
+def _window(start: str | None, until: str | None) -> TimeWindow | None:
     try:
-        return Window.parse(start, until)
+        return TimeWindow.parse(start, until)
     except CallerError as error:
         raise CallerError(
             str(error).replace("--to ", "--until ")
@@ -365,7 +365,7 @@ def _window(start: str | None, until: str | None) -> Window | None:
 def _link(name: str) -> str | None:
     """What the content of a file says it is of."""
     try:
-        with open_capture(name) as capture:
+        with open_recording(name) as capture:
             return capture.link
     except CaptureError:
         return None

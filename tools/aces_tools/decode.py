@@ -21,17 +21,17 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.capture import CanCapture, Capture, SerialCapture
-from aces_bus.capture.serial import RawCapture
 from aces_bus.errors import CallerError
 from aces_bus.export.open import FORMATS
-from aces_bus.frame import Frame
 from aces_bus.frame_table import to_ns
+from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
+from aces_bus.recordings import CanRecording, Recording, SerialRecording
+from aces_bus.recordings.serial.raw import RawCapture
 
 from .console import Output, Patience, abandon_stdout, terminal_width, wants_colour
-from .decoding import DIRECTIONS, SHOWN, Decoding, Direction, Link, Reading, Requests, Totals, utf8
+from .decoding import DIRECTIONS, SHOWN, CaptureReading, Decoding, Direction, Link, Requests, Totals, utf8
 from .output import Writer
 from .output.chosen import LIVE, line_format, table_format
 from .where import Where
@@ -229,15 +229,15 @@ class LiveDecoding(Decoding):
 
             return JsonLines(self.plans, stated)
         if form == "csv":
-            from .output.sheet import Sheet
+            from .output.csv import Sheet
 
             only = next(iter(self.messages)) if len(self.messages) == 1 else None
             links = frozenset(link for link, variants in self.variants.items() if variants)
             return Sheet(self.plans, stated, only=only, links=links)
-        from .output.text import Text, make_paint, no_paint
+        from .output.text import TextOutput, make_paint, no_paint
 
         is_terminal = self.output.is_terminal
-        return Text(
+        return TextOutput(
             self.plans,
             stated,
             paint=make_paint() if wants_colour(arguments.color, is_terminal) else no_paint,
@@ -248,7 +248,7 @@ class LiveDecoding(Decoding):
 
     # ------------------------------------------------------------------ running
 
-    def _opened(self, capture: CanCapture | SerialCapture) -> None:
+    def _opened(self, capture: CanRecording | SerialRecording) -> None:
         self.pending = (utf8(capture.name), capture.link)
 
     def _done(self) -> None:
@@ -281,11 +281,11 @@ class LiveDecoding(Decoding):
             if link == "serial":
                 self._check_direction(direction)
             self.scanners[link, direction] = make_scanner(
-                self.variants[link], direction=direction, everything=True
+                self.variants[link], direction=direction, include_unknown=True
             )
         return self.scanners[link, direction]
 
-    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
         scanner: Any = self._scanner("can", self.direction)
         scanner.reset()
         try:
@@ -317,7 +317,7 @@ class LiveDecoding(Decoding):
             items = kept
         self._emit(items, totals, is_can=True)
 
-    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, Scanner] = {}
         requests = Requests(self.variants["serial"])
 
@@ -325,7 +325,7 @@ class LiveDecoding(Decoding):
             return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
 
         chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
-        reading = Reading(patience.each(chunks))
+        reading = CaptureReading(patience.each(chunks))
         try:
             for chunk in reading:
                 if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
@@ -365,7 +365,7 @@ class LiveDecoding(Decoding):
             self.pending = None
             self.output.write(self.writer.begin(source, link, None if first is None else first.meta.time))
 
-    def _after_batch(self, capture: Capture) -> None:
+    def _after_batch(self, capture: Recording) -> None:
         if capture.live or self.output.is_terminal:
             self.output.flush()
         if capture.live:

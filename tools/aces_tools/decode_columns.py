@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.capture import CanCapture, SerialCapture
-from aces_bus.capture.filter_columns import passing
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.export import Export, open_export
 from aces_bus.frame_table import FrameTable, to_ns
-from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
-from aces_bus.protocol.scan.decoded import feed
-from aces_bus.protocol.scan.gather import kinds_of
-from aces_bus.protocol.scan.message_table import MessageTable
+from aces_bus.protocol.columns.decode import feed
+from aces_bus.protocol.columns.gather import kinds_of
+from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.recordings import CanRecording, SerialRecording
+from aces_bus.recordings.filter_columns import passing
 
 from .console import Patience, say
-from .decoding import Decoding, Direction, Reading, Requests, Totals, utf8
+from .decoding import CaptureReading, Decoding, Direction, Requests, Totals, utf8
 from .progress import Progress
 from .where_columns import Rows, WhereColumns
 
@@ -48,7 +48,7 @@ class ColumnDecoding(Decoding):
         show = arguments.unknown or "hide"
         self.shows_records, self.shows_losses = show != "only", show != "hide"
         # Filters by frame and by time also refuse what is not decoded: they need to see it.
-        self.everything = self.shows_losses or self.filter is not None or self.window is not None
+        self.include_unknown = self.shows_losses or self.filter is not None or self.window is not None
         self.source: str | None = None
         path: str = arguments.output
         for name in self.files:
@@ -106,7 +106,7 @@ class ColumnDecoding(Decoding):
 
     # ------------------------------------------------------------------ running
 
-    def _opened(self, capture: CanCapture | SerialCapture) -> None:
+    def _opened(self, capture: CanRecording | SerialRecording) -> None:
         self.source = utf8(capture.name)
         self.progress.opened(capture)
 
@@ -136,9 +136,9 @@ class ColumnDecoding(Decoding):
         variants = self.variants["can" if link == "can" else "serial"]
         if link != "can":
             self._check_direction(direction)
-        return make_column_scanner(variants, direction=direction, everything=self.everything)
+        return make_column_scanner(variants, direction=direction, include_unknown=self.include_unknown)
 
-    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
         scanner = self._scanner(self.direction, "can")
         first = 0
         try:
@@ -172,10 +172,10 @@ class ColumnDecoding(Decoding):
             kept = passed if kept is None else kept & passed
         return kept
 
-    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, ColumnScanner] = {}
         requests = Requests(self.variants["serial"])
-        reading = Reading(patience.each(capture))
+        reading = CaptureReading(patience.each(capture))
         try:
             for chunk in reading:
                 direction: Direction | None = self.direction or chunk.direction

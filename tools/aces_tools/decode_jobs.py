@@ -27,15 +27,15 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.capture import CanCapture, Problem, open_capture
-from aces_bus.capture.parts import open_part, split_capture
 from aces_bus.errors import AcesError, CallerError, CaptureError
 from aces_bus.export import Export
 from aces_bus.export.files import Staging, telling
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol.scan.can_columns import CanColumns
-from aces_bus.protocol.scan.channels import ChannelColumns
-from aces_bus.protocol.scan.message_table import MessageTable
+from aces_bus.protocol.columns.can import CanColumns
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.live.channels import ChannelColumns
+from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
+from aces_bus.recordings.parts import open_part, split_capture
 
 from .console import Patience, say
 from .decode_columns import ColumnDecoding, pieces_of
@@ -49,7 +49,7 @@ FORMS = ("parquet", "arrow", "feather")
 
 
 @dataclass
-class Done:
+class PieceResult:
     """What a process says of a piece. It can be pickled."""
 
     handover: Any
@@ -60,7 +60,7 @@ class Done:
     lines: tuple[int, int, int, int] = (0, 0, 0, 0)
     frames_dropped: int = 0
     others: dict[str, int] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[UnreadableEntry] = field(default_factory=list)
     #: Frames without a time, where times are asked for.
     untimed: int = 0
     notes: list[str] = field(default_factory=list)
@@ -92,13 +92,13 @@ class JobsDecoding(ColumnDecoding):
 
     # ------------------------------------------------------------------ this process
 
-    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
         if capture.live:
             super()._can(capture, totals, patience)
             return
         scanner = self._column_scanner(defer=False)
         tasks = self._tasks(capture)
-        under_way: deque[Future[Done]] = deque()
+        under_way: deque[Future[PieceResult]] = deque()
         self._frames = 0
         self._start_window(capture)
         try:
@@ -120,19 +120,19 @@ class JobsDecoding(ColumnDecoding):
                 future.cancel()
             totals.count(scanner.counts)
 
-    def _start_window(self, capture: CanCapture) -> None:
+    def _start_window(self, capture: CanRecording) -> None:
         """Relative times count from the first frame of the file: every process must know it."""
         if self.window is None:
             return
         untimed = self.window.untimed
-        with open_capture(capture.name, link="can") as same:
+        with open_recording(capture.name, link="can") as same:
             for table in same.tables():
                 self.window.inside(table.time)
                 if self.window.first is not None:
                     break
         self.window.untimed = untimed
 
-    def _tasks(self, capture: CanCapture) -> Iterator[Any]:
+    def _tasks(self, capture: CanRecording) -> Iterator[Any]:
         spans = None
         if os.path.isfile(capture.name):
             jobs = self.arguments.jobs
@@ -146,7 +146,7 @@ class JobsDecoding(ColumnDecoding):
         for table in pieces_of(capture.tables(), is_live=False):
             yield ("table", capture.name, table, first)
 
-    def _submit(self, task: Any) -> Future[Done]:
+    def _submit(self, task: Any) -> Future[PieceResult]:
         if self._pool is None:
             self._pool = self._make_pool()
         number, self._piece = self._piece, self._piece + 1
@@ -164,7 +164,7 @@ class JobsDecoding(ColumnDecoding):
             initargs=(self.arguments, self.form),
         )
 
-    def _adopt(self, capture: CanCapture, scanner: Any, done: Done, totals: Totals) -> None:
+    def _adopt(self, capture: CanRecording, scanner: Any, done: PieceResult, totals: Totals) -> None:
         """Go on behind a piece: its files, its counts, its complaints, and the frames that it left."""
         if done.error:
             raise CaptureError(done.error) if done.is_of_capture else CallerError(done.error)
@@ -230,11 +230,11 @@ class JobsDecoding(ColumnDecoding):
         variants = self.variants["can"]
         kind: Any = ChannelColumns if any(v.channel is not None for v in variants) else CanColumns
         made: CanColumns | ChannelColumns = kind(
-            variants, direction=self.direction, everything=self.everything, defer=defer
+            variants, direction=self.direction, include_unknown=self.include_unknown, defer=defer
         )
         return made
 
-    def work(self, task: Any, place: str) -> Done:
+    def work(self, task: Any, place: str) -> PieceResult:
         """Decode a piece into an export of its own at `place`."""
         kind, name, piece, first = task
         if self._deferring is None:  # made once: `hand_over` leaves it as new
@@ -242,7 +242,7 @@ class JobsDecoding(ColumnDecoding):
         scanner = self._deferring
         totals, channels = Totals(), set[str]()
         contested: int | None = None
-        capture: CanCapture | None = None
+        capture: CanRecording | None = None
         if self.window is not None:
             self.window.begin()
             self.window.see(first)
@@ -266,7 +266,7 @@ class JobsDecoding(ColumnDecoding):
                 self._take(found, totals)
                 row += len(frames)
             notes = self.export.notes
-        done = Done(scanner.hand_over(), totals, channels, contested, notes=notes)
+        done = PieceResult(scanner.hand_over(), totals, channels, contested, notes=notes)
         if self.window is not None:
             done.untimed = self.window.untimed
         if capture is not None:
@@ -292,20 +292,20 @@ def _begin(arguments: argparse.Namespace, form: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     global _worker
     if _worker is None:
-        _worker = Worker(arguments, form)
+        _worker = DecodeWorker(arguments, form)
 
 
-def _work(task: Any, place: str) -> Done:
+def _work(task: Any, place: str) -> PieceResult:
     assert _worker is not None
     try:
         return _worker.work(task, place)
     except AcesError as error:
         # The piece has a temporary name, which nobody knows.
         said = str(error).replace(place, _worker.arguments.output)
-        return Done(None, Totals(), set(), error=said, is_of_capture=isinstance(error, CaptureError))
+        return PieceResult(None, Totals(), set(), error=said, is_of_capture=isinstance(error, CaptureError))
 
 
-class Worker(JobsDecoding):
+class DecodeWorker(JobsDecoding):
     """The run as another process has it that could not be forked: without an output of its own."""
 
     def _open_export(self, path: str) -> Export:

@@ -13,14 +13,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
-from aces_bus.capture import CanCapture, CanFilter, Capture, SerialCapture, open_capture, parse_filter
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.protocol import Counts, Variant, make_scanner
+from aces_bus.protocol import ScanCounts, Variant, make_scanner
+from aces_bus.recordings import (
+    CanFilter,
+    CanRecording,
+    Recording,
+    SerialRecording,
+    open_recording,
+    parse_filter,
+)
 
 from .console import Patience, abandon_stdout, say
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
-from .window import Window
+from .window import TimeWindow
 
 T = TypeVar("T")
 Link = Literal["can", "serial"]
@@ -60,7 +67,7 @@ class Totals:
     def __getitem__(self, name: str) -> int:
         return self.bins.get(name, 0)
 
-    def count(self, counts: Counts) -> None:
+    def count(self, counts: ScanCounts) -> None:
         """Add what a scanner counted."""
         for name in ("total", "decoded", "unknown", "malformed", "skipped", "errors", "pending", "records"):
             self.add(name, getattr(counts, name))
@@ -89,7 +96,7 @@ class Totals:
         return found
 
 
-class Reading(Generic[T]):
+class CaptureReading(Generic[T]):
     """The items of a capture up to where reading fails: what has come is finished before `check` raises the failure."""
 
     def __init__(self, items: Iterable[T]) -> None:
@@ -143,7 +150,7 @@ class Decoding(ABC):
         self.plans = plans_of(variants)
         self.filter = self._filter(arguments.filter)
         self.messages = self._messages(arguments.message)
-        self.window = Window.parse(arguments.start, arguments.stop)
+        self.window = TimeWindow.parse(arguments.start, arguments.stop)
         self.totals: dict[Link, Totals] = {}
         self.status = 0
         #: Whether it has been said that two protocols claim one frame.
@@ -177,14 +184,14 @@ class Decoding(ABC):
     # ------------------------------------------------------------------ what a way does
 
     @abstractmethod
-    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
         """Decode frames, and count them whatever happens."""
 
     @abstractmethod
-    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
         """Decode bytes, and count them whatever happens."""
 
-    def _opened(self, capture: CanCapture | SerialCapture) -> None:  # noqa: B027 - a way may have nothing to do
+    def _opened(self, capture: CanRecording | SerialRecording) -> None:  # noqa: B027 - a way may have nothing to do
         """A file is about to be decoded."""
 
     def _done(self) -> None:  # noqa: B027
@@ -248,7 +255,7 @@ class Decoding(ABC):
             before = totals["total"]
             self._opened(capture)
             try:
-                if isinstance(capture, CanCapture):
+                if isinstance(capture, CanRecording):
                     self._can(capture, totals, patience)
                 else:
                     self._serial(capture, totals, patience)
@@ -265,26 +272,26 @@ class Decoding(ABC):
                     kinds = ", ".join(f"{number} {kind}" for kind, number in capture.others.items())
                     say(f"{capture.name}: beside its frames it holds {kinds}")
                 totals.lines_unreadable += capture.lines_unreadable
-                if isinstance(capture, CanCapture):
+                if isinstance(capture, CanRecording):
                     totals.dropped += capture.frames_dropped
             return capture.live
 
-    def _open(self, name: str, patience: Patience) -> CanCapture | SerialCapture:
+    def _open(self, name: str, patience: Patience) -> CanRecording | SerialRecording:
         links: list[Link] = [link for link, variants in self.variants.items() if variants]
         with patience.waiting():  # for the first bytes of a pipe
             if len(links) == 1:
-                return open_capture(name, link=links[0])
+                return open_recording(name, link=links[0])
             try:
-                return open_capture(name)
+                return open_recording(name)
             except CaptureError:
                 if name == "-" or not os.path.isfile(name):
                     raise
-                return open_capture(name, link="serial")  # none of the formats that say what they are
+                return open_recording(name, link="serial")  # none of the formats that say what they are
 
     def _check_direction(self, direction: Direction | None) -> None:
         """Streams of some protocols are not to be told apart without it."""
         for variant in self.variants["serial"] if direction is None else ():
-            clash = variant.needs_direction
+            clash = variant.direction_conflict
             if clash is not None:
                 raise CallerError(
                     f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
@@ -298,7 +305,7 @@ class Decoding(ABC):
 
     # ------------------------------------------------------------------ what goes to stderr
 
-    def _problems(self, capture: Capture) -> None:
+    def _problems(self, capture: Recording) -> None:
         """Name the first unreadable lines, each once; those of live sources as they come."""
         for problem in capture.problems[self.shown : SHOWN]:
             self.shown += 1
@@ -352,4 +359,4 @@ def utf8(name: str) -> str:
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
-__all__ = ["DIRECTIONS", "SHOWN", "Decoding", "Direction", "Link", "Reading", "Totals", "utf8"]
+__all__ = ["DIRECTIONS", "SHOWN", "CaptureReading", "Decoding", "Direction", "Link", "Totals", "utf8"]

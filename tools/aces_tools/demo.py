@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from aces_bus.controller import ViaPath
 
     from .plotting.picture import Picture
-    from .running.tape import Tape
+    from .running.replay_log import Tape
 
 ROBOT, RATE, SEED = "hubo2plus", 200.0, 6
 #: The joint that is drawn.
@@ -72,13 +72,13 @@ def knee_bends() -> ViaPath:
 
 def run(arguments: argparse.Namespace) -> int:
     has_figure = _can_draw(arguments.output)
-    from aces_bus.assembly import run_virtual
     from aces_bus.controller import Player
-    from aces_devices.robots import load_robot
+    from aces_bus.robot import run_virtual
+    from aces_devices.robots import load_robot_by_name
 
-    from .running.tape import Tape
+    from .running.replay_log import Tape
 
-    robot = load_robot(ROBOT)
+    robot = load_robot_by_name(ROBOT)
     path = knee_bends()
     player = Player("knee bends", path, rate_hz=RATE)
     tape = Tape([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
@@ -115,7 +115,7 @@ def _can_draw(path: str) -> bool:
     if suffix not in figure.SUFFIXES:
         raise CallerError(f"-o {path}: the suffix says the format, one of {', '.join(figure.SUFFIXES)}")
     try:
-        figure.load()
+        figure.load_matplotlib()
     except CallerError:
         say(
             f"no {path}: pictures are drawn by matplotlib: pip install 'aces-bus[plot]'; here is the plot alone"
@@ -126,10 +126,10 @@ def _can_draw(path: str) -> bool:
 
 
 def _picture(tape: Tape) -> Picture:
-    from .plotting.formats import Format
+    from .plotting.formats import ImageFormat
     from .plotting.picture import Picture
-    from .plotting.series import Clock
-    from .running.tape import Curve, panel_of
+    from .plotting.series import TimeAxis
+    from .running.replay_log import Curve, panel_of
 
     seconds, asked, did = tape.seconds, tape[f"{JOINT}.setpoint"], tape[JOINT]
     return Picture(
@@ -138,13 +138,19 @@ def _picture(tape: Tape) -> Picture:
                 "right knee",
                 "rad",
                 seconds,
-                [Curve("set-point", asked, Format(line="--")), Curve("actual", did, Format(line="-"))],
+                [
+                    Curve("set-point", asked, ImageFormat(line="--")),
+                    Curve("actual", did, ImageFormat(line="-")),
+                ],
             ),
             panel_of(
-                "actual − set-point", "rad", seconds, [Curve("difference", did - asked, Format(line="-"))]
+                "actual − set-point",
+                "rad",
+                seconds,
+                [Curve("difference", did - asked, ImageFormat(line="-"))],
             ),
         ],
-        Clock(0, is_set=True),
+        TimeAxis(0, is_set=True),
         "Hubo 2+, simulated: set-point and actual",
     )
 
@@ -153,14 +159,14 @@ def _draw(picture: Picture, path: str | None) -> None:
     from .plotting import terminal
 
     output = Output(None)
-    paint: Any = terminal.make_paint() if wants_colour(None, output.is_terminal) else None
+    paint: Any = terminal.make_plot_paint() if wants_colour(None, output.is_terminal) else None
     height = None
     if output.is_terminal:
         try:
             height = os.get_terminal_size(sys.stdout.fileno()).lines - 4
         except (OSError, ValueError, AttributeError):
             pass
-    text = terminal.draw(
+    text = terminal.draw_terminal(
         picture, min(terminal_width(), 120), paint=paint, height=height, encoding=output.encoding
     )
     output.write(text.encode(output.encoding, "replace"))
@@ -168,5 +174,5 @@ def _draw(picture: Picture, path: str | None) -> None:
     if path is not None:
         from .plotting import figure
 
-        figure.save(picture, path)
+        figure.save_figure(picture, path)
         print(f"the same as a picture: {path}")

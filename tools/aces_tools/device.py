@@ -29,7 +29,7 @@ from .device_do import Doing, checked, signals_of
 from .device_show import show_device, show_devices
 from .device_text import parse_pairs
 from .live import LivePatience, parse_duration
-from .robot_arg import add_robot_arguments, chosen_robot, opened
+from .robot_arg import add_robot_arguments, chosen_robot, open_robot
 
 if TYPE_CHECKING:
     from aces_bus.device import Device, DeviceConfig, Robot
@@ -92,9 +92,9 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
     with (
         LivePatience() as patience,
-        opened(alone(robot, config.name), arguments, rate_hz=robot.rate_hz or RATE) as live,
+        open_robot(alone(robot, config.name), arguments, rate_hz=robot.rate_hz or RATE) as live,
     ):
-        from .happenings import Happenings
+        from .event_lines import Happenings
 
         told = Happenings(live.rig, robot)
         doing = Doing(live, live.rig.devices[config.name], part, arguments, patience, told)
@@ -158,7 +158,7 @@ def alone(robot: Robot, name: str) -> Robot:
 
 def described_device(robot: Robot, name: str) -> Device:
     """The device, on no bus: what it has can be looked at."""
-    from aces_bus.assembly import VirtualRobot
+    from aces_bus.robot import VirtualRobot
 
     device: Device = VirtualRobot(alone(robot, name)).devices[name]
     return device

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
 from .console import say
-from .device_text import plain, reading, result_lines, shown, value_for
+from .device_text import json_reading, reading, result_lines, shown_value, value_for
 from .live import LivePatience
 
 if TYPE_CHECKING:
     from aces_bus.device import Device, Signal
 
-    from .happenings import Happenings
+    from .event_lines import Happenings
     from .robot_arg import Opened
 
 #: Seconds in which a signal must be heard by `get`, and a device before it is told anything.
@@ -138,7 +138,8 @@ class Doing:
         self.wait(lambda: all(one.instant is not None for one in signals), round(HEARD_S * 1e9))
         if self.arguments.json:
             whole = {
-                one.name: {"value": plain(one.value), "unit": one.unit, "age_s": _age(one)} for one in signals
+                one.name: {"value": json_reading(one.value), "unit": one.unit, "age_s": _age(one)}
+                for one in signals
             }
             print(json.dumps(whole, ensure_ascii=False, indent=2))
         else:
@@ -186,7 +187,7 @@ class Doing:
 
     @staticmethod
     def _print_object(seconds: float, signals: list[Signal]) -> None:
-        values = {one.name: plain(one.value) for one in signals}
+        values = {one.name: json_reading(one.value) for one in signals}
         print(json.dumps({"time": round(seconds, 6), **values}, ensure_ascii=False), flush=True)
 
     # ------------------------------------------------------------------ set
@@ -233,11 +234,11 @@ class Doing:
     def _show_set(self, targets: list[tuple[Signal, Any]]) -> int:
         device = self.device
         if self.arguments.json:
-            print(json.dumps({one.name: plain(one.value) for one, _ in targets}, ensure_ascii=False))
+            print(json.dumps({one.name: json_reading(one.value) for one, _ in targets}, ensure_ascii=False))
         else:
             for one, value in targets:
                 now = f", is {reading(one)}" if one.name in device.readable else ""
-                print(f"{one.name}: set to {shown(plain(value))} {one.unit}".rstrip() + now)
+                print(f"{one.name}: set to {shown_value(json_reading(value))} {one.unit}".rstrip() + now)
         owners = {one.name.partition(".")[0] for one, _ in targets}
         idle = [o for o in owners if (e := device.signals.get(f"{o}.enabled")) and e.value is False]
         if idle and not self.arguments.enable:
@@ -281,7 +282,7 @@ class Doing:
             return 1
         except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise CallerError(f"{action}: one of its arguments is not of the right kind: {error}") from None
-        found = plain(result)
+        found = json_reading(result)
         if self.arguments.json:
             print(json.dumps({"action": action, "result": found}, ensure_ascii=False))
         else:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from .device_text import rows_of
+from .device_text import aligned_rows
 
 if TYPE_CHECKING:
     from aces_bus.device import Device, DeviceConfig, Robot, Signal
@@ -34,8 +34,10 @@ def show_devices(robot: Robot, as_json: bool) -> int:
     for row in rows:
         parts = " ".join([*row["joints"], *row["sensors"]])
         state = "" if row["active"] else " (inactive)"
-        table.append((row["device"], row["bus"], row["driver"], numbers(row["credentials"]) + state, parts))
-    print("\n".join(rows_of(table, "")))
+        table.append(
+            (row["device"], row["bus"], row["driver"], credential_text(row["credentials"]) + state, parts)
+        )
+    print("\n".join(aligned_rows(table, "")))
     return 0
 
 
@@ -63,13 +65,13 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
         }
         print(json.dumps(whole, ensure_ascii=False, indent=2))
         return 0
-    print(f"{device.name}: {config.driver} on bus {config.bus}, {numbers(device.credentials)}")
+    print(f"{device.name}: {config.driver} on bus {config.bus}, {credential_text(device.credentials)}")
     table: list[tuple[str, ...]] = []
     for one in signals:
         ways = ["set"] * one.is_writable + ["read"] * (one.name in device.readable)
         limits = "" if one.lower is None or one.upper is None else f" {one.lower:g}…{one.upper:g}"
         table.append((one.name, one.unit or "–", ", ".join(ways) + limits, one.doc))
-    print("\n".join(rows_of(table)) if table else "  no signals")
+    print("\n".join(aligned_rows(table)) if table else "  no signals")
     if device.actions:
         is_marked = any(name in device.asking for name in device.actions)
         print("actions" + (" (those with * only ask, and need no --tx)" if is_marked else ""))
@@ -77,11 +79,11 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
             (name + "*" * (name in device.asking), _with_arguments(doc, arguments_of(device, name)))
             for name, doc in device.actions.items()
         ]
-        print("\n".join(rows_of(rows)))
+        print("\n".join(aligned_rows(rows)))
     return 0
 
 
-def numbers(credentials: Mapping[str, int]) -> str:
+def credential_text(credentials: Mapping[str, int]) -> str:
     """`board 0x03, sensor 0x01`."""
     return ", ".join(f"{key} {value:#04x}" for key, value in credentials.items())
 
@@ -103,4 +105,4 @@ def _with_arguments(doc: str, arguments: dict[str, bool]) -> str:
     return f"{doc}  ({' '.join(name if is_needed else f'[{name}]' for name, is_needed in arguments.items())})"
 
 
-__all__ = ["arguments_of", "numbers", "show_device", "show_devices"]
+__all__ = ["arguments_of", "credential_text", "show_device", "show_devices"]

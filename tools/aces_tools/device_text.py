@@ -25,10 +25,10 @@ _DEGREES = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?:deg|°)(/s)?")
 # ---------------------------------------------------------------------- values
 
 
-def plain(value: Any) -> Any:
+def json_reading(value: Any) -> Any:
     """A value as JSON has it: unknown, NaN and infinities are null, flags a list of names, bytes hexadecimal."""
     from aces_bus.device import UNKNOWN
-    from aces_bus.protocol.spec.fields import FlagSet
+    from aces_bus.protocol.declare.fields import FlagSet
 
     if value is UNKNOWN or value is None:
         return None
@@ -43,17 +43,17 @@ def plain(value: Any) -> Any:
     if isinstance(value, bytes | bytearray):
         return value.hex()
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): json_reading(item) for key, item in value.items()}
     if hasattr(value, "__struct_fields__"):
         names = [name for name in value.__struct_fields__ if not name.startswith("_")]
-        return {name: plain(getattr(value, name)) for name in names}
+        return {name: json_reading(getattr(value, name)) for name in names}
     try:
-        return [plain(item) for item in value]
+        return [json_reading(item) for item in value]
     except TypeError:
         return str(value)
 
 
-def shown(value: Any) -> str:
+def shown_value(value: Any) -> str:
     """A plain value for people, in one line."""
     if value is None:
         return "unknown"
@@ -62,9 +62,9 @@ def shown(value: Any) -> str:
     if isinstance(value, float):
         return f"{value + 0.0:.6g}"
     if isinstance(value, list):
-        return ", ".join(shown(item) for item in value) or "none"
+        return ", ".join(shown_value(item) for item in value) or "none"
     if isinstance(value, dict):
-        return ", ".join(f"{key} {shown(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {shown_value(item)}" for key, item in value.items())
     return str(value)
 
 
@@ -72,7 +72,7 @@ def reading(one: Signal) -> str:
     """A signal's value with its unit; what is unknown or stale says so."""
     if one.instant is None:
         return "unknown"
-    whole = f"{shown(plain(one.last))} {one.unit}".rstrip()
+    whole = f"{shown_value(json_reading(one.last))} {one.unit}".rstrip()
     age = one.age_ns
     return f"{whole} (stale, {age / 1e9:.1f} s old)" if one.is_stale and age is not None else whole
 
@@ -80,21 +80,21 @@ def reading(one: Signal) -> str:
 def result_lines(value: Any, indent: str = "") -> list[str]:
     """What an action has found, a line a name."""
     if not isinstance(value, dict):
-        return [] if value is None else [f"{indent}{shown(value)}"]
+        return [] if value is None else [f"{indent}{shown_value(value)}"]
     lines: list[str] = []
     width = max((len(str(key)) for key, item in value.items() if not isinstance(item, dict)), default=0)
     for key, item in value.items():
         if isinstance(item, dict):
             lines += [f"{indent}{key}", *result_lines(item, indent + "  ")]
         else:
-            lines.append(f"{indent}{key:<{width}}  {shown(item)}")
+            lines.append(f"{indent}{key:<{width}}  {shown_value(item)}")
     return lines
 
 
 # ---------------------------------------------------------------------- tables
 
 
-def rows_of(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[str]:
+def aligned_rows(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[str]:
     """Columns under each other; on a terminal the last one is wrapped to its width."""
     if not rows:
         return []
@@ -161,4 +161,12 @@ def value_for(one: Signal, value: Any) -> Any:
     return value
 
 
-__all__ = ["parse_pairs", "plain", "reading", "result_lines", "rows_of", "shown", "value_for"]
+__all__ = [
+    "aligned_rows",
+    "json_reading",
+    "parse_pairs",
+    "reading",
+    "result_lines",
+    "shown_value",
+    "value_for",
+]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from .device_text import plain, shown
+from .device_text import json_reading, shown_value
 
 if TYPE_CHECKING:
     from aces_bus.device import Signal
@@ -42,7 +42,7 @@ def _table(seconds: float, signals: list[Signal]) -> Any:
     for one in signals:
         value, note, style = "unknown", "", "dim"
         if one.instant is not None:
-            value, style = shown(plain(one.last)), ""
+            value, style = shown_value(json_reading(one.last)), ""
             if one.is_stale and one.age_ns is not None:
                 note, style = f"stale, {one.age_ns / 1e9:.1f} s old", "dim"
         table.add_row(

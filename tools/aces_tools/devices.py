@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import AcesError
 
 from .console import say
-from .device_text import rows_of
+from .device_text import aligned_rows
 
 if TYPE_CHECKING:
     from aces_bus.device import Driver
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     from aces_bus.device import list_drivers, load_driver
 
     if arguments.driver is not None:
-        whole = described(load_driver(arguments.driver))
+        whole = describe_driver(load_driver(arguments.driver))
         print(json.dumps(whole, ensure_ascii=False, indent=2)) if arguments.json else _show(whole)
         return 0
     found: list[dict[str, Any]] = []
@@ -47,11 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(found, ensure_ascii=False, indent=2))
         return status
-    print("\n".join(rows_of([(one["driver"], one["protocol"], one["doc"]) for one in found], "")))
+    print("\n".join(aligned_rows([(one["driver"], one["protocol"], one["doc"]) for one in found], "")))
     return status
 
 
-def described(driver: Driver) -> dict[str, Any]:
+def describe_driver(driver: Driver) -> dict[str, Any]:
     """A driver with what the devices of its example robot have."""
     from aces_bus.device.twin import FAULTS
 
@@ -59,8 +59,8 @@ def described(driver: Driver) -> dict[str, Any]:
     actions = dict(driver.device.actions)
     asking = set(driver.device.asking)
     if driver.virtual:
-        from aces_bus.assembly import VirtualRobot
-        from aces_bus.device import load_driver, parse_robot
+        from aces_bus.device import load_driver
+        from aces_bus.robot import VirtualRobot, parse_robot
 
         robot, _ = parse_robot(driver.example, f"{driver.name}.toml")
         if robot is not None:
@@ -92,7 +92,7 @@ def described(driver: Driver) -> dict[str, Any]:
 
 def _show(whole: dict[str, Any]) -> None:
     head = [("protocol", whole["protocol"]), ("source", whole["source"])]
-    print("\n".join(rows_of([(f"{whole['driver']}:", whole["doc"])], "") + rows_of(head, "")))
+    print("\n".join(aligned_rows([(f"{whole['driver']}:", whole["doc"])], "") + aligned_rows(head, "")))
     print(f"'aces scan' {'finds' if whole['finds_itself'] else 'cannot find'} these devices")
     _table(
         "signals",
@@ -112,4 +112,4 @@ def _show(whole: dict[str, Any]) -> None:
 
 def _table(title: str, rows: Sequence[tuple[str, ...]]) -> None:
     if rows:
-        print("\n".join([f"\n{title}", *rows_of(rows)]))
+        print("\n".join([f"\n{title}", *aligned_rows(rows)]))

@@ -31,7 +31,7 @@ from .console import say, terminal_width
 if TYPE_CHECKING:
     from aces_bus.testing._coverage import Coverage
 
-    from .fuzzing.work import Done, Found, Job, Task
+    from .fuzzing.work import FoundFailure, FuzzJob, FuzzTask, TaskResult
 
 #: Examples when neither a number nor a time is given.
 EXAMPLES = 20_000
@@ -114,11 +114,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from .fuzzing.report import as_json, failure_text, table
-    from .fuzzing.work import Job, chosen_laws
+    from .fuzzing.report import as_json, coverage_table, failure_text
+    from .fuzzing.work import FuzzJob, chosen_laws
 
     seed, only = _seed(arguments.seed)
-    job = Job(
+    job = FuzzJob(
         names=tuple(arguments.names),
         laws=chosen_laws(arguments.law),
         seed=seed,
@@ -149,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(as_json(job.names, numbers, tally.found, tally.coverage()))
     elif tally.examples and not arguments.quiet and not budget.is_single:
-        print(table(tally.coverage(), terminal_width()))
+        print(coverage_table(tally.coverage(), terminal_width()))
     say(tally.summary(is_over), who="")
     return 1 if tally.found else 130 if is_over else 0
 
@@ -182,22 +182,22 @@ class _Budget:
         self.examples = EXAMPLES if arguments.examples is None else int(arguments.examples)
         self.began = time.monotonic()
 
-    def tasks(self) -> Iterator[Task]:
+    def tasks(self) -> Iterator[FuzzTask]:
         """The tasks, for as long as there is something to do."""
-        from .fuzzing.work import Task
+        from .fuzzing.work import FuzzTask
 
         if self.only is not None:
-            yield Task(self.only, 1)
+            yield FuzzTask(self.only, 1)
             return
         if self.files or not self.examples:
-            yield Task(files=self.files)
+            yield FuzzTask(files=self.files)
             return
         at = 0
         while self.minutes is not None or at < self.examples:
             if self.minutes is not None and time.monotonic() - self.began > 60 * self.minutes:
                 return
             count = TASK if self.minutes is not None else min(TASK, self.examples - at)
-            yield Task(at, count)
+            yield FuzzTask(at, count)
             at += count
 
     def part(self, examples: int) -> float:
@@ -207,7 +207,7 @@ class _Budget:
         return min(1.0, examples / max(1, self.examples))
 
 
-def _all(job: Job, budget: _Budget, jobs: int) -> Generator[Done, None, None]:
+def _all(job: FuzzJob, budget: _Budget, jobs: int) -> Generator[TaskResult, None, None]:
     """What each task did, as they finish."""
     from .fuzzing.work import ignore_interrupts, places, work, worker_of
 
@@ -219,7 +219,7 @@ def _all(job: Job, budget: _Budget, jobs: int) -> Generator[Done, None, None]:
             yield work(job, task)
         return
     with _pool(jobs, ignore_interrupts) as pool:
-        waiting: set[Future[Done]] = set()
+        waiting: set[Future[TaskResult]] = set()
         tasks = budget.tasks()
         while True:
             for task in islice(tasks, 2 * jobs - len(waiting)):
@@ -244,18 +244,18 @@ def _pool(jobs: int, begin: Callable[[], None]) -> Generator[ProcessPoolExecutor
 class Tally:
     """What all processes did so far, and how it is shown while it goes on."""
 
-    def __init__(self, arguments: argparse.Namespace, job: Job) -> None:
+    def __init__(self, arguments: argparse.Namespace, job: FuzzJob) -> None:
         self.job = job
         self.began = time.monotonic()
         self.examples = self.checks = self.words = 0
-        self.found: list[Found] = []
-        self._latest: dict[int, Done] = {}
+        self.found: list[FoundFailure] = []
+        self._latest: dict[int, TaskResult] = {}
         self._is_shown = not arguments.quiet and not arguments.json
         self._is_terminal = sys.stderr is not None and sys.stderr.isatty()
         self._next = self.began + (STEP_S if self._is_terminal else LOG_S)
         self._width = 0
 
-    def add(self, done: Done) -> list[Found]:
+    def add(self, done: TaskResult) -> list[FoundFailure]:
         """Count what a task did; gives the failures that are new."""
         self.examples += done.examples
         self.checks += done.checks

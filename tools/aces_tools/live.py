@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 
 from .console import Patience, say
 
@@ -150,7 +150,7 @@ def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
     )
 
 
-class Outgoing:
+class SendQueue:
     """What goes out through a gate: in the order given, never more than it takes, all of it accounted for.
 
     `pending` counts in the gate's own unit: frames, bytes or datagrams.
@@ -200,7 +200,7 @@ __all__ = [
     "LINGER_S",
     "STEP_S",
     "LivePatience",
-    "Outgoing",
+    "SendQueue",
     "Told",
     "heard_frame",
     "losses",

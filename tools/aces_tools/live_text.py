@@ -15,10 +15,10 @@ import datetime
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from aces_bus.capture import Chunk
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
+from aces_bus.recordings import Chunk
 
-from .output.text import Paint, Text, no_paint, printable
+from .output.text import Paint, TextOutput, no_paint, printable
 
 #: `-t`, as candump has it, and what it means.
 TIME_MODES = {
@@ -59,7 +59,7 @@ class Times:
             return f"{time:.6f}"
 
 
-class LiveText(Text):
+class LiveText(TextOutput):
     """Decoded lines with candump's time modes."""
 
     def __init__(self, *arguments: Any, times: Times, **options: Any) -> None:

@@ -19,15 +19,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.capture import CanCapture, Chunk, SerialCapture, open_capture, parse_filter
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.frame import Frame
 from aces_bus.frame_table import NO_TIME, to_ns
+from aces_bus.frames import Frame
+from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recording, parse_filter
 
 from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
 from .console import say
 from .decoding import SHOWN
-from .live import LINGER_S, LivePatience, Outgoing, Told, parse_duration
+from .live import LINGER_S, LivePatience, SendQueue, Told, parse_duration
 
 if TYPE_CHECKING:
     from aces_bus.hardware.replay import Pace
@@ -120,19 +120,21 @@ class Playing:
         #: Of a recording that is shown: frames by identifier, channels, first and last time.
         self.seen: Counter[str] = Counter()
         self.channels: dict[str, None] = {}
-        self.outgoing: dict[str, Outgoing] = {}
+        self.outgoing: dict[str, SendQueue] = {}
         self.told: list[Told] = []
         self._shown_at = 0.0
         self._began = 0.0
 
     # ------------------------------------------------------------------ what is played
 
-    def _open(self, name: str) -> CanCapture | SerialCapture:
-        return open_capture(name) if self.bus is None else open_capture(name, link=self.bus.link)
+    def _open(self, name: str) -> CanRecording | SerialRecording:
+        return open_recording(name) if self.bus is None else open_recording(name, link=self.bus.link)
 
-    def _words(self, capture: CanCapture | SerialCapture, patience: LivePatience) -> Iterator[Frame | Chunk]:
+    def _words(
+        self, capture: CanRecording | SerialRecording, patience: LivePatience
+    ) -> Iterator[Frame | Chunk]:
         """What of a recording is to be sent; the rest is counted."""
-        if isinstance(capture, CanCapture):
+        if isinstance(capture, CanRecording):
             for frames in patience.each(capture.batches(BATCH)):
                 for frame in frames:
                     self.total += 1
@@ -157,7 +159,7 @@ class Playing:
         """Whether there is a bus for this frame's channel."""
         return not self.map or str(frame.channel) in self.map or "channel" in self.arguments
 
-    def _problems(self, capture: CanCapture | SerialCapture) -> None:
+    def _problems(self, capture: CanRecording | SerialRecording) -> None:
         for problem in capture.problems[:SHOWN]:
             say(f"{capture.name}:{problem}")
         if capture.lines_unreadable > SHOWN:
@@ -189,7 +191,7 @@ class Playing:
         self._summarise(0, 0)
         return self.status
 
-    def _describe(self, capture: CanCapture | SerialCapture, patience: LivePatience) -> None:
+    def _describe(self, capture: CanRecording | SerialRecording, patience: LivePatience) -> None:
         first = last = None
         self.seen.clear()
         self.channels.clear()
@@ -233,7 +235,7 @@ class Playing:
                 for name, gate in gates.items():
                     self.told.append(Told(gate))
                     self.buses[name].start(gate)
-                    self.outgoing[name] = Outgoing(gate, PATIENCE_S)
+                    self.outgoing[name] = SendQueue(gate, PATIENCE_S)
                 self._began = time.monotonic()
                 self._play(patience)
                 for outgoing in self.outgoing.values():
@@ -264,7 +266,7 @@ class Playing:
             found.setdefault(name, self.bus.on(name))
         return found
 
-    def _to(self, word: Frame | Chunk) -> Outgoing:
+    def _to(self, word: Frame | Chunk) -> SendQueue:
         assert self.bus is not None
         name = self.map.get(str(word.channel)) if isinstance(word, Frame) else None
         return self.outgoing[name if name is not None else self.bus.name]
@@ -289,7 +291,7 @@ class Playing:
             if self.total == before:
                 return  # nothing in them: for ever would be for nothing
 
-    def _file(self, capture: CanCapture | SerialCapture, patience: LivePatience) -> None:
+    def _file(self, capture: CanRecording | SerialRecording, patience: LivePatience) -> None:
         from aces_bus.hardware.replay import Pace
         from aces_bus.runtime import RealClock
 

@@ -20,18 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.capture import CanCapture, SerialCapture
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, to_ns
-from aces_bus.protocol.scan.columns import ColumnScanner, make_column_scanner
-from aces_bus.protocol.scan.decoded import feed
-from aces_bus.protocol.scan.message_table import MessageTable
+from aces_bus.protocol.columns.decode import feed
+from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.recordings import CanRecording, SerialRecording
 
 from .console import Output, Patience, say, terminal_width, wants_colour
-from .decoding import Decoding, Direction, Reading, Requests, Totals
-from .plotting.picture import LARGEST, Limits, Names, Panel, Picture, panels_of
-from .plotting.select import Declared, Pattern, Wanted, declared, parse_groups, parse_pattern, select
-from .plotting.series import Clock, Collector, Series
+from .decoding import CaptureReading, Decoding, Direction, Requests, Totals
+from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
+from .plotting.select import Declared, SignalPattern, Wanted, declared, parse_groups, parse_pattern, select
+from .plotting.series import Collector, Series, TimeAxis
 
 #: As `cantools plot` has it: a line is interrupted where nothing came for so many seconds.
 LONGEST_GAP_S = 100.0
@@ -119,7 +119,7 @@ class Plotting(Decoding):
     """One run of `aces plot`. A wrong call raises before anything is read."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        arguments.files, texts = split(arguments.items)
+        arguments.files, texts = split_arguments(arguments.items)
         super().__init__(arguments)
         self.declared = declared([variant for variants in self.variants.values() for variant in variants])
         self.groups = parse_groups(texts)
@@ -129,21 +129,21 @@ class Plotting(Decoding):
             raise CallerError(f"--ymin {low:g} is not below --ymax {high:g}")
         wanted = self._wanted()
         self._check_output()
-        self.clock = Clock()
+        self.clock = TimeAxis()
         self.collector = Collector(wanted, self.clock, self.window, keeps_points=not arguments.list)
 
     def _wanted(self) -> Mapping[tuple[str, str], Wanted]:
         patterns = [pattern for group in self.groups for axis in group for pattern in axis]
         if patterns:
             return select(patterns, self.declared)
-        everything = self.arguments.list
+        include_unknown = self.arguments.list
         return {
             owner: Wanted(
                 tuple(
                     (signal, ())
                     for signal in message.signals
                     if signal.column not in message.devices
-                    and (everything or (signal.is_number and not signal.is_quiet))
+                    and (include_unknown or (signal.is_number and not signal.is_quiet))
                 ),
                 message.devices,
             )
@@ -158,7 +158,7 @@ class Plotting(Decoding):
         if path is not None or asked.show:
             from .plotting import figure
 
-            figure.load()
+            figure.load_matplotlib()
             figure.check_style(asked.style)
             if path is not None:
                 figure.check_output(path)
@@ -170,7 +170,7 @@ class Plotting(Decoding):
 
     # ------------------------------------------------------------------ reading
 
-    def _can(self, capture: CanCapture, totals: Totals, patience: Patience) -> None:
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
         scanner = make_column_scanner(self.variants["can"], direction=self.direction)
         try:
             for table in patience.each(capture.tables()):
@@ -186,10 +186,10 @@ class Plotting(Decoding):
         finally:
             totals.count(scanner.counts)
 
-    def _serial(self, capture: SerialCapture, totals: Totals, patience: Patience) -> None:
+    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
         used: dict[Direction | None, ColumnScanner] = {}
         requests = Requests(self.variants["serial"])
-        reading = Reading(patience.each(capture))
+        reading = CaptureReading(patience.each(capture))
         try:
             for chunk in reading:
                 direction: Direction | None = self.direction or chunk.direction
@@ -235,7 +235,7 @@ class Plotting(Decoding):
     def _draw(self) -> None:
         series = [one for one in self.collector.series.values() if one.count and one.points()[0].size]
         for one in [one for one in series if one.others]:
-            say(f"{Names(series).full(one)} holds {one.others}, which no line can show")
+            say(f"{LineNames(series).full(one)} holds {one.others}, which no line can show")
         series = [one for one in series if not one.others]
         if not series:
             raise CallerError(f"nothing to draw: {self._absent()}")
@@ -262,11 +262,11 @@ class Plotting(Decoding):
         if self.arguments.output is not None:
             from .plotting import figure
 
-            figure.save(picture, self.arguments.output)
+            figure.save_figure(picture, self.arguments.output)
         elif self.arguments.show:
             from .plotting import figure
 
-            figure.show(picture)
+            figure.show_figure(picture)
         else:
             self._print(picture)
 
@@ -283,7 +283,7 @@ class Plotting(Decoding):
             if not any(pattern.takes(one.signal) and pattern.holds(one.key) for one in series):
                 say(f"nothing that {pattern.text!r} means occurs")
 
-    def _label(self, panels: Sequence[Panel]) -> None:
+    def _label(self, panels: Sequence[PlotPanel]) -> None:
         """Give each vertical axis of numbers what --ylabel, --ylim, --ymin and --ymax say."""
         asked = self.arguments
         number = 0
@@ -309,13 +309,15 @@ class Plotting(Decoding):
                 height = os.get_terminal_size(sys.stdout.fileno()).lines - 1
             except (OSError, ValueError, AttributeError):
                 pass
-        paint = terminal.make_paint() if wants_colour(self.arguments.color, output.is_terminal) else None
-        text = terminal.draw(picture, terminal_width(), paint=paint, height=height, encoding=output.encoding)
+        paint = terminal.make_plot_paint() if wants_colour(self.arguments.color, output.is_terminal) else None
+        text = terminal.draw_terminal(
+            picture, terminal_width(), paint=paint, height=height, encoding=output.encoding
+        )
         output.write(text.encode(output.encoding, "replace"))
         output.close()
 
     def _list(self) -> None:
-        from .output.columns import columns
+        from .output.columns import column_output
         from .output.text import make_paint, no_paint, printable
 
         order = {owner: number for number, owner in enumerate(self.declared)}
@@ -325,7 +327,7 @@ class Plotting(Decoding):
         )
         if not series:
             raise CallerError(f"nothing to list: {self._absent().partition(';')[0]}")
-        names = Names(series, always=True)
+        names = LineNames(series, always=True)
         output = Output(None)
         rows = [
             (
@@ -344,7 +346,7 @@ class Plotting(Decoding):
         ]
         paint = make_paint() if wants_colour(self.arguments.color, output.is_terminal) else no_paint
         width = terminal_width() if output.is_terminal else None
-        lines = columns(aligned[0], aligned[1:], width, paint)
+        lines = column_output(aligned[0], aligned[1:], width, paint)
         output.write(("\n".join(lines) + "\n").encode(output.encoding, "replace"))
         output.close()
 
@@ -359,7 +361,7 @@ class Plotting(Decoding):
 LIST_HEAD = ("signal", "count", "min", "max", "unit")
 
 
-def split(items: Sequence[str]) -> tuple[list[str], list[str]]:
+def split_arguments(items: Sequence[str]) -> tuple[list[str], list[str]]:
     """Captures, then signals: the first is a capture, and so are those behind it that are files."""
     files, rest = [items[0]], list(items[1:])
     while rest and rest[0] not in ("-", ",") and os.path.exists(rest[0]):
@@ -394,7 +396,7 @@ def a_number(text: str) -> float:
     return value
 
 
-def _one_a_message(series: Sequence[Series]) -> list[list[list[Pattern]]]:
+def _one_a_message(series: Sequence[Series]) -> list[list[list[SignalPattern]]]:
     """Without SIGNALs: what each message has, in a subplot of its own."""
     names = dict.fromkeys(one.signal.message for one in series)
     return [[[parse_pattern(name)]] for name in names]
@@ -429,4 +431,4 @@ def _shown(series: Series, value: float | int | None) -> str:
     return str(value) if isinstance(value, int) else f"{value:.6g}"
 
 
-__all__ = ["Declared", "Plotting", "add_arguments", "run", "split"]
+__all__ = ["Declared", "Plotting", "add_arguments", "run", "split_arguments"]

@@ -34,14 +34,14 @@ from aces_bus.protocol import (
     list_protocols,
     make_scanner,
 )
-from aces_bus.protocol.codegen.flatten import NotFlat, flatten, scalar_of
-from aces_bus.protocol.codegen.load import print_decoders
-from aces_bus.protocol.codegen.print_decode import Decoder
+from aces_bus.protocol.generate.decode import Decoder
+from aces_bus.protocol.generate.load import print_decoders
+from aces_bus.protocol.plan.flatten import NotFlat, flatten, scalar_of
 
 from .console import Output, say, terminal_width, wants_colour
-from .output.columns import beside, columns
+from .output.columns import beside, column_output
 from .output.text import Paint, make_paint, no_paint
-from .protocols_arg import named, problems_of
+from .protocols_arg import named_protocol, problems_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     name: str | None = arguments.protocol
     if name is None:
         return _list(arguments)
-    chosen = named(name)
+    chosen = named_protocol(name)
     protocol, messages = chosen.protocol, chosen.protocol.declared
     if chosen.dialect is not None or chosen.configuration is not None:
         messages = list(chosen.variant().messages.values())
@@ -102,7 +102,7 @@ class Page:
         self.lines(beside(name, texts, self.width, style, self.paint))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        self.lines(columns(head, rows, self.width, self.paint))
+        self.lines(column_output(head, rows, self.width, self.paint))
 
 
 def _print_json(value: Any) -> None:
@@ -117,7 +117,7 @@ def _list(arguments: argparse.Namespace) -> int:
     status = 0
     for name in list_protocols():
         try:
-            found.append(named(name).protocol)
+            found.append(named_protocol(name).protocol)
         except AcesError as error:
             say(str(error))
             status = 2
@@ -315,7 +315,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
         for name, text in _template(message):
             page.beside(f"  {name:<11}", [text], "place")
         page.lines(["", *draw.picture(message), ""])
-        rows = draw.table(flatten(message), draw.captured_values(message))
+        rows = draw.field_table(flatten(message), draw.captured_values(message))
         cells = [
             (
                 r.name,
@@ -439,7 +439,7 @@ def _of_message(message: Message, *, is_whole: bool) -> dict[str, Any]:
         "fields": list(message.fields),
     }
     if is_whole:
-        rows = draw.table(plan, draw.captured_values(message))
+        rows = draw.field_table(plan, draw.captured_values(message))
         found["fields"] = [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows]
         found["picture"] = draw.picture(message)
     return found

@@ -41,7 +41,7 @@ from typing import Any, NamedTuple
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, list_protocols, load_protocol
-from aces_bus.protocol.foreign import SUFFIXES, Imported, Problem, load_database
+from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol, ImportProblem, load_database
 
 from .console import say
 
@@ -76,13 +76,13 @@ class Named(NamedTuple):
 
 def parse_protocols(texts: Iterable[str]) -> list[Variant]:
     """The variants of several `-p`, each once, in the order given."""
-    return list(dict.fromkeys(named(text).variant() for text in texts))
+    return list(dict.fromkeys(named_protocol(text).variant() for text in texts))
 
 
-def named(text: str) -> Named:
+def named_protocol(text: str) -> Named:
     """What a `-p` names; raises `CallerError` with what would have worked."""
     if (bound := _CHANNEL.fullmatch(text)) and not os.path.exists(text):
-        return named(bound["rest"])._replace(channel=bound["channel"])
+        return named_protocol(bound["rest"])._replace(channel=bound["channel"])
     if found := _FILE.fullmatch(text):
         names = found["names"].split(":")[1:]
         if found["kind"].lower() != "py":
@@ -123,7 +123,7 @@ def _installed(name: str) -> Protocol:
 # ---------------------------------------------------------------------- database files
 
 #: By path, time of change and size: what is named twice is read once, and complained about once.
-_databases: dict[tuple[str, int, int], Imported] = {}
+_databases: dict[tuple[str, int, int], ImportedProtocol] = {}
 
 
 def _of_database(path: str) -> Protocol:
@@ -142,7 +142,7 @@ def _of_database(path: str) -> Protocol:
     return _databases[known].protocol
 
 
-def problems_of(protocol: Protocol) -> list[Problem]:
+def problems_of(protocol: Protocol) -> list[ImportProblem]:
     """What could not be taken over of the file that a protocol comes from; none when it comes from no such file."""
     return [p for one in _databases.values() if one.protocol is protocol for p in one.problems]
 
@@ -256,7 +256,7 @@ def _configured(path: str, protocol: Protocol) -> tuple[dict[str, Mapping[int, A
 
 def _of_robot(path: str, data: bytes, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
     """What a robot's file says of a protocol; raises `CallerError` with all that is wrong with the file."""
-    from aces_bus.device import RobotError, parse_robot
+    from aces_bus.robot import RobotError, parse_robot
 
     robot, problems = parse_robot(data, path)
     if robot is None:

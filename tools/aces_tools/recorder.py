@@ -21,14 +21,14 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.capture import CanCapture, Chunk, open_capture
-from aces_bus.capture.base import Direction, Link
-from aces_bus.capture.serial_log import SerialLogWriter
-from aces_bus.capture.write import FORMATS, format_of, open_writer
-from aces_bus.capture.write.candump import CandumpWriter
 from aces_bus.controller.log.base import AppendFile
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.frame_table import FrameTable
+from aces_bus.recordings import CanRecording, Chunk, open_recording
+from aces_bus.recordings.base import Direction, Link
+from aces_bus.recordings.serial.slog import SerialLogWriter
+from aces_bus.recordings.write import FORMATS, open_writer, writer_format
+from aces_bus.recordings.write.candump import CandumpWriter
 
 from .live import heard_frame
 
@@ -47,7 +47,7 @@ KEPT = {"can": ("candump", ".log"), "serial": ("slog", ".slog")}
 NO_DISK = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 
 
-class Recorder:
+class RecordingFile:
     """A recording in the making. Raises `CallerError` when the file cannot be written, or is there already."""
 
     def __init__(self, path: str, link: Link) -> None:
@@ -79,7 +79,7 @@ class Recorder:
         self._thread: threading.Thread | None = None
 
     def _format(self, path: str) -> str:
-        form = format_of(path, self.link)
+        form = writer_format(path, self.link)
         if form.link != self.link:
             known = " ".join(f.suffixes[0] for f in FORMATS.values() if f.link == self.link)
             what = "CAN frames" if self.link == "can" else "bytes of a serial line"
@@ -218,10 +218,10 @@ class Recorder:
         """Make the log that was kept what was asked for."""
         try:
             with (
-                open_capture(self.journal, link=self.link) as capture,
+                open_recording(self.journal, link=self.link) as capture,
                 open_writer(self.path, form, link=self.link) as writer,
             ):
-                pieces: Any = capture.tables() if isinstance(capture, CanCapture) else capture
+                pieces: Any = capture.tables() if isinstance(capture, CanRecording) else capture
                 for piece in pieces:
                     writer.write(piece)
         except AcesError as error:
@@ -229,4 +229,4 @@ class Recorder:
         os.unlink(self.journal)
 
 
-__all__ = ["Recorder"]
+__all__ = ["RecordingFile"]

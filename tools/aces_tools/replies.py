@@ -13,10 +13,10 @@ from typing import Any
 
 import msgspec
 
-from aces_bus.capture import Chunk
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import Variant, make_scanner
-from aces_bus.protocol.spec.message import Message
+from aces_bus.protocol.declare.message import Message
+from aces_bus.recordings import Chunk
 
 from .console import Output
 from .live import LivePatience, heard_frame
@@ -53,8 +53,10 @@ class Replies:
         fields: dict[str, Any],
     ) -> None:
         """Decode what comes; `message` of `variant`, with these fields, is what was asked."""
-        facing: Any = "from device" if message is not None and message.direction == "to device" else "both"
-        self._scanner = make_scanner(variants, direction=facing)
+        messages_for: Any = (
+            "from device" if message is not None and message.direction == "to device" else "both"
+        )
+        self._scanner = make_scanner(variants, direction=messages_for)
         self._expected = answers(variant, message)
         self._is_broadcast = is_broadcast(variant, fields)
 

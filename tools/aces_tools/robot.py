@@ -112,7 +112,7 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
 
 
 def _checked(name: str, is_strict: bool = False) -> Any:
-    from aces_bus.device import check_robot, parse_robot
+    from aces_bus.robot import check_robot, parse_robot
     from aces_devices.robots import is_path, list_robots
 
     if is_path(name):
@@ -147,12 +147,12 @@ def _page(arguments: argparse.Namespace) -> Any:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from aces_devices.robots import list_robots, load_robot
+    from aces_devices.robots import list_robots, load_robot_by_name
 
     status, found = 0, list[Any]()
     for name in list_robots():
         try:
-            found.append(load_robot(name))
+            found.append(load_robot_by_name(name))
         except AcesError as error:
             say(str(error))
             status = 1
@@ -186,9 +186,9 @@ def _spoken(robot: Any) -> list[str]:
 
 
 def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
-    from aces_devices.robots import load_robot
+    from aces_devices.robots import load_robot_by_name
 
-    robots = [load_robot(name) for name in names]
+    robots = [load_robot_by_name(name) for name in names]
     if arguments.json:
         import msgspec
 
@@ -326,7 +326,7 @@ def _speed(bus: Any) -> str:
 
 
 def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
-    from aces_bus.device import print_robot
+    from aces_bus.robot import print_robot
     from aces_devices.robots import import_robot
 
     check_suffix("--output", arguments.output, ".json" if arguments.json else ".toml")

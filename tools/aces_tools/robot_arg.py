@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
 if TYPE_CHECKING:
-    from aces_bus.assembly import VirtualRobot
-    from aces_bus.device import Rig, Robot
+    from aces_bus.device import Robot
+    from aces_bus.robot import Rig, VirtualRobot
     from aces_bus.runtime import EventClock
 
 VARIABLE = "ACES_ROBOT"
@@ -58,15 +58,15 @@ def add_robot_arguments(parser: argparse.ArgumentParser, *, named: bool = True, 
 
 def chosen_robot(name: str | None) -> Robot:
     """The robot of a name, a file or the variable; raises `CallerError` when there is none, `RobotError` for a bad file."""
-    from aces_bus.device import load_robot as load_file
-    from aces_devices.robots import is_path, list_robots, load_robot
+    from aces_bus.robot import load_robot as load_file
+    from aces_devices.robots import is_path, list_robots, load_robot_by_name
 
     wanted = name or os.environ.get(VARIABLE)
     if not wanted:
         raise CallerError(
             f"which robot? --robot NAME or FILE.toml, or the variable {VARIABLE} ({', '.join(list_robots())})"
         )
-    return load_file(wanted) if is_path(wanted) else load_robot(wanted)
+    return load_file(wanted) if is_path(wanted) else load_robot_by_name(wanted)
 
 
 def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -114,7 +114,7 @@ class Opened:
 
 
 @contextmanager
-def opened(
+def open_robot(
     robot: Robot,
     arguments: argparse.Namespace,
     *,
@@ -126,7 +126,7 @@ def opened(
     Raises `CallerError` naming the bus that cannot be opened.
     """
     if arguments.virtual:
-        from aces_bus.assembly import VirtualRobot
+        from aces_bus.robot import VirtualRobot
 
         if arguments.bus or arguments.interface:
             raise CallerError("--virtual has no buses; leave --bus and -i away")
@@ -135,8 +135,7 @@ def opened(
         return
     options = bus_options(robot, arguments)
     check_channels(robot, options)
-    from aces_bus.assembly import open_gates
-    from aces_bus.device import connect
+    from aces_bus.robot import connect, open_gates
     from aces_bus.runtime import Loop
 
     with ExitStack() as stack:

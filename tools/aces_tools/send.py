@@ -21,15 +21,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from aces_bus.capture.candump_line import Unreadable, read_line
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import Variant, make_scanner
-from aces_bus.protocol.spec.message import Message
+from aces_bus.protocol.declare.message import Message
+from aces_bus.recordings.candump.line import UnreadableLine, read_line
 
 from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
 from .console import Output, abandon_stdout, say, terminal_width, wants_colour
-from .live import LINGER_S, LivePatience, Outgoing, Told, parse_duration
+from .live import LINGER_S, LivePatience, SendQueue, Told, parse_duration
 from .live_text import LiveText, Times, notation
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
@@ -219,9 +219,9 @@ class Sending:
                 ]
             from aces_bus.protocol import CanScanner
 
-            return CanScanner((), everything=True).feed([word])
+            return CanScanner((), include_unknown=True).feed([word])
         direction = self.message.direction if self.message is not None else None
-        scanner: Any = make_scanner(self.variants, direction=direction or "both", everything=True)
+        scanner: Any = make_scanner(self.variants, direction=direction or "both", include_unknown=True)
         return list(scanner.feed([word]) if isinstance(word, Frame) else scanner.datagram(word))
 
     def writer(self) -> Any:
@@ -250,7 +250,7 @@ class Sending:
         gate = self.bus.gate(listen_only=False, send_rate=self.arguments.rate if self.is_can else None)
         told = Told(gate)
         replies = self._replies(gate)
-        outgoing = Outgoing(gate)
+        outgoing = SendQueue(gate)
         status = 0
         with LivePatience() as patience:
             self.bus.start(gate)
@@ -295,7 +295,7 @@ class Sending:
             made.decode(self.variants, self.variant, self.message, self.fields)
         return made
 
-    def _send(self, outgoing: Outgoing, patience: LivePatience, told: Told, replies: Replies | None) -> None:
+    def _send(self, outgoing: SendQueue, patience: LivePatience, told: Told, replies: Replies | None) -> None:
         words = self.first
         due = time.monotonic_ns()
         until = None if self.until is None else due + self.until
@@ -346,7 +346,7 @@ def raw_word(text: str) -> Word:
         raise CallerError(f"{text!r} is not a raw frame as the first one is; write 123#DEADBEEF")
     try:
         frame = read_line(b"(0.0) x " + text.encode("utf-8", "replace"))
-    except Unreadable as error:
+    except UnreadableLine as error:
         raise CallerError(
             f"{text!r} is not a frame: {error}; write 123#DEADBEEF, 12345678#00 or 123#R8"
         ) from None
@@ -372,9 +372,9 @@ def _word(made: Any) -> Word:
     """What an encoder made: a python-can message as a frame, bytes as they are."""
     if isinstance(made, bytes):
         return made
-    from aces_bus.hardware.virtual import to_frame
+    from aces_bus.hardware.simulated.backend import message_to_frame
 
-    return to_frame(made)
+    return message_to_frame(made)
 
 
 class _Untitled(LiveText):

@@ -33,7 +33,7 @@ from .robot_arg import add_robot_arguments, bus_options, chosen_robot
 if TYPE_CHECKING:
     from aces_bus.device import Robot
 
-    from .sim_stand import Stand
+    from .sim_stand import SimulatedRobot
 
 EPILOG = """\
 exit status: 0; 2 a wrong call, or a bus that cannot be served or opened
@@ -65,11 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
     duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
     faults = [parse_fault(robot, text) for text in arguments.fault]
     options = bus_options(robot, arguments)
-    from .sim_stand import Stand
+    from .sim_stand import SimulatedRobot
 
     with ExitStack() as stack:
         patience = stack.enter_context(LivePatience())
-        stand = Stand(robot, options, arguments.seed, stack)
+        stand = SimulatedRobot(robot, options, arguments.seed, stack)
         for names, fault, amount in faults:
             for name in names:
                 stand.simulation[name].fault(fault, amount)
@@ -97,16 +97,16 @@ def parse_fault(robot: Robot, text: str) -> tuple[list[str], str, float | None]:
     names = active if device == "*" else [device]
     if not set(names) <= set(active):
         raise UnknownNameError(f"device of {robot.name}", device, active)
-    able = [name for name in names if fault in faults_of(robot, name)]
+    able = [name for name in names if fault in fault_names(robot, name)]
     if not able:
-        raise UnknownNameError(f"fault of {names[0]}", fault, faults_of(robot, names[0]))
+        raise UnknownNameError(f"fault of {names[0]}", fault, fault_names(robot, names[0]))
     try:
         return able, fault, float(amount) if amount else None
     except ValueError:
         raise CallerError(f"--fault {text}: {amount!r} is no number") from None
 
 
-def faults_of(robot: Robot, device: str) -> dict[str, str]:
+def fault_names(robot: Robot, device: str) -> dict[str, str]:
     """How a device can misbehave: name → what it does."""
     from aces_bus.device import load_driver
     from aces_bus.device.twin import FAULTS
@@ -115,26 +115,26 @@ def faults_of(robot: Robot, device: str) -> dict[str, str]:
 
 
 def _list_faults(robot: Robot, as_json: bool) -> int:
-    from .device_text import rows_of
+    from .device_text import aligned_rows
 
     by_driver: dict[str, tuple[list[str], dict[str, str]]] = {}
     for name, config in robot.devices.items():
         if config.active:
-            by_driver.setdefault(config.driver, ([], faults_of(robot, name)))[0].append(name)
+            by_driver.setdefault(config.driver, ([], fault_names(robot, name)))[0].append(name)
     if as_json:
         found = {driver: {"devices": names, "faults": f} for driver, (names, f) in by_driver.items()}
         print(json.dumps(found, ensure_ascii=False, indent=2))
         return 0
     for driver, (names, faults) in by_driver.items():
-        print("\n".join(rows_of([(f"{driver}:", ", ".join(names))], "")))
-        print("\n".join(rows_of(list(faults.items()))))
+        print("\n".join(aligned_rows([(f"{driver}:", ", ".join(names))], "")))
+        print("\n".join(aligned_rows(list(faults.items()))))
     return 0
 
 
 # ---------------------------------------------------------------------- what is said
 
 
-def _announce(robot: Robot, given: str | None, stand: Stand, as_json: bool) -> None:
+def _announce(robot: Robot, given: str | None, stand: SimulatedRobot, as_json: bool) -> None:
     """How to join each bus, on stdout: programs and people read it."""
     if as_json:
         print(json.dumps({"robot": robot.name, "buses": stand.reached}, ensure_ascii=False))
@@ -147,7 +147,7 @@ def _announce(robot: Robot, given: str | None, stand: Stand, as_json: bool) -> N
     say(f"{robot.name}: {len(stand.simulation.twins)} devices are there; Ctrl-C ends it")
 
 
-def _summary(stand: Stand, as_json: bool) -> None:
+def _summary(stand: SimulatedRobot, as_json: bool) -> None:
     twins = stand.simulation.twins
     requests = sum(twin.requests for twin in twins.values())
     replies = sum(twin.replies for twin in twins.values())

@@ -18,16 +18,16 @@ from .console import say
 from .robot_arg import check_channels, open_host
 
 if TYPE_CHECKING:
-    from aces_bus.device import Robot, Simulation
+    from aces_bus.device import Robot
+    from aces_bus.robot import Simulation
 
 
-class Stand:
+class SimulatedRobot:
     """A robot's twins on their buses, open. What is to be closed is put on `stack`. Raises `CallerError`."""
 
     def __init__(self, robot: Robot, options: dict[str, dict[str, Any]], seed: int, stack: ExitStack) -> None:
-        from aces_bus.assembly import gate_of, port_for
-        from aces_bus.device import simulate
-        from aces_bus.device.rig import spoken_on
+        from aces_bus.robot import gate_of, port_for, simulate
+        from aces_bus.robot.rig import spoken_on
         from aces_bus.runtime import Loop
 
         self.robot = robot
@@ -63,10 +63,10 @@ class Stand:
         """A simulated line for each of these buses, with a pseudo-terminal as its other end."""
         if not names:
             return {}
-        from aces_bus.assembly import wire_of
-        from aces_bus.device.rig import spoken_on
         from aces_bus.hardware import SerialPort
-        from aces_bus.hardware.pty import PtyPort
+        from aces_bus.hardware.simulated.pty import PtyPort
+        from aces_bus.robot import wire_of
+        from aces_bus.robot.rig import spoken_on
         from aces_bus.runtime import VirtualClock
 
         found: dict[str, Any] = {}
@@ -146,7 +146,7 @@ class Stand:
 
     def listen_with(self, name: str, robot: str) -> str:
         """A command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
-        from aces_bus.device.rig import spoken_on
+        from aces_bus.robot.rig import spoken_on
 
         protocol = spoken_on(self.robot)[name]
         device = next(d for d in self.robot.devices_on(name) if d.active)
@@ -184,10 +184,10 @@ def _answers(address: Any) -> bool:
 
 def _warm() -> None:
     """Fill the tables of frame times before the first request: it would be answered late."""
-    from aces_bus.frame import Frame
-    from aces_bus.hardware.frame_time import frame_bits
+    from aces_bus.frames import Frame
+    from aces_bus.hardware.simulated.frame_time import frame_bits
 
     frame_bits(Frame(arbitration_id=0x123, data=bytes(8)))
 
 
-__all__ = ["Stand"]
+__all__ = ["SimulatedRobot"]

@@ -19,11 +19,11 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.capture import CanFilter, Chunk, parse_filter
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
-from aces_bus.protocol.scan.counts import Counts
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.recordings import CanFilter, Chunk, parse_filter
 
 from .bus_arg import ChosenBus, add_bus_arguments, chosen_bus
 from .console import abandon_stdout, say, terminal_width, wants_colour
@@ -36,7 +36,7 @@ from .output.chosen import line_format
 from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
-    from .recorder import Recorder
+    from .recorder import RecordingFile
 
 #: Where frames come close behind each other, they are shown together, so often: less work, and nobody sees it.
 TOGETHER_S = 0.01
@@ -156,7 +156,7 @@ class Sniffing(LiveDecoding):
     def _own_scanner(self) -> Scanner | Nameless:
         if self.variants[self.link]:
             return self._scanner(self.link, self.direction)
-        return CanScanner((), everything=True) if self.link == "can" else Nameless()
+        return CanScanner((), include_unknown=True) if self.link == "can" else Nameless()
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         if line_format(arguments.output, arguments.format) != "text":
@@ -224,19 +224,19 @@ class Sniffing(LiveDecoding):
             self._summarise()
         return self.status
 
-    def _recorder(self) -> Recorder | None:
+    def _recorder(self) -> RecordingFile | None:
         if self.arguments.record is None:
             return None
-        from .recorder import Recorder
+        from .recorder import RecordingFile
 
-        return Recorder(self.arguments.record, self.link)
+        return RecordingFile(self.arguments.record, self.link)
 
     @property
     def _stated(self) -> Any:
         """Which way bytes went, as far as it was said."""
         return self.direction if self.direction != "both" else None
 
-    def _listen(self, inbox: Any, patience: LivePatience, told: Told, recorder: Recorder | None) -> None:
+    def _listen(self, inbox: Any, patience: LivePatience, told: Told, recorder: RecordingFile | None) -> None:
         until = None if self.duration is None else time.monotonic_ns() + self.duration
         before = 0.0
         while not patience.is_over and not self.is_done:
@@ -340,7 +340,7 @@ class Sniffing(LiveDecoding):
         if not self.is_quiet:
             super()._show(items)
 
-    def _close(self, recorder: Recorder | None) -> None:
+    def _close(self, recorder: RecordingFile | None) -> None:
         if recorder is None:
             return
         try:
@@ -363,7 +363,7 @@ class Nameless:
     gap = 0.0
 
     def __init__(self) -> None:
-        self.counts = Counts()
+        self.counts = ScanCounts()
 
     def feed(self, data: bytes, time: float | None = None) -> list[Any]:
         offset = self.counts.total
@@ -380,7 +380,7 @@ class Nameless:
         return []
 
     def reset(self) -> None:
-        self.counts = Counts()
+        self.counts = ScanCounts()
 
 
 __all__ = ["Direction", "Sniffing", "add_arguments", "run"]

@@ -20,9 +20,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.spec.message import Message
+from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 
 _ASSIGNMENT = re.compile(r"\s*([A-Za-z_]\w*(?:\.\w+)*)\s*=(.*)", re.DOTALL)
 _OPENING, _CLOSING = "[{(", "]})"
@@ -60,7 +60,7 @@ def _node_of(node: p.Node | None, path: Sequence[str | int]) -> p.Node | None:
     for step in path:
         if isinstance(node, p.Many) and isinstance(step, int):
             node = node.items[step] if step < len(node.items) else None
-        elif isinstance(node, p.Group):
+        elif isinstance(node, p.NestedRecord):
             node = next((field.node for field in node.fields if field.name == step), None)
         else:
             return None
@@ -104,22 +104,22 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
         raise CallerError(f"{name}: lists in lists deeper than {DEEPEST}")
     if isinstance(node, p.Scalar) and node.kind == "text":
         return _unquoted(text)
-    if isinstance(node, p.Cell) and node.conversion == "text":
+    if isinstance(node, p.DelimitedField) and node.conversion == "text":
         return _unquoted(text)
     if text == "none":
         return None
     if isinstance(node, p.Many):
         return _list(text, list(node.items), name, depth)
-    if isinstance(node, p.Group):
+    if isinstance(node, p.NestedRecord):
         return _record(text, {field.name: field.node for field in node.fields}, name, depth)
     if isinstance(node, p.Scalar) and node.kind == "bytes":
         return _bytes(text.removeprefix("hex:"), name)
-    if isinstance(node, (p.Scalar, p.FromIdentifier, p.Cell)):
+    if isinstance(node, (p.Scalar, p.FromIdentifier, p.DelimitedField)):
         return _of_number(text, node, name)
     return _open(text, name, depth)
 
 
-def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.Cell, name: str) -> Any:
+def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, name: str) -> Any:
     steps: Sequence[p.Step] = getattr(node, "steps", ())
     flags = next((step for step in steps if isinstance(step, p.FlagBits)), None)
     number = _number(text)
@@ -128,9 +128,9 @@ def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.Cell, name: str)
         return [part.strip() for part in re.split(r"[|,]", inside) if part.strip()]
     if number is not None:
         return number
-    named = [name for step in steps if isinstance(step, p.Names) for _, name in step.values]
+    named = [name for step in steps if isinstance(step, p.ValueNames) for _, name in step.values]
     named += [name for step in steps if isinstance(step, p.Scale) for _, name in step.names]
-    if isinstance(node, p.Cell):
+    if isinstance(node, p.DelimitedField):
         named += [name for _, name in node.names]
     if named:
         if text not in named:

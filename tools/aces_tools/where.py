@@ -29,8 +29,8 @@ import msgspec
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import FlagSet, Meta, Record
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.scan.gather import physical
+from aces_bus.protocol.columns.gather import physical
+from aces_bus.protocol.plan import nodes as p
 
 from .output.shape import OfKind, Plans, getter
 
@@ -42,7 +42,7 @@ _META = tuple(name for name in Meta.__struct_fields__ if name not in ("protocol"
 
 
 @dataclass(frozen=True)
-class Condition:
+class WhereCondition:
     """One parsed `--where`."""
 
     text: str
@@ -57,7 +57,7 @@ class Condition:
         return self.path[0] == "meta" and len(self.path) > 1
 
 
-def parse_condition(text: str) -> Condition:
+def parse_condition(text: str) -> WhereCondition:
     """Parse `field=value`; raises `CallerError` with what can be written."""
     found = _CONDITION.fullmatch(text)
     if found is None:
@@ -68,7 +68,9 @@ def parse_condition(text: str) -> Condition:
     path = tuple(int(part) if part.isdecimal() else part for part in name.split("."))
     if "" in path:
         raise CallerError(f"--where {text!r}: {name!r} is not a field; write field, field.0 or field.part")
-    condition = Condition(text, path, "=" if sign == "==" else sign, value, _number(value), _bytes(value))
+    condition = WhereCondition(
+        text, path, "=" if sign == "==" else sign, value, _number(value), _bytes(value)
+    )
     if sign in _ORDER and condition.number is None:
         raise CallerError(f"--where {text!r}: {sign} needs a number, not {value!r}")
     return condition
@@ -118,7 +120,7 @@ def _all(tests: Sequence[Test | None]) -> Test:
 # ---------------------------------------------------------------------- before any record is seen
 
 
-def _check(condition: Condition, plans: Mapping[type[Record], p.MessagePlan]) -> None:
+def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan]) -> None:
     if condition.is_meta:
         if condition.path[1] not in _META or len(condition.path) > 2:
             raise UnknownNameError("part of meta", ".".join(map(str, condition.path[1:])), _META)
@@ -162,7 +164,7 @@ def _inside(node: p.Node, rest: Sequence[str | int]) -> Iterator[p.Node]:
         else:
             for item in node.items:
                 yield from _inside(item, rest)
-    elif isinstance(node, p.Group):
+    elif isinstance(node, p.NestedRecord):
         yield from _nodes(rest, node.fields) if rest else ()
     elif not rest or (isinstance(node, p.MoreCells) and len(rest) == 1):
         yield node
@@ -170,7 +172,7 @@ def _inside(node: p.Node, rest: Sequence[str | int]) -> Iterator[p.Node]:
 
 def _names(node: p.Node) -> list[str] | None:
     """The names that a value may have; empty for a plain number, None when it may be any text."""
-    if isinstance(node, p.Cell):
+    if isinstance(node, p.DelimitedField):
         return {"names": [name for _, name in node.names], "text": None}.get(node.conversion, [])
     if isinstance(node, (p.Opaque, p.MoreCells, p.FromRequest)):
         return None
@@ -178,7 +180,7 @@ def _names(node: p.Node) -> list[str] | None:
         return None
     found: list[str] = []
     for step in getattr(node, "steps", ()):
-        if isinstance(step, p.Names):
+        if isinstance(step, p.ValueNames):
             found += [name for _, name in step.values]
         elif isinstance(step, p.FlagBits):
             found += [name for name, _ in step.bits]
@@ -195,7 +197,7 @@ def _paths(plans: Any) -> set[str]:
             node = field.node
             while isinstance(node, p.Many) and node.items:
                 node = node.items[0]
-            if isinstance(node, p.Group):
+            if isinstance(node, p.NestedRecord):
                 visit(node.fields, f"{prefix}{field.name}.")
             else:
                 found.add(prefix + field.name)
@@ -208,7 +210,7 @@ def _paths(plans: Any) -> set[str]:
 # ---------------------------------------------------------------------- for each record
 
 
-def _test(condition: Condition, plan: p.MessagePlan) -> Test | None:
+def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
     """The condition for one message; None when it lacks the field."""
     one, is_not = comparison(condition, {}), condition.sign == "!="
     if condition.is_meta:
@@ -234,7 +236,7 @@ def _numbered(node: p.Node) -> list[tuple[float, str]]:
     """The numbers of a value's names, in its unit."""
     found: list[tuple[float, str]] = []
     for step in getattr(node, "steps", ()):
-        if isinstance(step, p.Names):
+        if isinstance(step, p.ValueNames):
             found += step.values
         elif isinstance(step, p.Scale):
             found += [(physical(raw, step), name) for raw, name in step.names]
@@ -259,7 +261,7 @@ def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
         yield from values_of(getattr(value, str(path[0])), path[1:])
 
 
-def comparison(condition: Condition, numbers: Mapping[str, float]) -> Test:
+def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
     """Compares one value (`!=` as `=`); `numbers` are the raw numbers of an enumeration's names."""
     wanted, number, data = condition.value, condition.number, condition.data
     if condition.sign in _ORDER:
@@ -292,4 +294,4 @@ def comparison(condition: Condition, numbers: Mapping[str, float]) -> Test:
     return equal
 
 
-__all__ = ["Condition", "Where", "comparison", "parse_condition", "values_of"]
+__all__ = ["Where", "WhereCondition", "comparison", "parse_condition", "values_of"]

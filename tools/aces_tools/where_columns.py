@@ -15,13 +15,13 @@ import numpy.typing as npt
 
 from aces_bus.frame_table import NO_TIME, to_ns
 from aces_bus.protocol import FlagSet
+from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
 from aces_bus.protocol.keys import EXTENDED as KEY_EXTENDED
 from aces_bus.protocol.keys import FD as KEY_FD
 from aces_bus.protocol.keys import REMOTE as KEY_REMOTE
-from aces_bus.protocol.scan.message_table import Column, ColumnKind, MessageTable
 
 from .output.shape import Plans
-from .where import Condition, Where, comparison, parse_condition, values_of
+from .where import Where, WhereCondition, comparison, parse_condition, values_of
 
 Rows = npt.NDArray[np.bool_]
 _ORDER: Mapping[str, Callable[[Any, Any], Any]] = {"<": lt, ">": gt, "<=": le, ">=": ge}
@@ -45,7 +45,7 @@ class WhereColumns:
         return kept
 
 
-def _field(condition: Condition, table: MessageTable) -> Rows:
+def _field(condition: WhereCondition, table: MessageTable) -> Rows:
     found = [(kind, rest) for kind in table.kinds if (rest := _reach(condition.path, kind)) is not None]
     any_of: Rows = np.zeros(len(table), bool)
     has: Rows = np.zeros(len(table), bool)
@@ -79,7 +79,7 @@ def _reach(path: Sequence[str | int], kind: ColumnKind) -> tuple[str | int, ...]
     return tuple(rest) if not rest or kind.is_object else None
 
 
-def _equal(condition: Condition, column: Column) -> Rows:
+def _equal(condition: WhereCondition, column: Column) -> Rows:
     """Where a column's values are as the condition says (`!=` as `=`)."""
     kind = column.kind
     names = kind.names or {}
@@ -105,7 +105,7 @@ def _by_distinct(values: Any, one: Callable[[Any], bool]) -> Rows:
     return found[places]
 
 
-def _numbers(condition: Condition, values: Any) -> Rows:
+def _numbers(condition: WhereCondition, values: Any) -> Rows:
     number = condition.number
     if number is None:
         return np.zeros(len(values), bool)
@@ -127,7 +127,7 @@ def _numbers(condition: Condition, values: Any) -> Rows:
     return found
 
 
-def _meta(condition: Condition, table: MessageTable) -> Rows:
+def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
     """A condition on what belongs to the transport."""
     n, one = len(table), comparison(condition, {})
     name = str(condition.path[1])

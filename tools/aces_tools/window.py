@@ -23,7 +23,7 @@ ABSOLUTE_S = 10**8
 
 
 @dataclass
-class Window:
+class TimeWindow:
     """The piece that is wanted; `start` and `stop` in ns as given, None open."""
 
     start: int | None
@@ -33,7 +33,7 @@ class Window:
     _first: int | None = None
 
     @classmethod
-    def parse(cls, start: str | None, stop: str | None) -> Window | None:
+    def parse(cls, start: str | None, stop: str | None) -> TimeWindow | None:
         """The window of two options, None when neither is given; raises `CallerError` for what is no time."""
         if start is None and stop is None:
             return None

@@ -6,8 +6,8 @@ docs/logging.md.
 
 from __future__ import annotations
 
-from .base import About, Row, Sink
-from .columns import ATTRIBUTES, Column, parse_column
+from .base import About, LogSink, Row
+from .columns import ATTRIBUTES, LogColumn, parse_column
 from .logger import Logger
 from .read import read_log
 from .recover import recover
@@ -18,12 +18,12 @@ __all__ = [
     "ATTRIBUTES",
     "FORMATS",
     "About",
-    "Column",
     "Log",
+    "LogColumn",
     "LogError",
+    "LogSink",
     "Logger",
     "Row",
-    "Sink",
     "log_format",
     "parse_column",
     "read_log",

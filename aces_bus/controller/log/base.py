@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import msgspec
 
-from .columns import Column
+from .columns import LogColumn
 
 #: A row: ns since the log's start, and the values, NaN where unknown.
 Row = tuple[int, list[float]]
@@ -25,7 +25,7 @@ Row = tuple[int, list[float]]
 class About(msgspec.Struct, frozen=True):
     """What a log says of itself. `wall_ns` is ns since 1970 at its start; None where the clock knows none (virtual time)."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[LogColumn, ...]
     rate_hz: float = 0.0
     robot: str = ""
     clock: str = ""
@@ -55,7 +55,7 @@ def about_of(text: str | bytes) -> About | None:
         return None
 
 
-class Sink(ABC):
+class LogSink(ABC):
     """A log that is being written; making one replaces what is at `path`. Raises `OSError` when that cannot be."""
 
     format: ClassVar[str]

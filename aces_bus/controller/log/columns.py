@@ -40,7 +40,7 @@ _INFINITY = math.inf
 Read = Callable[[], float]
 
 
-class Column(msgspec.Struct, frozen=True):
+class LogColumn(msgspec.Struct, frozen=True):
     """A column: of which state, which attribute, in which unit ("" for a plain number or one nobody has stated)."""
 
     state: str
@@ -59,7 +59,7 @@ class Column(msgspec.Struct, frozen=True):
         return f"{state}({ORIGINAL.get(self.attribute, self.attribute)})"
 
 
-def parse_column(text: str) -> Column:
+def parse_column(text: str) -> LogColumn:
     """A column of its name; raises `CallerError`, for an attribute that does not exist `UnknownNameError`.
 
     >>> parse_column("RHY(diff)").name, parse_column("RHY.velocity").original
@@ -72,10 +72,10 @@ def parse_column(text: str) -> Column:
     attribute = SYNONYMS.get(attribute, attribute)
     if attribute not in ATTRIBUTES:
         raise UnknownNameError(f"attribute of a state (column {text!r})", attribute, ATTRIBUTES)
-    return Column(found["state"], attribute)
+    return LogColumn(found["state"], attribute)
 
 
-def check_columns(where: str, names: Iterable[str]) -> None:
+def check_log_columns(where: str, names: Iterable[str]) -> None:
     """Raises `CallerError` for none, too many, or two of one name."""
     listed = list(names)
     if not listed:
@@ -96,7 +96,7 @@ def check_columns(where: str, names: Iterable[str]) -> None:
         seen.add(key)
 
 
-def number_of(value: Any) -> float:
+def finite_number(value: Any) -> float:
     """A value as a float, NaN when it is none that is finite."""
     if value.__class__ is float:
         return value if -_INFINITY < value < _INFINITY else NAN
@@ -109,7 +109,7 @@ def number_of(value: Any) -> float:
     return number if -_INFINITY < number < _INFINITY else NAN
 
 
-def reader_of(column: Column, state: Any) -> tuple[Read, str]:
+def attribute_reader(column: LogColumn, state: Any) -> tuple[Read, str]:
     """How the column is read from its state, and its unit; raises `CallerError` when the state has no such attribute."""
     attribute = column.attribute
     get: Callable[[], Any]
@@ -133,7 +133,7 @@ def reader_of(column: Column, state: Any) -> tuple[Read, str]:
 
     def read() -> float:
         try:
-            return number_of(get())
+            return finite_number(get())
         except Exception:  # a derived quantity is the user's own function: rule 1
             return NAN
 

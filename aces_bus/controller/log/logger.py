@@ -21,11 +21,11 @@ import msgspec
 
 from ...errors import CallerError, UnknownNameError
 from ...runtime import Clock, RealClock, VirtualClock
-from ...state import Quantity
+from ...state import TimeSeries
 from ..base import checked_rate
 from ..events import ControlEvent, Listeners
-from .base import About, Row, Sink
-from .columns import Column, Read, check_columns, parse_column, reader_of
+from .base import About, LogSink, Row
+from .columns import LogColumn, Read, attribute_reader, check_log_columns, parse_column
 from .sinks import log_format, open_sink
 
 #: Rows are kept back so long at most (s).
@@ -64,7 +64,7 @@ class Logger:
     def __init__(
         self,
         path: str | os.PathLike[str],
-        states: Iterable[str | Quantity],
+        states: Iterable[str | TimeSeries],
         *,
         rate_hz: float = 100.0,
         format: str | None = None,
@@ -86,18 +86,18 @@ class Logger:
         if isinstance(states, str):
             raise CallerError(f"{self.path}: states are a list of columns, not the text {states!r}")
         self.robot, self.digits, self.replace = robot, digits, replace
-        self._given: dict[str, Quantity] = {}
-        columns: list[Column] = []
+        self._given: dict[str, TimeSeries] = {}
+        columns: list[LogColumn] = []
         for one in states:
             if isinstance(one, str):
                 columns.append(parse_column(one))
             else:
                 self._given[one.name] = one
-                columns.append(Column(one.name))
+                columns.append(LogColumn(one.name))
         self.columns = tuple(columns)
-        check_columns(self.path, [column.name for column in columns])
+        check_log_columns(self.path, [column.name for column in columns])
         if self.format == "text":
-            check_columns(self.path, [column.original for column in columns])
+            check_log_columns(self.path, [column.original for column in columns])
         #: What `bind` is to give.
         self.states: tuple[str, ...] = tuple(dict.fromkeys(column.state for column in columns))
         self.capacity = max(LEAST_QUEUE, math.ceil(queue_s * self.rate_hz))
@@ -110,7 +110,7 @@ class Logger:
         self.events: deque[ControlEvent] = deque(maxlen=64)
         self._clock = clock
         self._reads: list[Read] = []
-        self._sink: Sink | None = None
+        self._sink: LogSink | None = None
         self._queue: deque[Row] = deque()
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
@@ -124,7 +124,7 @@ class Logger:
     def bind(self, states: Mapping[str, Any]) -> None:
         """Take the states; `UnknownNameError` lists those that exist when one is missing."""
         reads: list[Read] = []
-        columns: list[Column] = []
+        columns: list[LogColumn] = []
         found: dict[str, Any] = dict(self._given)
         for column in self.columns:
             name = column.state
@@ -132,7 +132,7 @@ class Logger:
                 if name not in states:
                     raise UnknownNameError(f"state ({self.name} is to record it)", name, states)
                 found[name] = states[name]
-            read, unit = reader_of(column, found[name])
+            read, unit = attribute_reader(column, found[name])
             reads.append(read)
             columns.append(msgspec.structs.replace(column, unit=unit))
         rig = getattr(states, "rig", None)

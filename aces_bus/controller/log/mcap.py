@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 
-from .base import About, AppendFile, Row, Sink
+from .base import About, AppendFile, LogSink, Row
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6
@@ -27,12 +27,12 @@ KEY = "aces_log"
 TOPIC = "/log"
 
 
-def record(opcode: int, content: bytes) -> bytes:
+def mcap_record(opcode: int, content: bytes) -> bytes:
     """A record: opcode, length, content."""
     return struct.pack("<BQ", opcode, len(content)) + content
 
 
-def text(value: str | bytes) -> bytes:
+def mcap_text(value: str | bytes) -> bytes:
     """A string, or bytes, with their length before them."""
     data = value.encode() if isinstance(value, str) else value
     return struct.pack("<I", len(data)) + data
@@ -40,7 +40,7 @@ def text(value: str | bytes) -> bytes:
 
 def texts(values: Mapping[str, str]) -> bytes:
     """A map of strings."""
-    return text(b"".join(text(key) + text(value) for key, value in values.items()))
+    return mcap_text(b"".join(mcap_text(key) + mcap_text(value) for key, value in values.items()))
 
 
 def packer() -> tuple[str, Callable[[bytes], bytes]]:
@@ -52,7 +52,7 @@ def packer() -> tuple[str, Callable[[bytes], bytes]]:
     return "zstd", zstandard.ZstdCompressor(level=3).compress
 
 
-class McapSink(Sink):
+class McapSink(LogSink):
     """`walk.mcap`."""
 
     format = "mcap"
@@ -63,7 +63,7 @@ class McapSink(Sink):
         self._encode = msgspec.json.Encoder().encode
         self._file = AppendFile(path)
         self._declared = _schema(about) + _channel(about)
-        self._file.write(MAGIC + record(HEADER, text("") + text("aces-bus")) + self._declared)
+        self._file.write(MAGIC + mcap_record(HEADER, mcap_text("") + mcap_text("aces-bus")) + self._declared)
         self._rows = 0
         self._first = self._last = about.base_ns
         #: Of each chunk: start, end, place, length, length of its index, packed and plain size.
@@ -79,7 +79,7 @@ class McapSink(Sink):
         for number, (ns, values) in enumerate(rows, self._rows):
             time = max(0, base + ns)
             head = struct.pack("<HIQQ", 1, number & 0xFFFFFFFF, time, time)
-            message = record(MESSAGE, head + self._encode(dict(zip(names, values, strict=True))))
+            message = mcap_record(MESSAGE, head + self._encode(dict(zip(names, values, strict=True))))
             messages.append(message)
             places.append(struct.pack("<QQ", time, place))
             times.append(time)
@@ -87,9 +87,9 @@ class McapSink(Sink):
         plain = b"".join(messages)
         packed = self._pack(plain)
         start, end = min(times), max(times)
-        head = struct.pack("<QQQI", start, end, len(plain), zlib.crc32(plain)) + text(self._compression)
-        chunk = record(CHUNK, head + struct.pack("<Q", len(packed)) + packed)
-        index = record(MESSAGE_INDEX, struct.pack("<H", 1) + text(b"".join(places)))
+        head = struct.pack("<QQQI", start, end, len(plain), zlib.crc32(plain)) + mcap_text(self._compression)
+        chunk = mcap_record(CHUNK, head + struct.pack("<Q", len(packed)) + packed)
+        index = mcap_record(MESSAGE_INDEX, struct.pack("<H", 1) + mcap_text(b"".join(places)))
         at = self._file.size
         self._file.write(chunk + index)
         self._chunks.append((start, end, at, len(chunk), len(index), len(packed), len(plain)))
@@ -109,7 +109,7 @@ class McapSink(Sink):
             self._file.close()
 
     def _end(self) -> bytes:
-        data_end = record(DATA_END, struct.pack("<I", 0))
+        data_end = mcap_record(DATA_END, struct.pack("<I", 0))
         start = self._file.size + len(data_end)
         groups = [(SCHEMA, _schema(self.about)), (CHANNEL, _channel(self.about))]
         groups.append((STATISTICS, self._statistics()))
@@ -117,24 +117,24 @@ class McapSink(Sink):
         summary, offsets = b"", b""
         for opcode, group in groups:
             if group:
-                offsets += record(
+                offsets += mcap_record(
                     SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start + len(summary), len(group))
                 )
                 summary += group
-        footer = record(FOOTER, struct.pack("<QQI", start, start + len(summary), 0))
+        footer = mcap_record(FOOTER, struct.pack("<QQI", start, start + len(summary), 0))
         return data_end + summary + offsets + footer + MAGIC
 
     def _statistics(self) -> bytes:
         counts = struct.pack("<QHIIII", self._rows, 1, 1, 0, 0, len(self._chunks))
         times = struct.pack("<QQ", self._first if self._rows else 0, self._last if self._rows else 0)
-        return record(STATISTICS, counts + times + text(struct.pack("<HQ", 1, self._rows)))
+        return mcap_record(STATISTICS, counts + times + mcap_text(struct.pack("<HQ", 1, self._rows)))
 
     def _chunk_index(self, chunk: tuple[int, ...]) -> bytes:
         start, end, at, length, index, packed, plain = chunk
         content = struct.pack("<QQQQ", start, end, at, length)
-        content += text(struct.pack("<HQ", 1, at + length)) + struct.pack("<Q", index)
-        content += text(self._compression) + struct.pack("<QQ", packed, plain)
-        return record(CHUNK_INDEX, content)
+        content += mcap_text(struct.pack("<HQ", 1, at + length)) + struct.pack("<Q", index)
+        content += mcap_text(self._compression) + struct.pack("<QQ", packed, plain)
+        return mcap_record(CHUNK_INDEX, content)
 
 
 def _schema(about: About) -> bytes:
@@ -145,10 +145,17 @@ def _schema(about: About) -> bytes:
             kind["unit"] = column.unit
             kind["description"] = f"in {column.unit}"
     schema = {"type": "object", "title": "log", "properties": properties}
-    content = struct.pack("<H", 1) + text("log") + text("jsonschema") + text(msgspec.json.encode(schema))
-    return record(SCHEMA, content)
+    content = (
+        struct.pack("<H", 1)
+        + mcap_text("log")
+        + mcap_text("jsonschema")
+        + mcap_text(msgspec.json.encode(schema))
+    )
+    return mcap_record(SCHEMA, content)
 
 
 def _channel(about: About) -> bytes:
     metadata = {"robot": about.robot, "clock": about.clock, KEY: about.to_json()}
-    return record(CHANNEL, struct.pack("<HH", 1, 1) + text(TOPIC) + text("json") + texts(metadata))
+    return mcap_record(
+        CHANNEL, struct.pack("<HH", 1, 1) + mcap_text(TOPIC) + mcap_text("json") + texts(metadata)
+    )

@@ -20,14 +20,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import CallerError
-from .base import About, AppendFile, Row, Sink
+from .base import About, AppendFile, LogSink, Row
 
 KEY = b"aces_log"
 #: Rows of a group: what readers take at once.
 GROUP = 131_072
 
 
-def pyarrow() -> Any:
+def import_pyarrow() -> Any:
     """The library; `CallerError` naming the extra when it is missing."""
     try:
         import pyarrow
@@ -44,13 +44,13 @@ def journal_of(path: str) -> str:
     return path + ".journal"
 
 
-class ParquetSink(Sink):
+class ParquetSink(LogSink):
     """`walk.parquet`."""
 
     format = "parquet"
 
     def __init__(self, path: str, about: About) -> None:
-        pa = pyarrow()
+        pa = import_pyarrow()
         super().__init__(path, about)
         if os.path.isdir(path):
             raise IsADirectoryError(21, "is a folder", path)
@@ -67,7 +67,7 @@ class ParquetSink(Sink):
         self._journal.write(self._batch(rows).serialize().to_pybytes())
 
     def _batch(self, rows: Sequence[Row]) -> Any:
-        pa = pyarrow()
+        pa = import_pyarrow()
         table = np.array([values for _, values in rows], np.float64)
         table = table.reshape(len(rows), len(self.about.columns))
         seconds = np.array([ns for ns, _ in rows], np.int64) / 1e9
@@ -83,7 +83,7 @@ class ParquetSink(Sink):
     def close(self) -> None:
         """Make the Parquet file of the journal."""
         self._journal.close()
-        recover(self.path)
+        recover_parquet(self.path)
 
 
 def _schema(pa: Any, about: About) -> Any:
@@ -97,7 +97,7 @@ def _schema(pa: Any, about: About) -> Any:
 @contextlib.contextmanager
 def opened_journal(path: str) -> Generator[Any]:
     """A reader of record batches; raises `CallerError` for what is no journal."""
-    pa = pyarrow()
+    pa = import_pyarrow()
     try:
         with open(path, "rb") as file:
             yield pa.ipc.open_stream(file)
@@ -107,7 +107,7 @@ def opened_journal(path: str) -> Generator[Any]:
 
 def batches_of(reader: Any) -> Iterator[Any]:
     """Its batches, up to where it was cut."""
-    pa = pyarrow()
+    pa = import_pyarrow()
     while True:
         try:
             batch = reader.read_next_batch()
@@ -116,12 +116,12 @@ def batches_of(reader: Any) -> Iterator[Any]:
         yield batch
 
 
-def recover(path: str) -> int:
+def recover_parquet(path: str) -> int:
     """Make the Parquet file `path` of its journal, which then goes; returns the number of rows.
 
     Raises `CallerError` for what is no journal and `OSError` when the file cannot be written; the journal stays then.
     """
-    pa = pyarrow()
+    pa = import_pyarrow()
     journal = journal_of(path)
     made = path + ".part"
     rows = 0

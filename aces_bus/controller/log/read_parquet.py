@@ -12,13 +12,13 @@ import numpy as np
 from ...errors import CallerError
 from .base import About, about_of
 from .columns import MOST_COLUMNS
-from .parquet import KEY, batches_of, opened_journal, pyarrow
+from .parquet import KEY, batches_of, import_pyarrow, opened_journal
 from .table import MOST_NUMBERS, Floats, Log, LogError, made_log, named_columns
 
 
 def read_parquet_log(path: str, *, most_numbers: int = MOST_NUMBERS) -> Log:
     """Read a Parquet file whose first column is `time`."""
-    pa = pyarrow()
+    pa = import_pyarrow()
     parts: list[Floats] = []
     rows = 0
     try:
@@ -37,7 +37,7 @@ def read_parquet_log(path: str, *, most_numbers: int = MOST_NUMBERS) -> Log:
 
 def read_journal(path: str, *, most_numbers: int = MOST_NUMBERS) -> Log:
     """Read the journal of a log that was not closed."""
-    pa = pyarrow()
+    pa = import_pyarrow()
     parts: list[Floats] = []
     rows = 0
     try:

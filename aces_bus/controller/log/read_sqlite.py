@@ -18,7 +18,7 @@ import numpy as np
 
 from .base import About, about_of
 from .columns import MOST_COLUMNS
-from .sqlite import quoted
+from .sqlite import sql_name
 from .table import MOST_NUMBERS, Log, LogError, made_log, named_columns
 
 _ROWS = 1024
@@ -89,7 +89,7 @@ def _read(reader: _Reader, path: str, most_numbers: int) -> Log:
         about = About(named_columns(path, names))
     numbers = array("d")
     width = len(found)
-    listed = ", ".join(map(quoted, ["time", *names]))
+    listed = ", ".join(map(sql_name, ["time", *names]))
     reader.steps = 0
     cursor = reader.database.execute(f"SELECT {listed} FROM log ORDER BY rowid")
     row = 0

@@ -33,7 +33,7 @@ def recover(path: str | os.PathLike[str]) -> int:
             f"{where}: is no unclosed MCAP, and there is no {os.path.basename(parquet.journal_of(where))} beside it;"
             " text, CSV and SQLite need no recovery"
         )
-    return parquet.recover(where)
+    return parquet.recover_parquet(where)
 
 
 def _mcap(path: str) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from importlib import import_module
 
 from ...errors import CallerError, UnknownNameError
-from .base import About, Sink
+from .base import About, LogSink
 
 #: Format → its module here and its class.
 FORMATS: Mapping[str, tuple[str, str]] = {
@@ -50,8 +50,8 @@ def log_format(path: str | os.PathLike[str], format: str | None = None) -> str:
     return SUFFIXES[suffix]
 
 
-def open_sink(path: str, format: str, about: About, digits: int | None = None) -> Sink:
+def open_sink(path: str, format: str, about: About, digits: int | None = None) -> LogSink:
     """A log of that format. Raises `OSError` where it cannot be written, `CallerError` when a library is missing."""
     module, name = FORMATS[format]
-    kind: type[Sink] = getattr(import_module(f".{module}", __package__), name)
+    kind: type[LogSink] = getattr(import_module(f".{module}", __package__), name)
     return kind(path, about) if digits is None else kind(path, about, digits)  # type: ignore[call-arg]

@@ -15,15 +15,15 @@ import os
 import sqlite3
 from collections.abc import Sequence
 
-from .base import About, Row, Sink
+from .base import About, LogSink, Row
 
 
-def quoted(name: str) -> str:
+def sql_name(name: str) -> str:
     """A name in SQL."""
     return '"' + name.replace('"', '""') + '"'
 
 
-class SqliteSink(Sink):
+class SqliteSink(LogSink):
     """`walk.db`."""
 
     format = "sqlite"
@@ -47,7 +47,7 @@ class SqliteSink(Sink):
     def _create(self, about: About) -> None:
         run = self._database.execute
         run("BEGIN")
-        columns = "".join(f", {quoted(name)} REAL" for name in about.names)
+        columns = "".join(f", {sql_name(name)} REAL" for name in about.names)
         run(f"CREATE TABLE log (time REAL NOT NULL{columns})")
         run(
             "CREATE TABLE columns (place INTEGER PRIMARY KEY, name TEXT, state TEXT, attribute TEXT, unit TEXT)"

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ...errors import CallerError, UnknownNameError
 from .base import About
-from .columns import Column, parse_column
+from .columns import LogColumn, parse_column
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Log:
 
     path: str
     format: str
-    columns: tuple[Column, ...]
+    columns: tuple[LogColumn, ...]
     time_s: Floats
     values: Floats
     about: About
@@ -87,14 +87,14 @@ def made_log(path: str, format: str, about: About, table: Any, notes: list[str],
     return Log(path, format, about.columns, time_s, table, about, notes)
 
 
-def named_columns(where: str, names: list[str]) -> tuple[Column, ...]:
+def named_columns(where: str, names: list[str]) -> tuple[LogColumn, ...]:
     """Columns of a file's names, which may be anything; raises `LogError` for what cannot be named."""
-    columns: list[Column] = []
+    columns: list[LogColumn] = []
     for name in names:
         try:
             column = parse_column(name)
         except CallerError:
-            column = Column(name)  # an attribute that we do not know is a part of the name
+            column = LogColumn(name)  # an attribute that we do not know is a part of the name
         if not name or not name.isprintable():
             raise LogError(f"{where}: {name[:40]!r} is no name of a column: is this a log?")
         columns.append(column)

@@ -15,7 +15,7 @@ import io
 from collections.abc import Callable, Sequence
 
 from ...plain_text import cell_text
-from .base import About, AppendFile, Row, Sink, seconds_text
+from .base import About, AppendFile, LogSink, Row, seconds_text
 
 
 def shortest(value: float) -> str:
@@ -28,7 +28,7 @@ def shortest(value: float) -> str:
     return text[:-2] if text.endswith(".0") else text
 
 
-class TextSink(Sink):
+class TextSink(LogSink):
     """`walk.txt`, as the original writes it."""
 
     format = "text"
@@ -59,7 +59,7 @@ class TextSink(Sink):
         self._file.close()
 
 
-class CsvSink(Sink):
+class CsvSink(LogSink):
     """`walk.csv`: a line of names (`time` in seconds, then the columns), a line each row."""
 
     format = "csv"

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from .address import Address, is_served, parse_address
+from .address import ServedAddress, is_served, parse_address
 from .channel import ServedChannel
 from .remote import ServedBus
 from .server import BusServer
 from .stream import ask, served_channels, servers
 
 __all__ = [
-    "Address",
     "BusServer",
+    "ServedAddress",
     "ServedBus",
     "ServedChannel",
     "ask",

@@ -32,7 +32,7 @@ _NOTE_MOST = 1 << 20
 
 
 @dataclass(frozen=True)
-class Address:
+class ServedAddress:
     """A server, and a channel of it: `channel` "" is its only one. Either `path` or `host` and `port` are set."""
 
     path: str = ""
@@ -67,15 +67,15 @@ def is_served(channel: object) -> bool:
     return isinstance(channel, str) and channel.startswith(("unix:", "tcp:"))
 
 
-def parse_address(text: str) -> Address:
+def parse_address(text: str) -> ServedAddress:
     """`unix:PATH`, `unix:NAME` (a default socket of this user) or `tcp:HOST:PORT[/CHANNEL]`."""
     kind, _, rest = text.partition(":")
     if kind == "unix" and rest:
-        return Address(path=rest if "/" in rest or os.sep in rest else str(default_socket(rest)))
+        return ServedAddress(path=rest if "/" in rest or os.sep in rest else str(default_socket(rest)))
     if kind == "tcp":
         where, _, channel = rest.partition("/")
         host, port = parse_host(where, None)
-        return Address(host=host, port=port, channel=channel)
+        return ServedAddress(host=host, port=port, channel=channel)
     raise CallerError(
         f"{text!r} is no address of a served bus; they are unix:PATH, unix:NAME or tcp:HOST:PORT[/CHANNEL]"
     )
@@ -199,7 +199,7 @@ def _clear(path: str) -> None:
     if not stat.S_ISSOCK(os.lstat(path).st_mode):
         raise CallerError(f"{path} exists and is no socket; choose another path")
     try:
-        Address(path=path).connect(1.0).close()
+        ServedAddress(path=path).connect(1.0).close()
     except ConnectionRefusedError:
         os.unlink(path)
         return

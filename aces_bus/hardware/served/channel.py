@@ -14,11 +14,21 @@ from functools import partial
 from typing import Any, Protocol
 
 from ...errors import CallerError
-from ...frame import Frame
+from ...frames import Frame
 from ...runtime import VirtualClock
-from ..faults import NO_FAULTS, Faults
-from ..wire import Node, Wire, WireEvent
-from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, OWN, REMOTE, frame_record, record, to_frame
+from ..simulated.bus import BusNode, SimulatedBus, SimulatedBusEvent
+from ..simulated.faults import NO_FAULTS, Faults
+from .packets import (
+    BITRATE_SWITCH,
+    ERROR_STATE,
+    EXTENDED,
+    FD,
+    OWN,
+    REMOTE,
+    frame_record,
+    pack_record,
+    record_to_frame,
+)
 
 #: Frames that a member may have waiting to be sent.
 MAILBOXES = 1024
@@ -35,11 +45,11 @@ class Connection(Protocol):
     def woken(self) -> None:
         """There is something to send."""
 
-    def happened(self, event: WireEvent) -> None:
+    def happened(self, event: SimulatedBusEvent) -> None:
         """Something happened to the member's node."""
 
 
-class Member:
+class BusClient:
     """Someone on a served bus. Counts: `sent`, `received`, `dropped` (not read in time), `rejected` (refused by the bus)."""
 
     def __init__(
@@ -49,7 +59,7 @@ class Member:
         self.fd, self.own = fd, own
         #: Whether it talks to others of its kind without the server (`shortcut`).
         self.is_direct = False
-        self.node: Node | None = None
+        self.node: BusNode | None = None
         self.queue: deque[bytes] = deque()
         self.is_woken = False
         self.sent = self.received = self.dropped = self.rejected = 0
@@ -121,10 +131,12 @@ class ServedChannel:
             raise CallerError("faults are the wire's, and without physics there is none")
         if data_bitrate is not None and not fd:
             raise CallerError("a data bit rate is CAN FD's: say --fd too")
-        Wire(VirtualClock(), bitrate=bitrate, data_bitrate=data_bitrate)  # says what is wrong with the rates
+        SimulatedBus(
+            VirtualClock(), bitrate=bitrate, data_bitrate=data_bitrate
+        )  # says what is wrong with the rates
         self.name, self.fd, self.physics, self.acknowledge = name, fd, physics, acknowledge
         self.bitrate, self.data_bitrate, self.faults = bitrate, data_bitrate, faults
-        self.members: list[Member] = []
+        self.members: list[BusClient] = []
         self.frames = 0
         self._last: tuple[Frame | None, int, bytes] = (None, 0, b"")
 
@@ -132,7 +144,9 @@ class ServedChannel:
         """Begin at the clock's time; `epoch_ns` added to an instant is the time since 1970."""
         self._clock, self._epoch_ns = clock, epoch_ns
         self._since = clock.now()
-        self.wire = Wire(clock, bitrate=self.bitrate, data_bitrate=self.data_bitrate, faults=self.faults)
+        self.wire = SimulatedBus(
+            clock, bitrate=self.bitrate, data_bitrate=self.data_bitrate, faults=self.faults
+        )
         if self.acknowledge:
             self.wire.attach("witness")
 
@@ -147,9 +161,9 @@ class ServedChannel:
         fd: bool = False,
         own: bool = False,
         restart_ns: int | None = None,
-    ) -> Member:
+    ) -> BusClient:
         """A new member. `own`: it hears what it sends."""
-        member = Member(self, name, connection, fd=fd, own=own)
+        member = BusClient(self, name, connection, fd=fd, own=own)
         if self.physics:
             node = self.wire.attach(
                 name,
@@ -164,7 +178,7 @@ class ServedChannel:
         self.members.append(member)
         return member
 
-    def leave(self, member: Member) -> None:
+    def leave(self, member: BusClient) -> None:
         """Take a member off the bus. What it has given to the bus is still sent, for up to `LINGER_NS`."""
         if member in self.members:
             self.members.remove(member)
@@ -178,13 +192,13 @@ class ServedChannel:
         node.happened = partial(self._left, node)
         self._clock.call_in(LINGER_NS, partial(self.wire.detach, node))
 
-    def _left(self, node: Node, event: WireEvent) -> None:
+    def _left(self, node: BusNode, event: SimulatedBusEvent) -> None:
         if not node.pending:
             self.wire.detach(node)
 
     # ------------------------------------------------------------------ frames
 
-    def send(self, member: Member, identifier: int, flags: int, length: int, data: bytes) -> bool:
+    def send(self, member: BusClient, identifier: int, flags: int, length: int, data: bytes) -> bool:
         """A checked frame of a member; False when the bus does not take it."""
         flags &= _FLAGS
         if flags & FD and not member.fd:
@@ -192,12 +206,12 @@ class ServedChannel:
             return False
         if member.node is not None:
             node = member.node
-            if node.listen_only or not node.send(to_frame(identifier, flags, length, data)):
+            if node.listen_only or not node.send(record_to_frame(identifier, flags, length, data)):
                 member.rejected += 1
                 return False
             return True
         now = self._clock.now() + self._epoch_ns
-        one = record(now, identifier, flags, length, data)
+        one = pack_record(now, identifier, flags, length, data)
         is_direct = member.is_direct
         for other in self.members:
             if other is not member and (other.fd or not flags & FD) and not (is_direct and other.is_direct):
@@ -205,22 +219,22 @@ class ServedChannel:
         if not is_direct:
             self.counted(member, member.sent + 1)
             if member.own:
-                member.deliver(record(now, identifier, flags | OWN, length, data))
+                member.deliver(pack_record(now, identifier, flags | OWN, length, data))
         return True
 
-    def counted(self, member: Member, sent: int) -> None:
+    def counted(self, member: BusClient, sent: int) -> None:
         """A member has sent so many frames, without physics."""
         self.frames += max(0, sent - member.sent)
         member.sent = sent
 
-    def _heard(self, member: Member, frame: Frame, instant: int) -> None:
+    def _heard(self, member: BusClient, frame: Frame, instant: int) -> None:
         last, when, one = self._last
         if last is not frame or when != instant:  # packed once for all who hear it
             one = frame_record(frame, instant + self._epoch_ns)
             self._last = (frame, instant, one)
         member.deliver(one)
 
-    def _happened(self, member: Member, event: WireEvent) -> None:
+    def _happened(self, member: BusClient, event: SimulatedBusEvent) -> None:
         if event.kind == "sent":
             member.sent += 1
             if member.own and event.frame is not None:

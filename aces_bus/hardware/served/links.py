@@ -13,9 +13,9 @@ from collections import deque
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from ..wire import WireEvent
+from ..simulated.bus import SimulatedBusEvent
 from . import packets
-from .channel import MAILBOXES, Member
+from .channel import MAILBOXES, BusClient
 from .packets import CLASSIC, CLASSIC_RECORD, FRAMES, HEAD, PacketError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _REPORT_EVERY = MAILBOXES // 4
 _ONE = HEAD.pack(CLASSIC_RECORD.size, CLASSIC)
 
 
-class Link:
+class ServerLink:
     """One connection of a server, whatever it speaks."""
 
     kind = "link"
@@ -41,7 +41,7 @@ class Link:
     def __init__(self, server: BusServer, stream: socket.socket, peer: str) -> None:
         self.server, self.stream, self.peer = server, stream, peer
         self.fd = stream.fileno()
-        self.member: Member | None = None
+        self.member: BusClient | None = None
         self.is_closed = False
         self.is_introduced = False
         #: Whether the socket takes no more for now.
@@ -88,7 +88,7 @@ class Link:
         """There is something to send."""
         self.server.dirty.append(self)
 
-    def happened(self, event: WireEvent) -> None:
+    def happened(self, event: SimulatedBusEvent) -> None:
         """Something happened to the member's node."""
 
     def flush(self) -> None:
@@ -131,7 +131,7 @@ class Link:
         return [queue.popleft() for _ in range(min(len(queue), WRITE))]
 
 
-class PacketLink(Link):
+class PacketLink(ServerLink):
     """A client that speaks our packets."""
 
     def __init__(self, server: BusServer, stream: socket.socket, peer: str, kind: str, only: str) -> None:
@@ -147,7 +147,7 @@ class PacketLink(Link):
 
     def take(self, data: bytes) -> None:
         """Packets from the client."""
-        found, self._buffer = packets.split(self._buffer + data if self._buffer else data)
+        found, self._buffer = packets.split_packets(self._buffer + data if self._buffer else data)
         for kind, body in found:
             if kind in FRAMES:
                 self._frames(kind, body)
@@ -159,7 +159,7 @@ class PacketLink(Link):
         if member is None:
             raise PacketError("frames before an introduction")
         send = member.channel.send
-        for _, identifier, flags, length, data in packets.records(kind, body):
+        for _, identifier, flags, length, data in packets.unpack_records(kind, body):
             if not send(member, identifier, flags, length, data):
                 self._taken += 1  # it is off the mailboxes, unsent
         if member.rejected != self._told_rejected:
@@ -229,7 +229,7 @@ class PacketLink(Link):
         except OSError:
             pass
 
-    def happened(self, event: WireEvent) -> None:
+    def happened(self, event: SimulatedBusEvent) -> None:
         """What became of its frames, and its node's state."""
         if event.kind == "sent":
             self._taken += 1

@@ -18,7 +18,7 @@ from struct import Struct, error
 from typing import TYPE_CHECKING, NamedTuple
 
 from ...errors import AcesError, CallerError
-from ...frame import FD_LENGTHS, Frame
+from ...frames import FD_LENGTHS, Frame
 
 if TYPE_CHECKING:
     from can import Message
@@ -78,7 +78,7 @@ def packet(kind: int, body: bytes = b"") -> bytes:
     return HEAD.pack(len(body), kind) + body
 
 
-def split(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
+def split_packets(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
     """The whole packets at the front of `data` as (kind, body), and what is left."""
     found: list[tuple[int, bytes]] = []
     at, end = 0, len(data)
@@ -96,7 +96,7 @@ def split(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
 # ---------------------------------------------------------------------- frames
 
 
-def records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int, bytes]]:
+def unpack_records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int, bytes]]:
     """(time, identifier, flags, length, padded data) of each frame in a packet; each is checked."""
     form, most = (CLASSIC_RECORD, 8) if kind == CLASSIC else (LONG_RECORD, 64)
     if len(body) % form.size:
@@ -135,7 +135,7 @@ def _check(identifier: int, flags: int, length: int, most: int) -> None:
         raise PacketError(f"a classic frame of {length} bytes with flags {flags:#x} does not exist")
 
 
-def record(time_ns: int, identifier: int, flags: int, length: int, data: bytes) -> bytes:
+def pack_record(time_ns: int, identifier: int, flags: int, length: int, data: bytes) -> bytes:
     """A frame as a record; short where it fits."""
     form = LONG_RECORD if len(data) > 8 and length > 8 and not flags & REMOTE else CLASSIC_RECORD
     return form.pack(time_ns, identifier, flags, length, data)
@@ -159,10 +159,10 @@ def frame_record(frame: Frame, time_ns: int, more: int = 0) -> bytes:
         | (BITRATE_SWITCH if frame.bitrate_switch else 0)
         | (ERROR_STATE if frame.error_state_indicator else 0)
     )
-    return record(time_ns, frame.arbitration_id, flags, frame.length, frame.data)
+    return pack_record(time_ns, frame.arbitration_id, flags, frame.length, frame.data)
 
 
-def to_frame(identifier: int, flags: int, length: int, data: bytes) -> Frame:
+def record_to_frame(identifier: int, flags: int, length: int, data: bytes) -> Frame:
     """The frame of a checked record."""
     if not flags:
         return Frame(identifier, data[:length])
@@ -318,6 +318,6 @@ def read_event(body: bytes) -> tuple[str, int, Frame | None]:
         raise PacketError(f"an event of kind {number}, which does not exist")
     rest = body[_EVENT.size :]
     frame = None
-    for _, identifier, flags, length, data in records(CLASSIC if len(rest) <= 24 else LONG, rest):
-        frame = to_frame(identifier, flags & ~OWN, length, data)
+    for _, identifier, flags, length, data in unpack_records(CLASSIC if len(rest) <= 24 else LONG, rest):
+        frame = record_to_frame(identifier, flags & ~OWN, length, data)
     return EVENTS[number], time_ns, frame

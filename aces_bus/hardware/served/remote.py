@@ -29,12 +29,12 @@ from can import (
 )
 
 from ...errors import AcesError, CallerError
-from ..wire import WireEvent
+from ..simulated.bus import SimulatedBusEvent
 from . import packets
 from .address import parse_address
 from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, FRAMES, OWN, REMOTE, PacketError
 from .shortcut import Neighbour
-from .stream import ANSWER_S, Stream, Waiter, read_status, wait
+from .stream import ANSWER_S, ServerConnection, Waiter, read_status, wait
 
 #: Messages that may lie unread; after that the oldest is dropped and counted.
 QUEUE = 65_536
@@ -85,7 +85,7 @@ class ServedBus(BusABC):
         try:
             address = parse_address(channel)
             hello = packets.Hello(address.channel, flags, int(bitrate or 0), int(data_bitrate or 0), restart)
-            self._stream = Stream(address, hello, timeout)
+            self._stream = ServerConnection(address, hello, timeout)
         except AcesError as error:
             raise CanInitializationError(f"{channel}: {error}") from error
         except OSError as error:
@@ -107,9 +107,9 @@ class ServedBus(BusABC):
         self._sent = self._taken = 0
         self._state = "error-active"
         #: What happened to this node, the last 1,024 events; instants in ns since 1970.
-        self.events: deque[WireEvent] = deque(maxlen=1024)
+        self.events: deque[SimulatedBusEvent] = deque(maxlen=1024)
         #: Called with each event, by whoever reads; it must not block.
-        self.on_event: Callable[[WireEvent], None] | None = None
+        self.on_event: Callable[[SimulatedBusEvent], None] | None = None
         self._status: list[dict[str, Any]] = []
         self._why: str | None = None
         self._receive_own = bool(receive_own_messages)
@@ -187,7 +187,7 @@ class ServedBus(BusABC):
             data = near.read()
             found = packets.single(data)
             if found is not None and len(self._queue) < self._most:
-                self._queue.append(to_message(found, self.channel))
+                self._queue.append(record_to_message(found, self.channel))
                 self._direct_received += 1
                 return
             for kind, body in near.split(data):
@@ -224,7 +224,7 @@ class ServedBus(BusABC):
             name, time_ns, frame = packets.read_event(body)
             if name in _STATES:
                 self._state = name
-            event = WireEvent(name, time_ns, frame)
+            event = SimulatedBusEvent(name, time_ns, frame)
             self.events.append(event)
             if self.on_event is not None:
                 self.on_event(event)
@@ -243,8 +243,8 @@ class ServedBus(BusABC):
 
     def _keep_all(self, kind: int, body: bytes) -> int:
         queue, channel, count = self._queue, self.channel, 0
-        for found in packets.records(kind, body):
-            queue.append(to_message(found, channel))
+        for found in packets.unpack_records(kind, body):
+            queue.append(record_to_message(found, channel))
             count += 1
         while len(queue) > self._most:
             queue.popleft()
@@ -307,9 +307,11 @@ class ServedBus(BusABC):
                     continue
             self._sent += 1
         if self._receive_own:
-            (kind, body), *_ = packets.split(packet)[0]
-            for time_ns, identifier, flags, length, data in packets.records(kind, body):
-                self._queue.append(to_message((time_ns, identifier, flags | OWN, length, data), self.channel))
+            (kind, body), *_ = packets.split_packets(packet)[0]
+            for time_ns, identifier, flags, length, data in packets.unpack_records(kind, body):
+                self._queue.append(
+                    record_to_message((time_ns, identifier, flags | OWN, length, data), self.channel)
+                )
         now = time.monotonic()
         if now - self._counted_at >= _COUNT_S:
             self._counted_at = now
@@ -417,7 +419,7 @@ class ServedBus(BusABC):
         self._stream.close()
 
 
-def to_message(found: tuple[int, int, int, int, bytes], channel: str) -> Message:
+def record_to_message(found: tuple[int, int, int, int, bytes], channel: str) -> Message:
     """A checked record as a message."""
     time_ns, identifier, flags, length, data = found
     message = Message.__new__(Message)

@@ -21,9 +21,17 @@ from typing import Any, Self
 
 from ...errors import AcesError, CallerError
 from ...runtime import VirtualClock
-from .address import Address, bind_tcp, bind_unix, check_loopback, default_socket, runtime_folder, write_note
+from .address import (
+    ServedAddress,
+    bind_tcp,
+    bind_unix,
+    check_loopback,
+    default_socket,
+    runtime_folder,
+    write_note,
+)
 from .channel import ServedChannel
-from .links import Link, PacketLink, peer_of
+from .links import PacketLink, ServerLink, peer_of
 from .packets import PacketError
 from .shortcut import introduce
 from .socketcand import SocketcandLink
@@ -77,15 +85,15 @@ class BusServer:
         self.clock = VirtualClock(time.monotonic_ns())
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         #: Links with something to send.
-        self.dirty: list[Link] = []
+        self.dirty: list[ServerLink] = []
         #: Clients that were cut off for what they said, and connections refused because there were too many.
         self.cut = self.refused = 0
         #: Channel → where it is served, as `can.Bus` takes it.
         self.addresses: dict[str, list[str]] = {name: [] for name in self.channels}
         #: Where socketcand is spoken.
         self.socketcand = ""
-        self._links: dict[int, Link] = {}
-        self._blocked: dict[int, Link] = {}
+        self._links: dict[int, ServerLink] = {}
+        self._blocked: dict[int, ServerLink] = {}
         self._listeners: dict[int, _Listener] = {}
         self._files: list[tuple[str, int, int]] = []
         self._note: Path | None = None
@@ -123,13 +131,13 @@ class BusServer:
                 found = os.stat(path)
                 self._files.append((path, found.st_dev, found.st_ino))
                 self._listen(listener, "unix", name)
-                self.addresses[name].append(str(Address(path=path)))
+                self.addresses[name].append(str(ServedAddress(path=path)))
         if tcp is not None:
             listener = bind_tcp(*tcp)
             self._listen(listener, "tcp", next(iter(self.channels)) if len(self.channels) == 1 else "")
             host, port = listener.getsockname()[:2]
             for name in self.channels:
-                self.addresses[name].append(str(Address(host=host, port=port, channel=name)))
+                self.addresses[name].append(str(ServedAddress(host=host, port=port, channel=name)))
         if socketcand is not None:
             listener = bind_tcp(*socketcand)
             self._listen(listener, "socketcand")
@@ -223,7 +231,7 @@ class BusServer:
         for link in dirty:
             self._guarded(link, link.flush)
 
-    def _guarded(self, link: Link, action: Callable[[], None]) -> None:
+    def _guarded(self, link: ServerLink, action: Callable[[], None]) -> None:
         """Whatever goes wrong with a link ends that link."""
         if link.is_closed:
             return
@@ -239,7 +247,7 @@ class BusServer:
         except Exception as error:  # a fault of ours must not cost the others their bus
             self._cut(link, f"{type(error).__name__}: {error}")
 
-    def _cut(self, link: Link, why: str) -> None:
+    def _cut(self, link: ServerLink, why: str) -> None:
         self.cut += 1
         if isinstance(link, PacketLink):
             link.refuse(why)
@@ -247,7 +255,7 @@ class BusServer:
         if self._said is not None:
             self._said(f"{link.name} was cut off: {why}")
 
-    def _drop(self, link: Link) -> None:
+    def _drop(self, link: ServerLink) -> None:
         if link.is_closed:
             return
         link.is_closed = True
@@ -260,7 +268,7 @@ class BusServer:
                 sock.close()
         link.stream.close()
 
-    def blocked(self, link: Link) -> None:
+    def blocked(self, link: ServerLink) -> None:
         """A link's socket is full, or not any more."""
         if link.is_blocked:
             self._blocked[link.fd] = link
@@ -286,7 +294,7 @@ class BusServer:
         except OSError:
             stream.close()
             return
-        link: Link
+        link: ServerLink
         if listener.kind == "socketcand":
             link = SocketcandLink(self, stream, peer)
         else:
@@ -294,11 +302,11 @@ class BusServer:
         self._links[link.fd] = link
         self.clock.call_in(INTRODUCTION_S * 1_000_000_000, lambda: self._impatient(link))
 
-    def _impatient(self, link: Link) -> None:
+    def _impatient(self, link: ServerLink) -> None:
         if link.member is None and not link.is_closed and not link.is_introduced:
             self._cut(link, f"it did not say within {INTRODUCTION_S} s who it is")
 
-    def introduced(self, link: Link) -> None:
+    def introduced(self, link: ServerLink) -> None:
         """A client has said who it is, and is not answered yet."""
         link.is_introduced = True
         member = link.member

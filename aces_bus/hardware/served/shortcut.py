@@ -17,7 +17,7 @@ import socket
 from collections.abc import Iterable
 
 from . import packets
-from .links import Link, PacketLink
+from .links import PacketLink, ServerLink
 from .packets import PacketError
 
 #: Members of a channel that talk to each other directly, at most: their sockets grow with the square.
@@ -29,7 +29,7 @@ _BUFFER = 1 << 22
 _READ = 16_384
 
 
-def introduce(link: Link, others: Iterable[Link]) -> list[PacketLink]:
+def introduce(link: ServerLink, others: Iterable[ServerLink]) -> list[PacketLink]:
     """The server's side: connect a newcomer with its neighbours. Gives those that have something to read now."""
     member = link.member
     assert member is not None
@@ -64,7 +64,7 @@ def introduce(link: Link, others: Iterable[Link]) -> list[PacketLink]:
     return near
 
 
-def member_flags(link: Link) -> int:
+def member_flags(link: ServerLink) -> int:
     """What a neighbour must know of a member."""
     return packets.TAKES_FD if link.member is not None and link.member.fd else 0
 
@@ -105,7 +105,7 @@ class Neighbour:
 
     def split(self, data: bytes) -> list[tuple[int, bytes]]:
         """The packets in what has come; the rest is kept. Raises `PacketError`."""
-        found, self._buffer = packets.split(data)
+        found, self._buffer = packets.split_packets(data)
         return found
 
     def write(self, packet: bytes) -> None:

@@ -19,10 +19,10 @@ from __future__ import annotations
 import socket
 from typing import TYPE_CHECKING
 
-from ...frame import FD_LENGTHS
-from ..wire import WireEvent
+from ...frames import FD_LENGTHS
+from ..simulated.bus import SimulatedBusEvent
 from .channel import MAILBOXES
-from .links import Link
+from .links import ServerLink
 from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, REMOTE, PacketError, unpacked
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ _CLASSES = {
 }
 
 
-class SocketcandLink(Link):
+class SocketcandLink(ServerLink):
     """A client that speaks socketcand's text."""
 
     kind = "socketcand"
@@ -148,7 +148,7 @@ class SocketcandLink(Link):
             self.member, identifier, flags | (EXTENDED if is_extended else 0), length, data
         )
 
-    def happened(self, event: WireEvent) -> None:
+    def happened(self, event: SimulatedBusEvent) -> None:
         """Errors of its node are error frames."""
         code = _CLASSES.get(event.kind)
         if code is not None and self._is_raw and (event.kind, event.frame) != self._last:

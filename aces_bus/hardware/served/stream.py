@@ -16,7 +16,7 @@ from typing import Any
 
 from ...errors import AcesError
 from . import packets
-from .address import Address, notes, parse_address
+from .address import ServedAddress, notes, parse_address
 from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
@@ -71,13 +71,13 @@ class Waiter:
         ]
 
 
-class Stream:
+class ServerConnection:
     """A connection to a server, introduced. `early` are packets that came with the answer.
 
     Raises `OSError` when nobody answers, and `PacketError` with the server's reason when it refuses.
     """
 
-    def __init__(self, address: Address, hello: packets.Hello, timeout: float = ANSWER_S) -> None:
+    def __init__(self, address: ServedAddress, hello: packets.Hello, timeout: float = ANSWER_S) -> None:
         self._socket = address.connect(timeout)
         self._buffer = self._rest = b""
         #: Files that came, for the packets that speak of them.
@@ -123,7 +123,7 @@ class Stream:
             return []
         if not data:
             raise EOFError("the server has closed the connection")
-        found, self._buffer = packets.split(self._buffer + data if self._buffer else data)
+        found, self._buffer = packets.split_packets(self._buffer + data if self._buffer else data)
         return found
 
     def write(self, packet: bytes, timeout: float | None = None) -> None:
@@ -167,9 +167,9 @@ class Stream:
 # ---------------------------------------------------------------------- finding servers
 
 
-def ask(address: Address, timeout: float = 1.0) -> dict[str, Any]:
+def ask(address: ServedAddress, timeout: float = 1.0) -> dict[str, Any]:
     """A server's status, without joining a bus. Raises `OSError` or `PacketError`."""
-    stream = Stream(address, packets.Hello(address.channel, packets.LOOKS), timeout)
+    stream = ServerConnection(address, packets.Hello(address.channel, packets.LOOKS), timeout)
     try:
         stream.write(packets.packet(packets.QUERY), timeout)
         until = time.monotonic() + timeout

@@ -9,7 +9,7 @@ from .svg import picture_svg as picture_svg
 from .table import FieldRow as FieldRow
 from .table import bits_place as bits_place
 from .table import captured_values as captured_values
+from .table import field_table as field_table
 from .table import row_of as row_of
-from .table import table as table
-from .text import draw as draw
+from .text import draw_text as draw_text
 from .text import picture as picture

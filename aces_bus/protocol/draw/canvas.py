@@ -84,7 +84,7 @@ class Canvas:
             f'<text x="{x:g}" y="{y:g}" fill="{colour}" font-size="{size:g}" text-anchor="{anchor}"{bold}'
             f' xml:space="preserve">{title}{_clean(text)}</text>'
         )
-        reach = width_of(text, size)
+        reach = text_width(text, size)
         self._reach(
             x + (reach if anchor == "start" else reach / 2 if anchor == "middle" else 0), y + size / 3
         )
@@ -102,7 +102,7 @@ class Canvas:
         )
 
 
-def width_of(text: str, size: float = SIZE) -> float:
+def text_width(text: str, size: float = SIZE) -> float:
     """How wide a text is, in points."""
     return CHARACTER * size * len(text)
 
@@ -117,4 +117,4 @@ def _clean(text: str) -> str:
     return escape("".join(ch if ch.isprintable() else "?" for ch in text))
 
 
-__all__ = ["Canvas", "fitted", "width_of"]
+__all__ = ["Canvas", "fitted", "text_width"]

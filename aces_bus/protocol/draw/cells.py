@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from ..codegen import plan as p
-from ..spec.fields import described
-from ..spec.message import Message
+from ..declare.fields import number_runs
+from ..declare.message import Message
+from ..plan import nodes as p
 
 #: Columns of one bit, and of a row without its frame.
 BIT = 8
@@ -62,14 +62,14 @@ Row = tuple[str, list[tuple[int, str]]]
 
 
 @dataclass(frozen=True)
-class Panel:
+class LayoutPanel:
     """One picture of a message's bytes; `title` says when it is so, "" for always."""
 
     title: str
     rows: list[Row]
 
 
-def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[Panel]:
+def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]:
     """The layout of a message; of multiplexed fields one more panel a selector value, of fields that share bits one more
     for those behind the first."""
     marks = list(marks)
@@ -90,11 +90,13 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[Panel]:
     if plan.opaque:
         base.lines.append(("…", f"{', '.join(_payload_names(plan))}: no fixed places ({plan.opaque})"))
     tail = sorted((m for m in marks if m.offset < 0), key=lambda m: m.offset)
-    found = [Panel("", _all_rows(base, plan, tail))]
-    found += [Panel(SHARING, _all_rows(cells, None, [])) for cells in always[1:]]
+    found = [LayoutPanel("", _all_rows(base, plan, tail))]
+    found += [LayoutPanel(SHARING, _all_rows(cells, None, [])) for cells in always[1:]]
     for when, layers in variants.items():
-        found.append(Panel(f"{when.selector.name} = {listed(when.values)}:", _all_rows(layers[0], None, [])))
-        found += [Panel(SHARING, _all_rows(cells, None, [])) for cells in layers[1:]]
+        found.append(
+            LayoutPanel(f"{when.selector.name} = {listed(when.values)}:", _all_rows(layers[0], None, []))
+        )
+        found += [LayoutPanel(SHARING, _all_rows(cells, None, [])) for cells in layers[1:]]
     return found
 
 
@@ -152,11 +154,11 @@ _Place = tuple[str, p.Node]
 def _placed(fields: Sequence[p.PlanField], prefix: str, when: _When) -> Iterator[tuple[_Place, _When]]:
     for one in fields:
         inner = one.when or when
-        if isinstance(one.node, p.Group):
+        if isinstance(one.node, p.NestedRecord):
             yield from _placed(one.node.fields, f"{prefix}{one.name}.", inner)
         elif isinstance(one.node, p.Many) and not is_long(one.node):
             for index, item in enumerate(one.node.items):
-                if isinstance(item, p.Group):
+                if isinstance(item, p.NestedRecord):
                     yield from _placed(item.fields, f"{prefix}{one.name}.{index}.", inner)
                 else:
                     yield from _placed([p.PlanField(f"{one.name}.{index}", item)], prefix, inner)
@@ -178,7 +180,7 @@ def span_of(node: p.Node) -> tuple[int, int] | None:
     items: list[p.Node] = []
     if isinstance(node, p.Many):
         items = list(node.items)
-    elif isinstance(node, p.Group):
+    elif isinstance(node, p.NestedRecord):
         items = [one.node for one in node.fields]
     spans = [span_of(item) for item in items]
     if not spans or spans[0] is None:
@@ -205,7 +207,7 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
             cells.claim(text if not node.shift else f"{text} << {node.shift}", bits)
         else:
             cells.claim(label, bits[node.shift : node.shift + node.width])
-    elif isinstance(node, p.Cell):
+    elif isinstance(node, p.DelimitedField):
         cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
     elif isinstance(node, p.MoreCells):
         cells.lines.append((f"#{node.start}…", label))
@@ -351,14 +353,14 @@ def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
 
 def listed(values: Sequence[int]) -> str:
     """Numbers one by one, or many as their runs."""
-    return ", ".join(map(str, values)) if len(values) <= 4 else described(values)
+    return ", ".join(map(str, values)) if len(values) <= 4 else number_runs(values)
 
 
 __all__ = [
     "BIT",
     "ROW",
+    "LayoutPanel",
     "Mark",
-    "Panel",
     "Row",
     "is_long",
     "listed",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ..codegen.flatten import flatten
-from ..spec.message import Message
-from .canvas import FAINT, FILLS, INK, OPEN, PAPER, Canvas, fitted, width_of
-from .cells import BIT, ROW, Panel, marks_of, panels
+from ..declare.message import Message
+from ..plan.flatten import flatten
+from .canvas import FAINT, FILLS, INK, OPEN, PAPER, Canvas, fitted, text_width
+from .cells import BIT, ROW, LayoutPanel, marks_of, panels
 
 #: Points of one bit, of a row's height, and of what stands in front of a row.
 WIDE, HIGH, FRONT = 72.0, 26.0, 64.0
@@ -32,7 +32,7 @@ def picture_svg(messages: Iterable[Message]) -> str:
     return canvas.svg(", ".join(names))
 
 
-def _panel(canvas: Canvas, panel: Panel, top: float, fills: dict[str, str]) -> float:
+def _panel(canvas: Canvas, panel: LayoutPanel, top: float, fills: dict[str, str]) -> float:
     if panel.title:
         canvas.text(0, top + 12, panel.title, FAINT)
         top += 20
@@ -51,7 +51,7 @@ def _panel(canvas: Canvas, panel: Panel, top: float, fills: dict[str, str]) -> f
             width = (columns + 1) / (BIT + 1) * WIDE if columns != ROW else 8 * WIDE
             canvas.box(left, top, width, HIGH, _fill(text, fills))
             if text:
-                size = 12.0 if width_of(text, 12) < width - 8 else 10.0
+                size = 12.0 if text_width(text, 12) < width - 8 else 10.0
                 shown = fitted(_short(text, width - 6, size), width - 6, size)
                 canvas.text(
                     left + width / 2, top + HIGH / 2 + 4, shown, INK, size=size, anchor="middle", tip=text
@@ -64,7 +64,7 @@ def _panel(canvas: Canvas, panel: Panel, top: float, fills: dict[str, str]) -> f
 def _short(text: str, width: float, size: float) -> str:
     """Of a nested record the name alone, where there is no room for its path."""
     inner = text.rpartition(".")[2]
-    return text if width_of(text, size) <= width or not inner or inner[0].isdigit() else inner
+    return text if text_width(text, size) <= width or not inner or inner[0].isdigit() else inner
 
 
 def _fill(text: str, fills: dict[str, str]) -> str:

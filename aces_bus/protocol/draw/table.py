@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from ..codegen import plan as p
-from ..spec.message import Message
-from ..spec.pattern import describe_values
+from ..declare.message import Message
+from ..declare.pattern import describe_values
+from ..plan import nodes as p
 from .cells import is_long, listed, range_text, span_of
 
 
@@ -26,7 +26,7 @@ class FieldRow:
     doc: str = ""
 
 
-def table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
+def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
     """The fields of a message; `captured` says what captured parts can be."""
     return list(_table(plan.fields, "", captured or {}))
 
@@ -51,7 +51,7 @@ def _table(fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, st
             doc = f"only while {one.when.selector.name} is {listed(one.when.values)}" + (
                 f"; {doc}" if doc else ""
             )
-        if isinstance(node, p.Group):
+        if isinstance(node, p.NestedRecord):
             yield from _table(node.fields, f"{name}.", captured)
         elif isinstance(node, p.Many) and not is_long(node):
             for index, item in enumerate(node.items):
@@ -90,7 +90,7 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
         return FieldRow(name, "request", "as there", doc=doc)
     if isinstance(node, p.Rest):
         return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
-    if isinstance(node, p.Cell):
+    if isinstance(node, p.DelimitedField):
         kind = {"names": "enumeration"}.get(node.conversion, node.conversion)
         names = ", ".join(f"{raw}={text}" for raw, text in node.names)
         note = "may be left out" if node.optional else ""
@@ -128,7 +128,7 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
             low = -high
         elif isinstance(step, p.FlagBits):
             kind = f"flags{width}{_order_of(node)}"
-        elif isinstance(step, p.Names):
+        elif isinstance(step, p.ValueNames):
             kind = f"enum{width}{_order_of(node)}"
     span = bounds
     if span is None:
@@ -197,7 +197,7 @@ def _scaling(steps: Sequence[p.Step]) -> tuple[str, str, str | None]:
 
 def _names(steps: Sequence[p.Step]) -> str:
     for step in steps:
-        if isinstance(step, p.Names):
+        if isinstance(step, p.ValueNames):
             return ", ".join(f"{raw}={name}" for raw, name in step.values)
         if isinstance(step, p.FlagBits):
             return ", ".join(f"bit {number}={name}" for name, number in step.bits)
@@ -214,4 +214,4 @@ def _short(number: float) -> str:
     return f"{number:.6g}"
 
 
-__all__ = ["FieldRow", "bits_place", "captured_values", "row_of", "table"]
+__all__ = ["FieldRow", "bits_place", "captured_values", "field_table", "row_of"]

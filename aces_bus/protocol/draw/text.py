@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from ..codegen import plan as p
-from ..codegen.flatten import flatten
-from ..spec.message import Message
+from ..declare.message import Message
+from ..plan import nodes as p
+from ..plan.flatten import flatten
 from .cells import BIT, ROW, Mark, Row, marks_of, panels
 
 
-def draw(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
+def draw_text(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
     """The layout of a message as lines of text, its panels below each other."""
     lines: list[str] = []
     for panel in panels(plan, marks):
@@ -34,7 +34,7 @@ def draw(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
 
 def picture(message: Message) -> list[str]:
     """The layout of a message, with its checks and matched numbers."""
-    return draw(flatten(message), marks_of(message))
+    return draw_text(flatten(message), marks_of(message))
 
 
 def _picture(rows: Sequence[Row]) -> list[str]:
@@ -91,4 +91,4 @@ def _rule(above: set[int], below: set[int], *, is_first: bool = False, is_last: 
     return f"      {left}{''.join(middle)}{right}"
 
 
-__all__ = ["draw", "picture"]
+__all__ = ["draw_text", "picture"]

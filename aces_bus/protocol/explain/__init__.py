@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from .attempt import Attempt as Attempt
 from .attempt import Death as Death
-from .attempt import Reading as Reading
-from .attempt import Row as Row
+from .attempt import FieldRead as FieldRead
 from .attempt import Step as Step
-from .attempt import text_of as text_of
+from .attempt import TemplateTrace as TemplateTrace
+from .attempt import candump_text as candump_text
 from .tracer import Tracer as Tracer

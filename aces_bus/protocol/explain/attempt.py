@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..scan.reference import Found
-from ..spec.examples import frame_text
+from ..declare.examples import frame_text
+from ..reference import ReferenceItem
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Death:
 
 
 @dataclass(frozen=True)
-class Reading:
+class FieldRead:
     """A field whose last bit has come, by the template that reads it so."""
 
     template: str
@@ -41,13 +41,13 @@ class Step:
     word: str
     what: str
     died: tuple[Death, ...]
-    read: tuple[Reading, ...]
+    read: tuple[FieldRead, ...]
     #: Templates that are possible behind this word.
     alive: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Row:
+class TemplateTrace:
     """A template over the words of an attempt: what it expects at each, up to where it dies."""
 
     template: str
@@ -66,8 +66,8 @@ class Attempt:
     start: int
     templates: tuple[str, ...]
     steps: tuple[Step, ...]
-    rows: tuple[Row, ...]
-    found: Found
+    rows: tuple[TemplateTrace, ...]
+    found: ReferenceItem
     #: Where the search goes on.
     resumes: int
     #: What was asked before, where that decides: the request's name and raw fields.
@@ -92,16 +92,16 @@ class Attempt:
     def label(self) -> str:
         """`offset 12`, `bytes 3…9`, `frame 4  063#78 00`."""
         if self.is_can:
-            return f"frame {self.start}" + (f"  {text_of(self.frame)}" if self.frame is not None else "")
+            return f"frame {self.start}" + (f"  {candump_text(self.frame)}" if self.frame is not None else "")
         size = self.found.size * self.run
         return f"offset {self.start}" if size == 1 else f"offset {self.start}…{self.start + size - 1}"
 
 
-def text_of(frame: Any) -> str:
+def candump_text(frame: Any) -> str:
     """A frame as candump writes it, its bytes apart."""
-    from ..spec.examples import Word
+    from ..declare.examples import ExampleFrame
 
-    word = Word(
+    word = ExampleFrame(
         bytes(frame.data),
         int(frame.arbitration_id),
         bool(frame.is_extended_id),
@@ -111,4 +111,4 @@ def text_of(frame: Any) -> str:
     return frame_text(word)
 
 
-__all__ = ["Attempt", "Death", "Reading", "Row", "Step", "text_of"]
+__all__ = ["Attempt", "Death", "FieldRead", "Step", "TemplateTrace", "candump_text"]

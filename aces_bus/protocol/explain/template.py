@@ -14,15 +14,15 @@ from typing import Any
 from construct import ConstructError
 
 from ...errors import AcesError
-from ..codegen import plan as p
-from ..codegen.flatten import flatten
+from ..declare.bits import FLOATS
+from ..declare.fields import FlagSet
+from ..declare.framing import Framing, Judgement, Verdict
+from ..declare.message import Message
+from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError
+from ..declare.pattern import describe_values
 from ..draw import Mark, marks_of
-from ..spec.bits import FLOATS
-from ..spec.fields import FlagSet
-from ..spec.framing import Framing, Judgement, Verdict
-from ..spec.message import Message
-from ..spec.packet import ContentError, LengthError, NotThisError, WrongCheckError
-from ..spec.pattern import describe_values
+from ..plan import nodes as p
+from ..plan.flatten import flatten
 
 #: The value of a constant behind its name.
 _VALUE = re.compile(r" 0x[0-9a-f]{2}$")
@@ -138,7 +138,7 @@ class Template:
 
     @property
     def _is_inserted(self) -> bool:
-        from ..spec.stuffing import Insert
+        from ..declare.stuffing import Insert
 
         return self.framing is not None and isinstance(self.framing.stuffing, Insert)
 
@@ -248,7 +248,7 @@ def _leaves(fields: Any, prefix: str) -> Iterator[tuple[str, p.Node]]:
 
 
 def _inside(node: p.Node, name: str) -> Iterator[tuple[str, p.Node]]:
-    if isinstance(node, p.Group):
+    if isinstance(node, p.NestedRecord):
         yield from _leaves(node.fields, f"{name}.")
     elif isinstance(node, p.Many):
         for index, item in enumerate(node.items):
@@ -323,7 +323,7 @@ def _stepped(value: Any, steps: tuple[p.Step, ...]) -> Any:
         if isinstance(step, p.Magnitude):
             limit = (1 << step.width - 1) - 1
             value = -(value & limit) if value > limit else value & limit
-        elif isinstance(step, p.Names):
+        elif isinstance(step, p.ValueNames):
             value = dict(step.values).get(value, value)
         elif isinstance(step, p.FlagBits):
             value = type("FlagSet", (FlagSet,), {"bits": dict(step.bits), "__slots__": ()})(value)

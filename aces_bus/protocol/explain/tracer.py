@@ -11,13 +11,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from ..scan.context import Context
-from ..scan.reference import Found, Reference
-from ..spec.framing import Framing, Judgement, Verdict
-from ..spec.message import Direction, Message
-from ..spec.packet import can_image
-from ..spec.protocol import Variant
-from .attempt import Attempt, Death, Reading, Row, Step
+from ..declare.framing import Framing, Judgement, Verdict
+from ..declare.message import Direction, Message
+from ..declare.packet import can_image
+from ..declare.protocol import Variant
+from ..live.context import Context
+from ..reference import Reference, ReferenceItem
+from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace
 from .template import Template
 from .words import captures, frame_cell, frame_death, unchosen, words_of
 
@@ -34,7 +34,7 @@ class _Decided:
     start: int
     known: int
     is_silent: bool
-    found: Found
+    found: ReferenceItem
     request: tuple[str, Mapping[str, Any]] | None
 
 
@@ -76,7 +76,7 @@ class Tracer(Reference):
             self._request = (str(request.get(_ASKED, "?")), asked)
         return super()._accepted(context, message, image, channel, time, request)
 
-    def _until(self, data: bytes, start: int, found: list[Found], *, silent: bool) -> int:
+    def _until(self, data: bytes, start: int, found: list[ReferenceItem], *, silent: bool) -> int:
         while start < len(data):
             self._request = None
             item = self._at(data, start, silent=silent)
@@ -211,7 +211,7 @@ class Tracer(Reference):
         )
 
     def _lead(
-        self, found: Found, traces: Sequence[tuple[int, bytes, list[Death], list[Template]]]
+        self, found: ReferenceItem, traces: Sequence[tuple[int, bytes, list[Death], list[Template]]]
     ) -> Template:
         """The template whose words are named: the one that was accepted, else one that lived longest."""
         for template in self.templates:
@@ -232,10 +232,10 @@ class Tracer(Reference):
         dead: Mapping[str, tuple[int, str]],
         sizes: Mapping[Framing, int],
         size: int | None,
-        found: Found,
+        found: ReferenceItem,
         lead: Template,
-    ) -> tuple[Row, ...]:
-        rows: list[Row] = []
+    ) -> tuple[TemplateTrace, ...]:
+        rows: list[TemplateTrace] = []
         for template in self.templates:
             dies_at, why = dead.get(template.name, (None, ""))
             upto = len(offsets) if dies_at is None else dies_at + 1
@@ -244,7 +244,9 @@ class Tracer(Reference):
                 template.cell(at, size if template is lead and size else known) for at in offsets[:upto]
             )
             rows.append(
-                Row(template.name, cells, dies_at, template is lead and found.message is not None, why)
+                TemplateTrace(
+                    template.name, cells, dies_at, template is lead and found.message is not None, why
+                )
             )
         return tuple(rows)
 
@@ -289,7 +291,7 @@ class Tracer(Reference):
         lead = self._lead(found, [(0, b"", d, a) for d, a in zip(deaths, living, strict=True)])
         steps: list[Step] = []
         for index, (place, word, offset) in enumerate(words):
-            read: tuple[Reading, ...] = ()
+            read: tuple[FieldRead, ...] = ()
             what = {"id": "identifier", "kind": "kind of frame", "length": "length"}.get(place, "")
             if place == "id" and lead.message.identifier.match(frame.arbitration_id) is not None:
                 read = captures(lead, living[index], frame)
@@ -301,14 +303,14 @@ class Tracer(Reference):
                 Step(place, word, what, tuple(deaths[index]), read, tuple(t.name for t in living[index]))
             )
         steps = _completed(steps, found, lead)
-        rows: list[Row] = []
+        rows: list[TemplateTrace] = []
         for template in self.templates:
             dies_at, cause = dead.get(template.name, (None, ""))
             cells = tuple(
                 frame_cell(template, word) for word in words[: None if dies_at is None else dies_at + 1]
             )
             is_chosen = template is lead and found.message is not None
-            rows.append(Row(template.name, cells, dies_at, is_chosen, cause))
+            rows.append(TemplateTrace(template.name, cells, dies_at, is_chosen, cause))
         return Attempt(
             number,
             tuple(t.name for t in self.templates),
@@ -353,19 +355,19 @@ def _size_of(framing: Framing, prefix: bytes) -> int | None:
     return None
 
 
-def _readings(lead: Template, living: Sequence[Template], prefix: bytes) -> tuple[Reading, ...]:
+def _readings(lead: Template, living: Sequence[Template], prefix: bytes) -> tuple[FieldRead, ...]:
     found = lead.readings(prefix)
     name = "" if len(living) <= 1 else lead.name
-    return tuple(Reading(name, field, value, unit) for field, value, unit in found)
+    return tuple(FieldRead(name, field, value, unit) for field, value, unit in found)
 
 
-def _completed(steps: list[Step], found: Found, lead: Template) -> list[Step]:
+def _completed(steps: list[Step], found: ReferenceItem, lead: Template) -> list[Step]:
     """Fields that have no place of their own (texts, lists, stuffed bytes) are read when the packet is whole."""
     if found.fields is None or not steps:
         return steps
     shown = {reading.name.partition(".")[0] for step in steps for reading in step.read}
     rest = [
-        Reading("", name, value)
+        FieldRead("", name, value)
         for name, value in found.fields.items()
         if name.partition(".")[0] not in shown and not name.startswith("_")
     ]

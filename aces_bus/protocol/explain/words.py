@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..codegen import plan as p
-from ..scan.reference import Found
-from ..spec.message import Message
-from .attempt import Reading
+from ..declare.message import Message
+from ..plan import nodes as p
+from ..reference import ReferenceItem
+from .attempt import FieldRead
 from .template import Template, stepped
 
 #: Place, text, and of a byte its offset.
@@ -56,7 +56,7 @@ def _kind(message: Message) -> str:
 
 
 def unchosen(
-    template: Template, found: Found, request: tuple[str, Mapping[str, Any]] | None
+    template: Template, found: ReferenceItem, request: tuple[str, Mapping[str, Any]] | None
 ) -> tuple[str, str] | None:
     """Why a template whose bytes fit is not what the frame is."""
     asks = [*template.message.reply_to, *template.message.after]
@@ -70,14 +70,14 @@ def unchosen(
     return None
 
 
-def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Reading, ...]:
-    read: list[Reading] = []
+def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[FieldRead, ...]:
+    read: list[FieldRead] = []
     raws = lead.message.identifier.match(frame.arbitration_id) or {}
     name = "" if len(living) <= 1 else lead.name
     for field in lead.plan.fields:
         node = field.node
         if isinstance(node, p.FromIdentifier) and node.number is None and field.name in raws:
-            read.append(Reading(name, field.name, stepped(node, raws[field.name]), node.unit))
+            read.append(FieldRead(name, field.name, stepped(node, raws[field.name]), node.unit))
     return tuple(read)
 
 

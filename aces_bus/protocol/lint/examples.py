@@ -15,15 +15,15 @@ from typing import Any
 from construct import ConstructError
 
 from ...errors import AcesError
-from ...frame import Frame
-from ..scan.reference import Found, Reference
-from ..spec.delimited import Delimited
-from ..spec.examples import Example, Word
-from ..spec.fields import FlagSet
-from ..spec.message import Message
-from ..spec.packet import ContentError, LengthError, NotThisError, WrongCheckError
-from ..spec.protocol import Protocol, Variant
-from ..spec.stuffing import Insert
+from ...frames import Frame
+from ..declare.delimited import Delimited
+from ..declare.examples import Example, ExampleFrame
+from ..declare.fields import FlagSet
+from ..declare.message import Message
+from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError
+from ..declare.protocol import Protocol, Variant
+from ..declare.stuffing import Insert
+from ..reference import Reference, ReferenceItem
 from .finding import Finding
 
 
@@ -52,7 +52,7 @@ def check_examples(protocol: Protocol) -> Iterator[Finding]:
         )
 
 
-def _witness(word: Word) -> str:
+def _witness(word: ExampleFrame) -> str:
     return str(word) if word.identifier is not None else f"hex:{word.data.hex().upper()}"
 
 
@@ -77,14 +77,14 @@ def failure(message: Message, example: Example) -> str | None:
         return f"a field cannot be read: {_said(error)}"
     except (ConstructError, AcesError) as error:
         return f"it cannot be read: {_said(error)}"
-    found = plain(values)
+    found = plain_parsed(values)
     for name, wanted in example.fields.items():
         if name not in found:
             return f"there is no field {name!r} (there are: {', '.join(found)})"
         if not agree(found[name], wanted):
-            return f"{name} is read as {show(found[name])}, and should be {show(wanted)}"
+            return f"{name} is read as {show_value(found[name])}, and should be {show_value(wanted)}"
     try:
-        built = bytes(message.struct.build(merged(values, example.fields)))
+        built = bytes(message.struct.build(merge_example(values, example.fields)))
     except (ConstructError, AcesError, KeyError, TypeError, AttributeError, ValueError) as error:
         return f"its fields cannot be written: {_said(error)}"
     if built != image and not (isinstance(message.payload, Delimited) and _reads_as(message, built, found)):
@@ -109,19 +109,19 @@ def _wanted_check(message: Message, packet: bytes) -> str:
 
 def _reads_as(message: Message, image: bytes, found: Any) -> bool:
     try:
-        return agree(plain(message.struct.parse(image)), found)
+        return agree(plain_parsed(message.struct.parse(image)), found)
     except (ConstructError, AcesError):
         return False
 
 
-def _shown(image: bytes, like: Word) -> str:
+def _shown(image: bytes, like: ExampleFrame) -> str:
     if like.identifier is None:
-        return str(Word(image))
+        return str(ExampleFrame(image))
     number = int.from_bytes(image[:4], "big") & 0x1FFF_FFFF
-    return str(Word(image[5:], number, like.extended, like.remote, like.fd))
+    return str(ExampleFrame(image[5:], number, like.extended, like.remote, like.fd))
 
 
-def _request_of(message: Message, word: Word) -> Mapping[str, Any] | str:
+def _request_of(message: Message, word: ExampleFrame) -> Mapping[str, Any] | str:
     """The raw fields of the request in an example, or why it is none."""
     wanted = [*message.reply_to, *message.after]
     if not wanted:
@@ -143,7 +143,7 @@ def _unrecognised(message: Message, example: Example) -> str | None:
         here = variant.messages.get(message.name)
         if here is None or here.place != message.place:
             continue
-        found = read(variant, message, example)
+        found = read_example(variant, message, example)
         if found.message == message.name:
             return None
         if found.reason.startswith("unknown: needs request") and example.request is None:
@@ -155,12 +155,12 @@ def _unrecognised(message: Message, example: Example) -> str | None:
     return f"in {label} it is read as {what}"
 
 
-def read(variant: Variant, message: Message, example: Example) -> Found:
+def read_example(variant: Variant, message: Message, example: Example) -> ReferenceItem:
     """What the reference makes of an example, its request being seen first."""
     if message.framing is None:
         reference = Reference([variant])
         words = [example.word] if example.request is None else [example.request, example.word]
-        return reference.frames([frame_of(word) for word in words])[-1]
+        return reference.frames([example_frame(word) for word in words])[-1]
     reference = Reference([variant], direction=message.direction)
     if example.request is not None:
         reference.sent(example.request.data)
@@ -168,7 +168,7 @@ def read(variant: Variant, message: Message, example: Example) -> Found:
     return first
 
 
-def frame_of(word: Word) -> Frame:
+def example_frame(word: ExampleFrame) -> Frame:
     """A frame with these bytes."""
     return Frame(
         word.identifier or 0,
@@ -182,21 +182,21 @@ def frame_of(word: Word) -> Frame:
 # ---------------------------------------------------------------------- values
 
 
-def plain(value: Any) -> Any:
+def plain_parsed(value: Any) -> Any:
     """What construct parsed, as dicts, lists and values, without its own entries."""
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items() if not str(k).startswith("_")}
+        return {str(k): plain_parsed(v) for k, v in value.items() if not str(k).startswith("_")}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [plain_parsed(item) for item in value]
     return value
 
 
-def merged(found: Any, wanted: Any) -> Any:
+def merge_example(found: Any, wanted: Any) -> Any:
     """What was read with what an example says in its place; what the example leaves out stays as it was read."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
-        return {**found, **{name: merged(found.get(name), value) for name, value in wanted.items()}}
+        return {**found, **{name: merge_example(found.get(name), value) for name, value in wanted.items()}}
     if isinstance(found, list) and isinstance(wanted, (list, tuple)) and len(found) == len(wanted):
-        return [merged(one, other) for one, other in zip(found, wanted, strict=True)]
+        return [merge_example(one, other) for one, other in zip(found, wanted, strict=True)]
     return wanted
 
 
@@ -225,7 +225,7 @@ def agree(found: Any, wanted: Any) -> bool:
     return bool(found == wanted)
 
 
-def show(value: Any) -> str:
+def show_value(value: Any) -> str:
     """A value in a sentence: bytes as hexadecimal, floats short."""
     if isinstance(value, bytes):
         return value.hex(" ").upper() or "no bytes"
@@ -234,9 +234,9 @@ def show(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.9g}"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{name}: {show(item)}" for name, item in value.items()) + "}"
+        return "{" + ", ".join(f"{name}: {show_value(item)}" for name, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(show, value)) + "]"
+        return "[" + ", ".join(map(show_value, value)) + "]"
     return repr(value) if isinstance(value, str) else str(value)
 
 
@@ -245,4 +245,12 @@ def _said(error: BaseException) -> str:
     return " ".join(" ".join(lines or str(error).splitlines()).split()) or type(error).__name__
 
 
-__all__ = ["agree", "check_examples", "failure", "frame_of", "plain", "read", "show"]
+__all__ = [
+    "agree",
+    "check_examples",
+    "example_frame",
+    "failure",
+    "plain_parsed",
+    "read_example",
+    "show_value",
+]

@@ -10,15 +10,15 @@ from math import isinf
 
 import construct as c
 
+from ..declare.bits import BitLayout
+from ..declare.fields import Enumeration, Quantity
+from ..declare.head import enumeration_of
+from ..declare.pattern import IdField, describe_values
+from ..declare.protocol import Protocol
 from ..draw import bits_place
-from ..spec.bits import BitLayout
-from ..spec.fields import Enumeration, Quantity
-from ..spec.head import enumeration_of
-from ..spec.pattern import Capture, describe_values
-from ..spec.protocol import Protocol
 from .finding import Finding, Level
 from .units import is_unit, suggest
-from .walk import Written, fields_of
+from .walk import Written, declared_fields
 
 #: One number against so many of the other byte order is remarked upon.
 FEW, MANY = 0.1, 8
@@ -26,7 +26,7 @@ FEW, MANY = 0.1, 8
 
 def check_fields(protocol: Protocol) -> Iterator[Finding]:
     """What is wrong or doubtful about the fields of a protocol."""
-    fields = list(fields_of(protocol))
+    fields = list(declared_fields(protocol))
     for field in fields:
         yield from _unit(field)
         for adapter in field.adapters:
@@ -142,7 +142,7 @@ def _holes(values: list[int]) -> list[int]:
 def _captures(protocol: Protocol) -> Iterator[Finding]:
     seen: set[int] = set()
     for message in protocol.declared:
-        captures: list[Capture] = [*message.identifier.captures]
+        captures: list[IdField] = [*message.identifier.captures]
         for head in message.heads_written:
             captures += head.pattern.captures if head.pattern is not None else ()
         for capture in captures:

@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..spec.place import Place
+from ..declare.place import SourceLine
 
 Level = Literal["error", "warning", "note"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "note")
@@ -26,12 +26,12 @@ class Finding:
 
     level: Level
     rule: str
-    place: Place
+    place: SourceLine
     text: str
     message: str | None = None
     witness: str | None = None
     #: Other places that have to do with it.
-    others: tuple[Place, ...] = field(default=())
+    others: tuple[SourceLine, ...] = field(default=())
 
     def __str__(self) -> str:
         return f"{self.place}: {self.level}: {self.text} [{self.rule}]"

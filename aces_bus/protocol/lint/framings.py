@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..codegen.flatten import flatten
-from ..codegen.plan import MessagePlan
-from ..spec.checks import Check
-from ..spec.framing import Framing
-from ..spec.message import Message
-from ..spec.protocol import Protocol
+from ..declare.checks import Check
+from ..declare.framing import Framing
+from ..declare.message import Message
+from ..declare.protocol import Protocol
+from ..plan.flatten import flatten
+from ..plan.nodes import MessagePlan
 from .finding import Finding, Level
 
 

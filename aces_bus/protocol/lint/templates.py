@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from ..codegen.flatten import flatten
-from ..spec.ambiguity import Demands, conflict, demands, needing_context, solved
-from ..spec.message import Message, Request
-from ..spec.pattern import Pattern
-from ..spec.protocol import Protocol, Variant
+from ..declare.ambiguity import Demands, conflict, demands, needing_context, solved
+from ..declare.message import Message, Request
+from ..declare.pattern import IdPattern
+from ..declare.protocol import Protocol, Variant
+from ..plan.flatten import flatten
 from .finding import Finding, Level
 
 #: Patterns of more numbers than this are not walked.
@@ -97,14 +97,14 @@ def _here(variant: Variant, message: Message) -> Message | None:
 
 
 def _order(message: Message) -> Iterator[Finding]:
-    for name in message.over:
+    for name in message.overrides:
         others = [m for m in message.protocol.declared if m.name == name]
         if others and all(conflict(message, other) is None for other in others):
             yield _finding(
                 "warning",
-                "over",
+                "overrides",
                 message,
-                f"over={name!r} settles nothing: no packet is both",
+                f"overrides={name!r} settles nothing: no packet is both",
                 *others,
             )
 
@@ -164,7 +164,7 @@ def _request(message: Message, what: str, request: Request) -> Iterator[Finding]
 
 def _values(message: Message, name: str) -> range | frozenset[int] | None:
     """What a field of a message may be, as far as its template and width say; None: not known."""
-    patterns: list[tuple[str | None, Pattern]] = [(None, message.identifier)]
+    patterns: list[tuple[str | None, IdPattern]] = [(None, message.identifier)]
     patterns += [(h.name, h.pattern) for h in message.heads_written if h.pattern is not None]
     for own, pattern in patterns:
         if own == name and not pattern.captures:
@@ -216,7 +216,7 @@ def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
     seen: set[tuple[str, str]] = set()
     for variant, names_hanging in hanging.items():
         for first in variant.messages.values():
-            for name in first.over:
+            for name in first.overrides:
                 other = variant.messages.get(name)
                 if (
                     other is None
@@ -233,7 +233,7 @@ def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
                         "error",
                         "unreachable",
                         other,
-                        f"never reached: every packet of it is {first.name}, which is tried first (over=)",
+                        f"never reached: every packet of it is {first.name}, which is tried first (overrides=)",
                         first,
                     )
 
@@ -298,7 +298,7 @@ def _number(bits: tuple[int, ...], fixed: Mapping[int, int]) -> int | None:
 
 def _directions(variants: list[Variant]) -> Iterator[Finding]:
     for variant in variants:
-        clash = variant.needs_direction
+        clash = variant.direction_conflict
         if clash is not None and variant.link != "can":
             one, other = clash
             yield _finding(

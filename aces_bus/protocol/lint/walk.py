@@ -12,12 +12,12 @@ from typing import Any
 
 import construct as c
 
-from ..spec.bits import BitLayout, Bits
-from ..spec.delimited import Delimited
-from ..spec.fields import Field, Multiplexed, SignMagnitude
-from ..spec.message import Message
-from ..spec.place import Place
-from ..spec.protocol import Protocol
+from ..declare.bits import BitLayout, Bits
+from ..declare.delimited import Delimited
+from ..declare.fields import Field, Multiplexed, SignMagnitude
+from ..declare.message import Message
+from ..declare.place import SourceLine
+from ..declare.protocol import Protocol
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +29,15 @@ class Written:
     adapters: tuple[Any, ...]
     inner: Any
     #: Where its message is declared.
-    base: Place
+    base: SourceLine
 
     @property
-    def place(self) -> Place:
+    def place(self) -> SourceLine:
         """The line of our own construct, else that of its name in the message; of a database the message's."""
         if not self.base.file.endswith(".py"):
             return self.base
         if self.adapters:
-            place: Place = self.adapters[0].place
+            place: SourceLine = self.adapters[0].place
             return place
         return self.base.of_field(self.name.rpartition(".")[2]) if self.name else self.base
 
@@ -75,7 +75,7 @@ def _span(width: int, signed: bool) -> tuple[int, int]:
     return (-(1 << width - 1), (1 << width - 1) - 1) if signed else (0, (1 << width) - 1)
 
 
-def fields_of(protocol: Protocol) -> Iterator[Written]:
+def declared_fields(protocol: Protocol) -> Iterator[Written]:
     """Every field that some message or register of the protocol has, each construct once."""
     seen: set[int] = set()
     for message in protocol.declared:
@@ -101,7 +101,7 @@ def _payload(message: Message) -> Iterator[Written]:
     yield from _walk(message.payload, message.name, "", message.place)
 
 
-def _walk(con: Any, owner: str, name: str, place: Place) -> Iterator[Written]:
+def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Written]:
     if isinstance(con, c.Renamed):
         inner = f"{name}.{con.name}" if name and con.name else con.name or name
         yield from _walk(con.subcon, owner, inner, place)
@@ -134,4 +134,4 @@ def _walk(con: Any, owner: str, name: str, place: Place) -> Iterator[Written]:
         yield Written(owner, name, tuple(adapters), con, place)
 
 
-__all__ = ["Written", "fields_of"]
+__all__ = ["Written", "declared_fields"]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from ..spec.ambiguity import Conflict, conflict
-from ..spec.examples import Word
-from ..spec.protocol import Variant
+from ..declare.ambiguity import Conflict, conflict
+from ..declare.examples import ExampleFrame
+from ..declare.protocol import Variant
 from .finding import Finding, Level
 
 #: Collisions of two protocols that are named one by one.
@@ -71,7 +71,9 @@ def witness_of(clash: Conflict) -> str | None:
     if clash.identifier is None:
         return f"hex:{clash.witness.hex().upper()}"
     one = clash.one
-    return str(Word(clash.witness, clash.identifier, one.extended, one.remote, one.fd)).replace(" ", "")
+    return str(ExampleFrame(clash.witness, clash.identifier, one.extended, one.remote, one.fd)).replace(
+        " ", ""
+    )
 
 
 __all__ = ["check_wire", "witness_of"]

@@ -6,7 +6,7 @@ from aces_bus.device import Driver
 
 from .driver import Cia402
 from .example import EXAMPLE
-from .scan import scan
+from .scan import scan_nodes
 from .twin import Cia402Twin
 
 driver = Driver(
@@ -16,7 +16,7 @@ driver = Driver(
     example=EXAMPLE,
     doc="Servo drive of CiA 402 on CANopen: position, velocity and torque, profile and cyclic; homing.",
     source="CiA 301, CiA 402 (christiansandberg/canopen; ros-industrial/ros2_canopen)",
-    scan=scan,
+    scan=scan_nodes,
     settings={
         "eds": "the drive's EDS or DCF file; our own drive's when absent",
         "pdo": '"read": as the drive has them (when absent); "file": as its file says; "write": as the driver wants them',

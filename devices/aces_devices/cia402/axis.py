@@ -27,7 +27,7 @@ from .states import (
     TARGETS,
     USUAL,
     WARNING,
-    state_of,
+    drive_state,
 )
 from .units import units_of
 
@@ -48,7 +48,7 @@ READ = {
 }
 
 
-class Axis:
+class DriveAxis:
     """One joint of a drive."""
 
     def __init__(self, device: Cia402, joint: Joint) -> None:
@@ -167,7 +167,7 @@ class Axis:
         self.heard += 1
         if word != self.statusword:
             self.statusword = word
-            self.state = state_of(word)
+            self.state = drive_state(word)
         signals["status"].update(word, instant)
         signals["state"].update(self.state, instant)
         signals["reached"].update(word & REACHED != 0, instant)

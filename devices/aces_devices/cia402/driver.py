@@ -17,10 +17,10 @@ from aces_bus.device import Job, Poll, Signal, Steps
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
 
-from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, Axis
+from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, DriveAxis
 from .dictionary import dictionary_of
 from .objects import ObjectAccess
-from .pdo import RECEIVED, SENT, Layout, Place, from_file, offset_of
+from .pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
 from .sdo import SdoChannel
 from .set_up import set_up
 from .states import (
@@ -36,7 +36,7 @@ from .states import (
     START,
     TAKEN,
     TARGETS,
-    text_of,
+    emergency_text,
 )
 
 #: Seconds that one step of the state machine may take, and a change of mode.
@@ -94,7 +94,7 @@ class Cia402(ObjectAccess):
         self.event_ms = int(settings.get("event_ms", 20))
         slowest = max([one.event_ms for one in self.inputs.values()] + [self.event_ms])
         self.pdo_stale_s = 0.1 if self.sync else max(0.1, 5 * slowest / 1000)
-        self.axes = [Axis(self, joint) for joint in self.joints]
+        self.axes = [DriveAxis(self, joint) for joint in self.joints]
         beats = 3.5 * self.heartbeat_ms / 1000 if self.heartbeat_ms else 1e6
         self.network: Signal = self.add_signal(
             "network", of="Heartbeat.state", stale_s=beats, doc="NMT state", source="CiA 301"
@@ -121,7 +121,7 @@ class Cia402(ObjectAccess):
     def _wire(self) -> None:
         """Who is told of what stands where in PDOs, and which PDO takes what is told."""
         axes = {axis.offset: axis for axis in self.axes}
-        self._readers: dict[str, list[tuple[Place, Axis, int]]] = {}
+        self._readers: dict[str, list[tuple[PdoEntry, DriveAxis, int]]] = {}
         self._takers: dict[int, int] = {}
         for one in self.inputs.values():
             for place in one.places:
@@ -257,7 +257,7 @@ class Cia402(ObjectAccess):
             self.error.update("", instant)
             self.tell_event("alarm over", "error reset")
             return
-        text = text_of(raw)
+        text = emergency_text(raw)
         details = f", details {record.details.hex(' ')}" if any(record.details) else ""
         self.error.update(text, instant)
         self.tell_event("alarm", f"{text}{details}")
@@ -297,7 +297,7 @@ class Cia402(ObjectAccess):
 
     # ------------------------------------------------------------------ down
 
-    def put(self, axis: Axis, *indices: int) -> None:
+    def put(self, axis: DriveAxis, *indices: int) -> None:
         """Send objects of an axis, as `axis.outputs` has them: in their PDOs, else over SDO."""
         for index in indices:
             number = self._takers.get(index + axis.offset)
@@ -315,7 +315,7 @@ class Cia402(ObjectAccess):
 
     def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
         """An RPDO: all its objects as they are wanted now."""
-        layout: Layout | None = self.outputs.get(int(message[-1]))
+        layout: PdoLayout | None = self.outputs.get(int(message[-1]))
         if layout is None:
             return None
         word = 0
@@ -326,7 +326,7 @@ class Cia402(ObjectAccess):
                 word = place.put(word, axis.outputs.get(place.index - axis.offset, 0))
         return {"data": word.to_bytes(layout.size, "little")}
 
-    def _control(self, axis: Axis, word: int) -> Steps:
+    def _control(self, axis: DriveAxis, word: int) -> Steps:
         """A controlword that is known to have arrived: statuswords were made after it."""
         axis.outputs[CONTROLWORD] = word
         if CONTROLWORD + axis.offset not in self._takers:
@@ -338,7 +338,7 @@ class Cia402(ObjectAccess):
             lambda: axis.heard >= before + 2, STEP_S, lambda: f"{axis.joint.name} says no statusword"
         )
 
-    def _axes(self, joint: str | None) -> list[Axis]:
+    def _axes(self, joint: str | None) -> list[DriveAxis]:
         if joint is None:
             return self.axes
         found = [axis for axis in self.axes if joint in (axis.joint.name, *axis.joint.aliases)]
@@ -381,7 +381,7 @@ class Cia402(ObjectAccess):
 
         return self._leading("enable", steps)
 
-    def _enabled(self, axis: Axis) -> Steps:
+    def _enabled(self, axis: DriveAxis) -> Steps:
         if axis.state != "operation enabled":
             axis.hold()
         yield from self._into_mode(axis, axis.wanted)
@@ -413,7 +413,7 @@ class Cia402(ObjectAccess):
         """Quick stop, of all joints."""
         return self._down("stop", QUICK_STOP, self.axes)
 
-    def _down(self, name: str, word: int, axes: list[Axis]) -> Job:
+    def _down(self, name: str, word: int, axes: list[DriveAxis]) -> Job:
         for job in self._led:
             job.cancel()
         for axis in axes:  # at once
@@ -473,7 +473,7 @@ class Cia402(ObjectAccess):
 
         return self._leading(f"mode {mode}", steps)
 
-    def _into_mode(self, axis: Axis, mode: str) -> Steps:
+    def _into_mode(self, axis: DriveAxis, mode: str) -> Steps:
         number = MODES[mode]
         axis.outputs[MODE] = number
         axis.outputs[CONTROLWORD] &= ~START
@@ -514,7 +514,7 @@ class Cia402(ObjectAccess):
 
         return self._leading("home", steps)
 
-    def _homed(self, axis: Axis, method: int | None, timeout_s: float) -> Steps:
+    def _homed(self, axis: DriveAxis, method: int | None, timeout_s: float) -> Steps:
         if method is not None:
             yield self.sdo.download(0x6098 + axis.offset, 0, self.raw(0x6098 + axis.offset, 0, int(method)))
         mode, axis.wanted = axis.wanted, "homing"

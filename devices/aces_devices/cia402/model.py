@@ -14,7 +14,7 @@ from math import copysign, sqrt
 
 from aces_bus.device import Joint
 
-from ..joint_model import STEP, STEP_NS, Motor, MotorJoint
+from ..joint_model import STEP, STEP_NS, MotorJoint, MotorModel
 from .states import (
     AT_ONCE,
     FAILED,
@@ -57,7 +57,7 @@ class AxisModel:
         self._tell = tell
         lower = -1e9 if joint.lower is None else joint.lower - 0.2
         upper = 1e9 if joint.upper is None else joint.upper + 0.2
-        self.motor = MotorJoint(Motor(), now, lower=lower, upper=upper)
+        self.motor = MotorJoint(MotorModel(), now, lower=lower, upper=upper)
         self.at = now - now % STEP_NS
         #: Counts that homing has shifted the encoder by.
         self.shift = 0.0

@@ -21,7 +21,7 @@ RECEIVED, SENT = (0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)
 
 
 @dataclass(frozen=True)
-class Place:
+class PdoEntry:
     """One object in a PDO: `shift` and `size` in bits."""
 
     index: int
@@ -45,11 +45,11 @@ class Place:
 
 
 @dataclass
-class Layout:
+class PdoLayout:
     """One PDO: its number (1…4), the objects in it, its transmission type and event timer (ms)."""
 
     number: int
-    places: list[Place] = field(default_factory=list[Place])
+    places: list[PdoEntry] = field(default_factory=list[PdoEntry])
     kind: int = 255
     event_ms: int = 0
 
@@ -75,7 +75,7 @@ def offset_of(index: int) -> int:
 
 def layout_of(
     who: str, dictionary: Any, number: int, base: int, node: int, raw: dict[int, int], entries: list[int]
-) -> Layout | None:
+) -> PdoLayout | None:
     """A PDO from its communication parameters (`raw`: subindex → value) and mapping entries; None: it is switched off.
 
     Raises `DeviceError` for another identifier than the predefined one.
@@ -89,11 +89,11 @@ def layout_of(
             f"{who}: PDO {number} has identifier 0x{identifier & 0x1FFFFFFF:X}, and 0x{predefined:X} is predefined;"
             ' settings pdo = "write" makes it so'
         )
-    made = Layout(number, kind=raw.get(2, 255), event_ms=raw.get(5, 0))
+    made = PdoLayout(number, kind=raw.get(2, 255), event_ms=raw.get(5, 0))
     shift = 0
     for entry in entries:
         index, subindex, size = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-        made.places.append(Place(index, subindex, shift, size, _is_signed(dictionary, index, subindex)))
+        made.places.append(PdoEntry(index, subindex, shift, size, _is_signed(dictionary, index, subindex)))
         shift += size
     if shift > 64:
         raise DeviceError(f"{who}: the objects of PDO {number} have {shift} bits; a frame has 64")
@@ -114,10 +114,10 @@ def _is_signed(dictionary: Any, index: int, subindex: int) -> bool:
 SIGNED = frozenset((0x6042, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x607A, 0x60C1, 0x60FF))
 
 
-def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> list[Layout]:
+def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> list[PdoLayout]:
     """The PDOs that a file says its device has, those of `side` (`RECEIVED` or `SENT`)."""
     communication, mapping, base = side
-    found: list[Layout] = []
+    found: list[PdoLayout] = []
     for number in range(1, MOST + 1):
         if communication + number - 1 not in dictionary or mapping + number - 1 not in dictionary:
             continue

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from aces_bus.device import Device, Host, Job, Steps
-from aces_bus.device.robot import DeviceConfig
+from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import AcesError
 
 from .sdo import SdoChannel
@@ -17,7 +17,7 @@ NODES = range(1, 128)
 ANSWER_S = 0.02
 
 
-def scan(host: Host, job: Job) -> Steps:
+def scan_nodes(host: Host, job: Job) -> Steps:
     """Ask each node for its device type and identity; listen for heartbeats of those that do not answer."""
     probes: dict[int, Device] = {node: host.probe("canopen", node=node) for node in NODES}
     found: list[DeviceConfig] = []

@@ -12,9 +12,9 @@ from aces_bus.device import Job, Steps
 from aces_bus.errors import DeviceError
 
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, TORQUE, VELOCITY
-from .pdo import MOST, NOT_VALID, RECEIVED, SENT, Layout, layout_of, offset_of
+from .pdo import MOST, NOT_VALID, RECEIVED, SENT, PdoLayout, layout_of, offset_of
 from .sdo import SdoRefused
-from .states import TARGETS, text_of
+from .states import TARGETS, emergency_text
 
 if TYPE_CHECKING:
     from .driver import Cia402
@@ -91,7 +91,7 @@ def _last_error(device: Cia402) -> Steps:
         code = 0
     else:
         code = int.from_bytes(data[:2], "little")
-    device.error.update(text_of(code) if code else "", device.clock.now())
+    device.error.update(emergency_text(code) if code else "", device.clock.now())
 
 
 def _check(device: Cia402) -> None:
@@ -124,7 +124,7 @@ def _number(device: Cia402, index: int, subindex: int) -> Steps:
 def _read(device: Cia402, side: tuple[int, int, int]) -> Steps:
     """The PDOs as the node has them."""
     communication, mapping, base = side
-    found: dict[int, Layout] = {}
+    found: dict[int, PdoLayout] = {}
     for number in range(1, MOST + 1):
         index = communication + number - 1
         if index not in device.dictionary:
@@ -180,7 +180,7 @@ def _write(device: Cia402) -> Steps:
 def _write_side(device: Cia402, side: tuple[int, int, int], wanted: dict[int, list[int]]) -> Steps:
     """Write PDOs in the order that CiA 301 wants: off, no objects, objects, their number, on."""
     communication, mapping, base = side
-    found: dict[int, Layout] = {}
+    found: dict[int, PdoLayout] = {}
     kind = 1 if device.sync else 255
     for number in range(1, MOST + 1):
         index, objects = communication + number - 1, mapping + number - 1

@@ -94,7 +94,7 @@ GROUPS: Final = (
 )
 
 
-def state_of(statusword: int) -> str:
+def drive_state(statusword: int) -> str:
     """The state that a statusword says; "unknown" for what is none.
 
     >>> state_of(0x0637), state_of(0x0218), state_of(0x0250)
@@ -106,7 +106,7 @@ def state_of(statusword: int) -> str:
     return "unknown"
 
 
-def text_of(code: int) -> str:
+def emergency_text(code: int) -> str:
     """What an emergency's code says.
 
     >>> text_of(0x3210), text_of(0x8130), text_of(0xABCD)

@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 from aces_bus import Frame
 from aces_bus.device import Twin
 from aces_bus.protocol import make_scanner
-from aces_bus.protocol.scan.record import as_dict
+from aces_bus.protocol.record import as_dict
 
 from .dictionary import dictionary_of
 from .model import HOT, OVER_VOLTAGE, REGISTERS, AxisModel
-from .pdo import MOST, RECEIVED, SENT, Layout, layout_of, offset_of
+from .pdo import MOST, RECEIVED, SENT, PdoLayout, layout_of, offset_of
 from .units import units_of
 
 #: From power to the boot-up message (ns).
@@ -69,8 +69,8 @@ class Cia402Twin(Twin):
                 made.motor.q = old.position(now)
                 made.demand = made.goal = made.motor.q * units.per_rad + units.zero
             self.axes[offset] = self.world.joints[joint.name] = made
-        self.inputs: dict[int, Layout] = {}
-        self.outputs: dict[int, Layout] = {}
+        self.inputs: dict[int, PdoLayout] = {}
+        self.outputs: dict[int, PdoLayout] = {}
         self._pending: dict[int, bytes] = {}
         self._syncs = 0
         self._timers_of_pdos: list[Any] = []
@@ -129,10 +129,10 @@ class Cia402Twin(Twin):
             self.inputs, self.outputs = self._layouts(RECEIVED), self._layouts(SENT)
             self._repeat()
 
-    def _layouts(self, side: tuple[int, int, int]) -> dict[int, Layout]:
+    def _layouts(self, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
         """The PDOs as the dictionary has them now."""
         communication, mapping, base = side
-        found: dict[int, Layout] = {}
+        found: dict[int, PdoLayout] = {}
         for number in range(1, MOST + 1):
             index = communication + number - 1
             if index not in self.dictionary:
@@ -162,7 +162,7 @@ class Cia402Twin(Twin):
         else:
             self._take(layout, data, now)
 
-    def _take(self, layout: Layout, data: bytes, now: int) -> None:
+    def _take(self, layout: PdoLayout, data: bytes, now: int) -> None:
         word = int.from_bytes(data, "little")
         # Targets before the controlword: a rising bit 4 takes what came with it.
         for place in sorted(layout.places, key=lambda one: one.index - offset_of(one.index) == 0x6040):
@@ -188,12 +188,12 @@ class Cia402Twin(Twin):
             if layout.is_synchronous or not layout.event_ms:
                 continue
 
-            def send(_: bytes, number: int = number, layout: Layout = layout) -> None:
+            def send(_: bytes, number: int = number, layout: PdoLayout = layout) -> None:
                 self._send_pdo(number, layout, self.clock.now())
 
             self._timers_of_pdos.append(Periodic(self.clock, layout.event_ms / 1000, send, b""))
 
-    def _send_pdo(self, number: int, layout: Layout, now: int) -> None:
+    def _send_pdo(self, number: int, layout: PdoLayout, now: int) -> None:
         if "no_pdo" in self.active_faults:
             return
         word = 0

@@ -15,7 +15,7 @@ from aces_bus.device import Joint, Signal
 ARRIVED = 0.0075
 
 
-class Axis:
+class MotorAxis:
     """A channel. `joint` None: nobody named one; the channel only has a place in its board's frames."""
 
     __slots__ = (
@@ -94,10 +94,10 @@ class Axis:
         self.flags, self.was_homed = 0, False
 
 
-def joints_by_channel(joints: Any, channels: int, board: str) -> list[Axis]:
+def joints_by_channel(joints: Any, channels: int, board: str) -> list[MotorAxis]:
     """An axis a channel."""
     by_channel = {joint.channel: joint for joint in joints}
     return [
-        Axis(n, by_channel.get(n), by_channel[n].name if n in by_channel else f"{board}.{n}")
+        MotorAxis(n, by_channel.get(n), by_channel[n].name if n in by_channel else f"{board}.{n}")
         for n in range(channels)
     ]

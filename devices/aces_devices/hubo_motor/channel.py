@@ -17,7 +17,7 @@ from typing import Any
 
 from aces_bus.device import Joint
 
-from ..joint_model import STEP_NS, Motor, MotorJoint
+from ..joint_model import STEP_NS, MotorJoint, MotorModel
 
 #: How far the stops are beyond the soft limits, and where they are without (rad).
 BEYOND, RANGE = 0.1, 3.0
@@ -94,7 +94,7 @@ class Search:
     stuck_since: int = field(default=-1)
 
 
-class Channel:
+class MotorChannel:
     """A motor of a board. `q` of its `joint` is the joint's true angle (rad)."""
 
     def __init__(self, number: int, own: Joint | None, kind: int | str, now: int, start: float) -> None:
@@ -108,7 +108,7 @@ class Channel:
         self._place_switch()
         ratio = self.counts * math.tau / self.turn
         stall = {1: 8.0, 2: 8.0, 5: 0.25}.get(kind if isinstance(kind, int) else 0, 1.0)
-        motor = Motor(speed=5.0) if kind == "neck" else Motor.of_ratio(ratio, stall_current=stall)
+        motor = MotorModel(speed=5.0) if kind == "neck" else MotorModel.of_ratio(ratio, stall_current=stall)
         lower, upper = self._stops()
         self.joint = MotorJoint(motor, now, position=min(max(start, lower), upper), lower=lower, upper=upper)
         self._gains = (self.joint.stiffness, self.joint.damping)

@@ -13,7 +13,7 @@ from typing import Any
 from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError
 
-from .axis import ARRIVED, Axis
+from .axis import ARRIVED, MotorAxis
 from .storage import Storage
 
 #: The filter's length on the way back to rigid (hubo-ach).
@@ -35,7 +35,7 @@ def compliant_duty(
     return -max(-most, min(most, effort))
 
 
-class Compliance(Storage):
+class CompliantMode(Storage):
     """Compliant and rigid."""
 
     def set_compliance(self, on: bool = True) -> Job:
@@ -92,7 +92,7 @@ class Compliance(Storage):
                 self.give(axis, round(axis.goal))
 
     @staticmethod
-    def _is_near(axis: Axis) -> bool:
+    def _is_near(axis: MotorAxis) -> bool:
         return axis.count is not None and abs((axis.goal or 0) - axis.count) * abs(axis.scale) <= ARRIVED
 
     def comply(self, instant: int) -> None:

@@ -14,11 +14,11 @@ from collections.abc import Callable, Collection
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Poll
-from aces_bus.device.coalesce import Want
+from aces_bus.device.coalesce import Setpoint
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_protocols.hubo.spec import hubo
 
-from .axis import Axis, joints_by_channel
+from .axis import MotorAxis, joints_by_channel
 from .settings import Settings
 from .shapes import SHAPES, Shape
 
@@ -47,7 +47,7 @@ class BoardCore(Device):
     )
 
     shape: Shape
-    axes: list[Axis]
+    axes: list[MotorAxis]
 
     def setup(self) -> None:
         """Signals of the joints, polls of the board."""
@@ -137,7 +137,7 @@ class BoardCore(Device):
     def _slow(self, key: str) -> float:
         return max(0.1, 5 * self.settings.known(key))
 
-    def _declare_axis(self, axis: Axis, reference: str | None, pwm: str | None, path: str) -> None:
+    def _declare_axis(self, axis: MotorAxis, reference: str | None, pwm: str | None, path: str) -> None:
         shape, joint = self.shape, axis.joint
         assert joint is not None
         owner = joint.name
@@ -204,7 +204,7 @@ class BoardCore(Device):
         if shape.status is not None:
             self._declare_status(axis, owner)
 
-    def _declare_status(self, axis: Axis, owner: str) -> None:
+    def _declare_status(self, axis: MotorAxis, owner: str) -> None:
         stale = self._slow("status_s")
         shape = self.shape
         if shape.reports_drive:
@@ -233,7 +233,7 @@ class BoardCore(Device):
             )
             self.readable.update(s.name for s in (axis.status, axis.homed))
 
-    def _limits(self, axis: Axis) -> tuple[float, float]:
+    def _limits(self, axis: MotorAxis) -> tuple[float, float]:
         """Soft limits (rad): the file's, and never beyond what the reference's field holds."""
         most = 2 ** (self.shape.position_bits - 1) - 1
         if self.kind in (1, 2, "hand"):
@@ -247,7 +247,7 @@ class BoardCore(Device):
         upper = ends[1] if joint.upper is None else min(ends[1], joint.upper)
         return lower, upper
 
-    def _neck(self, axis: Axis) -> Callable[[float], float]:
+    def _neck(self, axis: MotorAxis) -> Callable[[float], float]:
         """A neck's reference in the spec's rad: whole steps of 4096 a turn, or of hubo-ach's 4095."""
         from math import pi, tau
 
@@ -292,7 +292,7 @@ class BoardCore(Device):
         """The start's hold-off begins."""
         self.hold_off(self.settings.known("hold_start_s"))
 
-    def axis(self, joint: str | None) -> Axis | None:
+    def axis(self, joint: str | None) -> MotorAxis | None:
         """The axis of a joint by name, alias or channel number; None for None. Raises `UnknownNameError`."""
         if joint is None:
             return None
@@ -304,7 +304,7 @@ class BoardCore(Device):
                 return axis
         raise UnknownNameError(f"joint of {self.name}", joint, [axis.name for axis in self.axes])
 
-    def chosen(self, joint: str | None) -> list[Axis]:
+    def chosen(self, joint: str | None) -> list[MotorAxis]:
         """The axes that an action is for: one, or all that have a joint (all, where none has one)."""
         axis = self.axis(joint)
         if axis is not None:
@@ -319,7 +319,7 @@ class BoardCore(Device):
         if hear is not None:
             hear(record, instant)
 
-    def _encoder_hearer(self, axes: list[Axis]) -> Callable[[Any, int], None]:
+    def _encoder_hearer(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
         def hear(record: Any, instant: int) -> None:
             homing = self.homing
             for axis, count in zip(axes, record.position, strict=False):
@@ -329,7 +329,7 @@ class BoardCore(Device):
 
         return hear
 
-    def _neck_hearer(self, axes: list[Axis]) -> Callable[[Any, int], None]:
+    def _neck_hearer(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
         from math import pi, tau
 
         def hear(record: Any, instant: int) -> None:
@@ -445,14 +445,14 @@ class BoardCore(Device):
         """A field for the next tick, as it is."""
         super().want(message, path, value)
 
-    def _duty_of(self, axis: Axis, value: float) -> float:
+    def _duty_of(self, axis: MotorAxis, value: float) -> float:
         shape = self.shape
         return value * shape.positive * (axis.direction if shape.reference is not None else 1)
 
-    def _axis_at(self, path: str) -> Axis:
+    def _axis_at(self, path: str) -> MotorAxis:
         return self._by_path[path]
 
-    def give(self, axis: Axis, value: Any) -> None:
+    def give(self, axis: MotorAxis, value: Any) -> None:
         """A set-point past filter, trigger and compliance."""
         message = self.set_message
         if message is None:
@@ -461,7 +461,7 @@ class BoardCore(Device):
         axis.reference, axis.goal = value, None
         super().want(message, path, value)
 
-    def wants(self, now: int) -> list[Want]:
+    def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick; filters move on."""
         if self._filtering:
             self._filter()

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from aces_bus.device import UNKNOWN, Device, Driver, Host, Job, Joint, Poll, Steps, together
-from aces_bus.device.robot import DeviceConfig
+from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_protocols.hubo.d15 import NUMBERS, POWER
 
@@ -28,7 +28,7 @@ HOME_S = 20.0
 LOOK = 100_000_000
 
 
-class Axis:
+class D15Axis:
     """One channel: its joint, how its counts are rad, and what was last said of it."""
 
     def __init__(self, device: HuboMotorD15, joint: Joint) -> None:
@@ -69,7 +69,7 @@ class HuboMotorD15(Device):
 
     def setup(self) -> None:
         """A board's joints; the polls."""
-        self.axes = [Axis(self, joint) for joint in self.joints]
+        self.axes = [D15Axis(self, joint) for joint in self.joints]
         if any(axis.channel > 1 for axis in self.axes):
             raise CallerError(f"{self.name}: a board of D15 has channels 0 and 1")
         self.is_enabled = False
@@ -184,7 +184,7 @@ class HuboMotorD15(Device):
 
     # ------------------------------------------------------------------ actions
 
-    def _axes(self, joint: str | None) -> list[Axis]:
+    def _axes(self, joint: str | None) -> list[D15Axis]:
         found = [axis for axis in self.axes if joint in (None, axis.joint.name, *axis.joint.aliases)]
         if not found:
             raise CallerError(
@@ -281,7 +281,7 @@ class HuboMotorD15(Device):
 
         return self._leading("home", steps)
 
-    def _searched(self, axis: Axis, timeout_s: float) -> Steps:
+    def _searched(self, axis: D15Axis, timeout_s: float) -> Steps:
         end = self.clock.now() + round(timeout_s * 1e9)
         while True:
             yield self._status()

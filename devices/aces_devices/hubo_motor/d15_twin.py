@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Joint, Twin, on
 
-from ..joint_model import Motor, MotorJoint
+from ..joint_model import MotorJoint, MotorModel
 
 #: A joint this far (rad) from its reference, and not moving, has a big error.
 BIG = 0.1
@@ -27,7 +27,7 @@ class _Motor:
         self.counts = joint.counts_per_unit or 1.0
         lower = -1e9 if joint.lower is None else joint.lower - 0.2
         upper = 1e9 if joint.upper is None else joint.upper + 0.2
-        self.model = MotorJoint(Motor(), now, position=position, lower=lower, upper=upper)
+        self.model = MotorJoint(MotorModel(), now, position=position, lower=lower, upper=upper)
         self.is_driven = self.is_controlled = self.is_homed = self.is_incremental = False
         self.searching = False
         self.errors = 0

@@ -6,7 +6,7 @@ for what can be done.
 
 from __future__ import annotations
 
-from .compliance import Compliance
+from .compliance import CompliantMode
 from .homing import Homing
 
 _ALWAYS = {
@@ -34,7 +34,7 @@ _INFO = {"board_info": "ask the board what it is; tells it its period"}
 _COMPLIANCE = {"set_compliance": "let the joints give way (on), or be rigid again (off)"}
 
 
-class HuboMotor(Homing, Compliance):
+class HuboMotor(Homing, CompliantMode):
     """One motor board."""
 
     asking = ("parameters",)

@@ -16,7 +16,7 @@ from typing import Any
 from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError
 
-from .axis import ARRIVED, Axis
+from .axis import ARRIVED, MotorAxis
 from .core import BoardCore, search_state
 from .switching import PAUSE
 
@@ -61,7 +61,7 @@ class Homing(BoardCore):
             self._home_of(axis)
         return self._start(axes, lambda job: self._home_d08(job, axes))
 
-    def _start(self, axes: list[Axis], steps: Any) -> Job:
+    def _start(self, axes: list[MotorAxis], steps: Any) -> Job:
         self.homing = {axis.channel for axis in axes}
 
         def guarded(job: Job) -> Steps:
@@ -91,7 +91,7 @@ class Homing(BoardCore):
     def _timeout(self) -> int:
         return round(self.settings.known("home_timeout_s") * 1e9)
 
-    def _arrived(self, axes: list[Axis]) -> None:
+    def _arrived(self, axes: list[MotorAxis]) -> None:
         """Set-points are zero now."""
         for axis in axes:
             if self.is_streaming and axis.joint is not None and self.follows:
@@ -99,7 +99,7 @@ class Homing(BoardCore):
 
     # ------------------------------------------------------------------ D12
 
-    def _home_d12(self, job: Job, axes: list[Axis], whole: bool) -> Steps:
+    def _home_d12(self, job: Job, axes: list[MotorAxis], whole: bool) -> Steps:
         if self.shape.has_driver_switch and not self.is_enabled:
             yield self.tell("DriverSwitch", state="on")
         began = self.clock.now()
@@ -150,7 +150,7 @@ class Homing(BoardCore):
         if self._held_until < now + 4 * LOOK:
             self.hold_off(4 * LOOK / 1e9)
 
-    def _why(self, axes: list[Axis]) -> str:
+    def _why(self, axes: list[MotorAxis]) -> str:
         """What is known of joints that found no home."""
         said: list[str] = []
         for axis in axes:
@@ -164,7 +164,7 @@ class Homing(BoardCore):
 
     # ------------------------------------------------------------------ D08
 
-    def _home_of(self, axis: Axis) -> Any:
+    def _home_of(self, axis: MotorAxis) -> Any:
         home = axis.joint.home if axis.joint is not None else None
         if home is None or home.offset is None or home.direction is None:
             raise CallerError(
@@ -172,14 +172,14 @@ class Homing(BoardCore):
             )
         return home
 
-    def _only_switch(self, joint: str | None) -> Axis:
+    def _only_switch(self, joint: str | None) -> MotorAxis:
         """The one motor of three that has a limit switch."""
         axis = self.axes[0]
         if joint is not None and self.axis(joint) is not axis:
             raise CallerError(f"{self.name}: only {axis.name} has a limit switch; it homes the board")
         return axis
 
-    def _power(self, axes: list[Axis]) -> int:
+    def _power(self, axes: list[MotorAxis]) -> int:
         powers = {
             axis.joint.home.power for axis in axes if axis.joint is not None and axis.joint.home is not None
         }
@@ -193,7 +193,7 @@ class Homing(BoardCore):
         arm = self.credentials["board"] in (0x08, 0x09, 0x0A, 0x0B, 0x20, 0x21, 0x22)
         return int(self.settings.number("home_tries") or (3 if arm else 2))
 
-    def home_fields(self, axis: Axis) -> dict[str, Any]:
+    def home_fields(self, axis: MotorAxis) -> dict[str, Any]:
         """The home command of a channel of D08, from the robot's file.
 
         A board of three channels has 16 bits for the pulses: higher bits and the sign do not fit and are left out, and the
@@ -207,7 +207,7 @@ class Homing(BoardCore):
         offset[axis.channel] = home.offset
         return {**fields, "offset": offset}
 
-    def _home_d08(self, job: Job, axes: list[Axis]) -> Steps:
+    def _home_d08(self, job: Job, axes: list[MotorAxis]) -> Steps:
         if not self.is_enabled:
             yield self.tell("DriverSwitch", state="on")
             yield self.tell("ControlOn")
@@ -239,7 +239,7 @@ class Homing(BoardCore):
         yield from self._positions()
         return [axis.name for axis in axes]
 
-    def _home_blind(self, job: Job, axes: list[Axis], message: str, fields: dict[str, Any]) -> Steps:
+    def _home_blind(self, job: Job, axes: list[MotorAxis], message: str, fields: dict[str, Any]) -> Steps:
         """Fingers of D08 are driven against their stop; nothing tells when they are there."""
         self._announce()
         yield self.tell(message, **fields)

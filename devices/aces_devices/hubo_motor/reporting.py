@@ -15,7 +15,7 @@ from aces_bus.device import Twin, on
 from aces_bus.errors import CallerError
 from aces_protocols.hubo.spec import hubo
 
-from .channel import Channel, board_defaults
+from .channel import MotorChannel, board_defaults
 from .shapes import SHAPES, Shape
 
 #: Largest counts of encoder replies of two bytes.
@@ -27,7 +27,7 @@ class _Place:
 
     __slots__ = ("_channel",)
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: MotorChannel) -> None:
         self._channel = channel
 
     def position(self, now: int) -> float:
@@ -40,7 +40,7 @@ class Reporting(Twin):
     """One motor board. Faults with an amount are of motor 1, 2, … (0: of all; default 1)."""
 
     protocol = hubo
-    channels: list[Channel]
+    channels: list[MotorChannel]
 
     faults: ClassVar[Mapping[str, str]] = {
         "jam": "the motor is blocked where it is",
@@ -82,7 +82,7 @@ class Reporting(Twin):
         self.gain_override: tuple[list[int], int] | None = None
         by_channel = {joint.channel: joint for joint in self.joints}
         self.channels = [
-            Channel(n, by_channel.get(n), kind, now, self.random.uniform(-0.05, 0.05))
+            MotorChannel(n, by_channel.get(n), kind, now, self.random.uniform(-0.05, 0.05))
             for n in range(found.channels)
         ]
         for channel in self.channels:
@@ -155,7 +155,7 @@ class Reporting(Twin):
 
         return three
 
-    def _count(self, channel: Channel, now: int) -> int:
+    def _count(self, channel: MotorChannel, now: int) -> int:
         if self._frozen:
             channel.sync(now)
             return (

@@ -52,7 +52,7 @@ def channels_by_length(lengths: list[int], dialect: str) -> int | None:
     return next((channels for size, channels in ((8, 2), (6, 3), (4, 1)) if size in lengths), None)
 
 
-def scan(host: Any, job: Job) -> Steps:
+def scan_boards(host: Any, job: Job) -> Steps:
     """The motor boards that answer on this host's bus, as a list of `DeviceConfig` by number.
 
     Boards that the host has already and hears are listed as they are. Raises `CallerError` on a bus without Hubo's protocol.

@@ -16,7 +16,7 @@ import msgspec
 from aces_bus.device import Job, Steps, Ticket
 from aces_bus.errors import CallerError, NoReplyError
 
-from .axis import Axis
+from .axis import MotorAxis
 from .switching import PAUSE, Switching
 
 #: Block n of a channel, and the board's own.
@@ -246,7 +246,7 @@ class Storage(Switching):
 
         return self.job("set parameters", steps)
 
-    def _known(self, axis: Axis | None) -> Steps:
+    def _known(self, axis: MotorAxis | None) -> Steps:
         """What is stored now, by our names."""
         stored: BoardParameters = yield self.parameters()
         known = {name: getattr(stored, name) for name in stored.__struct_fields__ if name != "channels"}

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from aces_bus.device import Job, Steps, Ticket
 from aces_bus.errors import CallerError, DeviceError
 
-from .axis import Axis
+from .axis import MotorAxis
 from .core import BoardCore, unsigned
 
 #: Between two requests that one board is sent by a job (ns).
@@ -66,7 +66,7 @@ class Switching(BoardCore):
             yield from self._seeing_enabled(job)
         self.is_enabled = True
 
-    def present(self, axis: Axis) -> float:
+    def present(self, axis: MotorAxis) -> float:
         """The set-point at which a channel stays where it is."""
         if self.set_message == self.shape.pwm:
             return 0
@@ -237,7 +237,7 @@ class Switching(BoardCore):
         return self.job("set gains", steps)
 
     def _gain_tickets(
-        self, axis: Axis, kp: int | None, ki: int | None, kd: int | None, torque: bool
+        self, axis: MotorAxis, kp: int | None, ki: int | None, kd: int | None, torque: bool
     ) -> list[Ticket]:
         messages = self.shape.torque_gains if torque else self.shape.gains
         own = axis.joint.gains if axis.joint is not None and not torque else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Driver, Host, Job, Poll, Steps, Ticket
-from aces_bus.device.robot import DeviceConfig
+from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, NoReplyError
 
 from .twin import PowerTwin

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
-from aces_bus.device.robot import DeviceConfig
+from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 
 #: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).

@@ -52,7 +52,7 @@ class Foot:
     fz: float = 0.0
 
 
-class Body:
+class BodyPose:
     """The pose at an instant: `update(now)`, then `roll`, `pitch`, `roll_rate`, `pitch_rate` and `feet["R"]`."""
 
     def __init__(self, world: World, robot: Robot, build: Build = BUILD) -> None:
@@ -97,11 +97,11 @@ class Body:
             foot.mx, foot.my = foot.fz * beside, -foot.fz * before
 
 
-def body_of(world: World, robot: Robot) -> Body:
+def body_of(world: World, robot: Robot) -> BodyPose:
     """The one body of a simulated robot."""
-    found: Body | None = world.shared.get("hubo body")
+    found: BodyPose | None = world.shared.get("hubo body")
     if found is None:
-        found = world.shared["hubo body"] = Body(world, robot)
+        found = world.shared["hubo body"] = BodyPose(world, robot)
     return found
 
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 
-from .body import Body, body_of
+from .body import BodyPose, body_of
 
 #: The ends of a 16-bit field.
 LOW, HIGH = -32768, 32767
@@ -37,7 +37,7 @@ class SensorTwin(Twin):
         "hot": "too warm by 20 K (or as said): readings are off",
         "drift": "readings wander by 1 % of their range a minute (or as said)",
     }
-    body: Body
+    body: BodyPose
 
     def setup(self) -> None:
         """A board that was just powered: nothing nulled, period unknown."""

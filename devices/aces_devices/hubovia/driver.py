@@ -22,7 +22,7 @@ from .twin import MotorTwin
 MOST = 32767.99
 
 
-def split(angle: float) -> dict[str, Any]:
+def angle_bytes(angle: float) -> dict[str, Any]:
     """An angle in degrees as the datagram has it.
 
     >>> split(-87.73), split(45.499999), split(-0.001)["negative"]
@@ -35,7 +35,7 @@ def split(angle: float) -> dict[str, Any]:
     return {"negative": int(angle < 0 and hundredths > 0), "degrees": whole, "hundredths": rest / 100}
 
 
-class Motor(Device):
+class HuboviaJoint(Device):
     """Signals: position (rad, set only) of its joint."""
 
     protocol = "hubovia"
@@ -68,7 +68,7 @@ class Motor(Device):
         if abs(angle) > MOST:
             self.tell_event("limited", f"{joint.name}: {angle:g}° does not fit into a datagram")
             angle = MOST if angle > 0 else -MOST
-        self.last = split(angle)
+        self.last = angle_bytes(angle)
         return self.last
 
     def repeat(self) -> Ticket | None:
@@ -98,7 +98,7 @@ LSR = { device = "VIA_LSR", channel = 0, motor = 35, direction = -1, zero = 0.1 
 
 driver = Driver(
     "hubovia",
-    device=Motor,
+    device=HuboviaJoint,
     twin=MotorTwin,
     example=EXAMPLE,
     doc="A motor of a Hubo 2, by UDP through its Windows control PC.",

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from aces_bus.controller.motion import Interpolation, Trajectory
 from aces_bus.controller.motion_file import read_trajectory
 from aces_bus.errors import CallerError
-from aces_bus.kinematics import Body, Chain, Move, Turn
+from aces_bus.kinematics import Body, Chain, Move, Revolute
 
 JOINTS = (
     *("HY", "LHY", "LHR", "LHP", "LKP", "LAP", "LAR", "RHY", "RHR", "RHP", "RKP", "RAP", "RAR"),
@@ -41,16 +41,16 @@ def _leg(side: str, s: float) -> Chain:
     return Chain(
         f"{side}F",
         (
-            Turn("z", "HY"),
+            Revolute("z", "HY"),
             Move(0, s * 0.0379, -0.0447),
-            Turn("z", f"{side}HY"),
-            Turn("x", f"{side}HR", s),
-            Turn("y", f"{side}HP", -1),
+            Revolute("z", f"{side}HY"),
+            Revolute("x", f"{side}HR", s),
+            Revolute("y", f"{side}HP", -1),
             Move(-0.021, 0, -0.088),
-            Turn("y", f"{side}KP"),
+            Revolute("y", f"{side}KP"),
             Move(0.021, 0, -0.08769),
-            Turn("y", f"{side}AP", -1),
-            Turn("x", f"{side}AR"),
+            Revolute("y", f"{side}AP", -1),
+            Revolute("x", f"{side}AR"),
             Move(0, 0, -0.034),
         ),
     )
@@ -61,11 +61,11 @@ def _arm(side: str, s: float) -> Chain:
         f"{side}W",
         (
             Move(0, s * 0.0865, 0.1393),
-            Turn("y", f"{side}SP"),
-            Turn("x", f"{side}SR", s),
-            Turn("z", f"{side}SY", s),
+            Revolute("y", f"{side}SP"),
+            Revolute("x", f"{side}SR", s),
+            Revolute("z", f"{side}SY", s),
             Move(0, 0, -0.1093),
-            Turn("y", f"{side}EP", -1),
+            Revolute("y", f"{side}EP", -1),
             Move(0, 0, -0.05),
         ),
     )

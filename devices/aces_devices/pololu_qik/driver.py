@@ -11,8 +11,19 @@ from collections.abc import Iterable, Sequence
 from math import ceil
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Driver, Host, Job, Outgoing, Poll, Steps, Ticket, Want, together
-from aces_bus.device.robot import DeviceConfig
+from aces_bus.device import (
+    Device,
+    Driver,
+    Host,
+    Job,
+    OutgoingMessage,
+    Poll,
+    Setpoint,
+    Steps,
+    Ticket,
+    together,
+)
+from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 
 from .twin import UNIT_S, QikTwin
@@ -22,12 +33,12 @@ PAUSE = 5_000_000
 PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
 
 
-def a_motor(wants: Sequence[Want]) -> Iterable[Outgoing]:
+def a_motor(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
     """One command a motor: the device takes no two at once."""
     for want in wants:
         steps = round(want.value)
         size = abs(steps)
-        yield Outgoing(
+        yield OutgoingMessage(
             want.device,
             want.message,
             {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from aces_bus.device import Driver
 
 from .driver import SETTINGS, RobotisRX
-from .scan import scan
+from .scan import scan_servos
 from .twin import RobotisRXTwin
 
 EXAMPLE = """\
@@ -33,7 +33,7 @@ driver = Driver(
     EXAMPLE,
     doc="Robotis RX-10, RX-28 and RX-64 servos.",
     source="Robotis RX-28 manual; recordings of two servos; acesHubo robotis.*",
-    scan=scan,
+    scan=scan_servos,
     settings=SETTINGS,
 )
 

@@ -30,7 +30,7 @@ HAIR = 1e-9
 
 
 @dataclass
-class Motion:
+class ShaftMotion:
     """One servo's shaft. After a change of anything, call `settle` first, then change it."""
 
     at: float = 512.0

@@ -18,7 +18,7 @@ LONGEST_DELAY_S = 254 * 2e-6
 ADAPTER_S = 0.016
 
 
-def scan(host: Host, job: Job | None = None, *, adapter_s: float = ADAPTER_S, tries: int = 2) -> Steps:
+def scan_servos(host: Host, job: Job | None = None, *, adapter_s: float = ADAPTER_S, tries: int = 2) -> Steps:
     """Find the servos on a line at its present speed; the steps end with a `DeviceConfig` each.
 
     `job.progress` grows with the ids. A servo that answers no reads (status return level 0) has no model. An id that is
@@ -77,4 +77,4 @@ def _look(host: Host, device: Device, number: int, adapter_s: float, tries: int)
     return msgspec.structs.replace(config, model=value if isinstance(value, str) else f"model {value}")
 
 
-__all__ = ["scan"]
+__all__ = ["scan_servos"]

@@ -20,7 +20,7 @@ from aces_protocols.robotis.control_table import ERRORS, VOLT
 from aces_protocols.robotis.spec import BROADCAST, control_table
 
 from .driver import CLOCKWISE, STEP, TOP, signed
-from .motion import FREE, PER_SPEED, Motion
+from .motion import FREE, PER_SPEED, ShaftMotion
 
 SIZE = 0x32
 EEPROM = 0x18
@@ -40,7 +40,7 @@ PING, READ, WRITE = 1, 2, 3
 RANGE = 1 << ERRORS["range"]
 
 
-class Cell(NamedTuple):
+class TableRegister(NamedTuple):
     """One register in the table: where, how, which raw numbers it may be given."""
 
     name: str
@@ -62,15 +62,15 @@ MOST = {
 }
 
 
-def _cells() -> dict[int, Cell]:
+def _cells() -> dict[int, TableRegister]:
     """By address; a word has two."""
-    found: dict[int, Cell] = {}
+    found: dict[int, TableRegister] = {}
     for register in control_table.values():
         field: Any = register.field
         most = MOST.get(register.name, (1 << 8 * register.size) - 1)
         least, most = (isinstance(field, Quantity) and field.raw_range) or (0, most)
         codec = Struct("<H" if register.size == 2 else "B")
-        cell = Cell(register.name, register.address, codec, least, most, register.access != "read")
+        cell = TableRegister(register.name, register.address, codec, least, most, register.access != "read")
         found.update(dict.fromkeys(range(cell.address, cell.address + codec.size), cell))
     return found
 
@@ -95,7 +95,7 @@ class RobotisRXTwin(Twin):
         """Power-up: what the EEPROM has, and the RAM's defaults."""
         if not hasattr(self, "table"):
             self.table = bytearray(SIZE)
-            self.motion = Motion()
+            self.motion = ShaftMotion()
             self._factory()
             get = self.config.settings.get
             self["id"] = self.credentials["id"]

@@ -11,11 +11,12 @@ from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 
-from aces_bus.device import Robot, RobotError, parse_robot
-from aces_bus.device import load_robot as load_file
+from aces_bus.device import Robot
 from aces_bus.errors import UnknownNameError
+from aces_bus.robot import RobotError, parse_robot
+from aces_bus.robot import load_robot as load_file
 
-from .importing import Imported as Imported
+from .importing import ImportedRobot as ImportedRobot
 from .importing import import_robot as import_robot
 
 
@@ -41,7 +42,7 @@ class _Texts(Mapping[str, str]):
         return len(self._files)
 
 
-def load_robot(name: str | os.PathLike[str]) -> Robot:
+def load_robot_by_name(name: str | os.PathLike[str]) -> Robot:
     """A robot that ships, by name, or that of a file, by its path (whatever ends in `.toml`, or holds a folder).
 
     Raises `UnknownNameError` with the names that exist, and `RobotError` with all that is wrong with a file.

@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from aces_bus.device import Problem
+from aces_bus.robot import RobotFileProblem
 
 from . import _hubo
 from ._hubocan import Places
-from ._words import MOST, Line, decimal, number, read_lines, take
+from ._words import MOST, WordLine, decimal_number, plausible_number, read_lines, take
 
 JOINT_COLUMNS: Final = (
     *("name", "motNo", "refEnc", "drive", "driven", "harm", "enc", "dir", "jmc", "active", "can", "numMot"),
@@ -38,12 +38,12 @@ WORDS: Final = {"name", "jmc", "JointName", "Type"}
 REAL: Final = {"drive", "driven", "harm", "kp", "kd", "maxPWM"}
 
 
-class Rows:
+class TableRows:
     """The rows of a table as mappings from columns to values, and what is wrong with them."""
 
-    def __init__(self, path: Path, columns: Sequence[str], lines: list[Line] | None = None) -> None:
-        self.problems: list[Problem] = []
-        self.rows: list[tuple[Line, dict[str, Any]]] = []
+    def __init__(self, path: Path, columns: Sequence[str], lines: list[WordLine] | None = None) -> None:
+        self.problems: list[RobotFileProblem] = []
+        self.rows: list[tuple[WordLine, dict[str, Any]]] = []
         seen: dict[str, int] = {}
         for line in lines if lines is not None else read_lines(path):
             if line.words[0] == columns[0] and line.words[0] == "JointName":
@@ -59,9 +59,9 @@ class Rows:
                 read = (
                     str
                     if column in WORDS
-                    else number
+                    else plausible_number
                     if column in REAL or line.words[-1] == "rad"
-                    else decimal
+                    else decimal_number
                 )
                 values = take(line, column, [word], read, 1, self.problems)
                 if values is not None:
@@ -75,7 +75,7 @@ class Rows:
                 seen[name] = line.number
                 self.rows.append((line, row))
 
-    def among(self, line: Line, column: str, value: Any, allowed: Sequence[Any]) -> bool:
+    def among(self, line: WordLine, column: str, value: Any, allowed: Sequence[Any]) -> bool:
         if value in allowed:
             return True
         names = " or ".join(map(str, allowed)) if len(allowed) < 5 else f"{allowed[0]}…{allowed[-1]}"
@@ -83,9 +83,9 @@ class Rows:
         return False
 
 
-def read_joints(path: Path, content: dict[str, Any], places: Places) -> list[Problem]:
+def read_joints(path: Path, content: dict[str, Any], places: Places) -> list[RobotFileProblem]:
     """A joint table: joints and their boards."""
-    table = Rows(path, JOINT_COLUMNS)
+    table = TableRows(path, JOINT_COLUMNS)
     motors: dict[str, tuple[int, int]] = {}
     devices, joints = content["devices"], content["joints"]
     for line, row in table.rows:
@@ -138,9 +138,9 @@ def read_joints(path: Path, content: dict[str, Any], places: Places) -> list[Pro
     return table.problems
 
 
-def read_sensors(path: Path, content: dict[str, Any], places: Places) -> list[Problem]:
+def read_sensors(path: Path, content: dict[str, Any], places: Places) -> list[RobotFileProblem]:
     """A sensor table: sensors and their boards."""
-    table = Rows(path, SENSOR_COLUMNS)
+    table = TableRows(path, SENSOR_COLUMNS)
     for line, row in table.rows:
         sensor, name = row["board"], row["name"]
         kind = "force_torque" if "FT" in name else "tilt" if "TILT" in name else "imu"
@@ -174,9 +174,11 @@ def read_sensors(path: Path, content: dict[str, Any], places: Places) -> list[Pr
     return table.problems
 
 
-def read_homes(path: Path, content: dict[str, Any], places: Places) -> tuple[list[Problem], list[str]]:
+def read_homes(
+    path: Path, content: dict[str, Any], places: Places
+) -> tuple[list[RobotFileProblem], list[str]]:
     """A .home table, into joints that are there; also what is worth saying of it."""
-    table, notes = Rows(path, HOME_COLUMNS), list[str]()
+    table, notes = TableRows(path, HOME_COLUMNS), list[str]()
     names = {alias: name for name, joint in content["joints"].items() for alias in joint.get("aliases", ())}
     names |= {name: name for name in content["joints"]}
     for line, row in table.rows:

@@ -14,11 +14,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from aces_bus.device import Problem
 from aces_bus.errors import CallerError
+from aces_bus.robot import RobotFileProblem
 
 from . import _hubo
-from ._words import MOST, Line, number, read_lines, take, whole
+from ._words import MOST, WordLine, plausible_number, read_lines, take, whole
 
 #: Type of a motor board → number of its channels (None: as many as it has joints), kind.
 JMC_TYPES: Final[Mapping[str, tuple[int | None, str | None]]] = {
@@ -59,27 +59,27 @@ NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
 MOST_FILES: Final = 200
 
 
-class Block(NamedTuple):
+class FileBlock(NamedTuple):
     """One `begin TYPE … end TYPE`."""
 
     type: str
-    line: Line
-    lines: dict[str, Line]
+    line: WordLine
+    lines: dict[str, WordLine]
 
-    def place(self, key: str) -> Line:
+    def place(self, key: str) -> WordLine:
         return self.lines.get(key, self.line)
 
 
-class Tree:
+class BlockTree:
     """All blocks of a file and its includes, in order."""
 
     def __init__(self, path: Path) -> None:
-        self.problems: list[Problem] = []
-        self.blocks: list[Block] = []
+        self.problems: list[RobotFileProblem] = []
+        self.blocks: list[FileBlock] = []
         self.files: list[Path] = []
         self._read(path, None)
 
-    def _read(self, path: Path, included: Line | None) -> None:
+    def _read(self, path: Path, included: WordLine | None) -> None:
         known = path.resolve()
         if known in self.files or len(self.files) >= MOST_FILES:
             if included is not None:
@@ -93,7 +93,7 @@ class Tree:
                 raise
             self.problems.append(included.problem("include", str(error)))
             return
-        block: Block | None = None
+        block: FileBlock | None = None
         for line in lines:
             if len(self.problems) > MOST:
                 break
@@ -106,7 +106,7 @@ class Tree:
             elif word == "begin" and len(values) == 1:
                 if block is not None:
                     self._unfinished(block)
-                block = Block(values[0], line, {})
+                block = FileBlock(values[0], line, {})
                 if block.type not in KEYS:
                     self._unknown(line, "begin", "type of block", block.type, KEYS)
             elif word == "end" and block is not None:
@@ -124,7 +124,7 @@ class Tree:
         if block is not None:
             self._unfinished(block)
 
-    def _entry(self, block: Block, line: Line) -> None:
+    def _entry(self, block: FileBlock, line: WordLine) -> None:
         key = line.words[0]
         if block.type in KEYS and key not in KEYS[block.type]:
             self._unknown(line, key, f"key of {block.type}", key, KEYS[block.type])
@@ -133,11 +133,11 @@ class Tree:
             self.problems.append(line.problem(key, text))
         block.lines.setdefault(key, line)
 
-    def _unfinished(self, block: Block) -> None:
+    def _unfinished(self, block: FileBlock) -> None:
         self.problems.append(block.line.problem("begin", f"no end {block.type} follows"))
         self.blocks.append(block)
 
-    def _unknown(self, line: Line, key: str, what: str, name: str, known: Any) -> None:
+    def _unknown(self, line: WordLine, key: str, what: str, name: str, known: Any) -> None:
         near = difflib.get_close_matches(name, list(known), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         self.problems.append(
@@ -146,23 +146,23 @@ class Tree:
 
     # ------------------------------------------------------------------ values of a block
 
-    def word(self, block: Block, key: str) -> str | None:
+    def word(self, block: FileBlock, key: str) -> str | None:
         found = self._values(block, key, str, 1)
         return str(found[0]) if found else None
 
-    def whole(self, block: Block, key: str) -> int | None:
+    def whole(self, block: FileBlock, key: str) -> int | None:
         found = self._values(block, key, whole, 1)
         return int(found[0]) if found else None
 
-    def number(self, block: Block, key: str) -> float | None:
-        found = self._values(block, key, number, 1)
+    def number(self, block: FileBlock, key: str) -> float | None:
+        found = self._values(block, key, plausible_number, 1)
         return float(found[0]) if found else None
 
-    def pair(self, block: Block, key: str) -> tuple[float, float] | tuple[None, None]:
-        found = self._values(block, key, number, 2)
+    def pair(self, block: FileBlock, key: str) -> tuple[float, float] | tuple[None, None]:
+        found = self._values(block, key, plausible_number, 2)
         return (found[0], found[1]) if found else (None, None)
 
-    def _values(self, block: Block, key: str, read: Any, count: int) -> list[Any] | None:
+    def _values(self, block: FileBlock, key: str, read: Any, count: int) -> list[Any] | None:
         line = block.lines.get(key)
         if line is None:
             if key in NEEDED.get(block.type, ()):
@@ -170,7 +170,7 @@ class Tree:
             return None
         return take(line, key, line.words[1:], read, count, self.problems)
 
-    def among(self, block: Block, key: str, known: Mapping[str, Any]) -> Any:
+    def among(self, block: FileBlock, key: str, known: Mapping[str, Any]) -> Any:
         """What `known` has for the word of a key."""
         name = self.word(block, key)
         if name is None:
@@ -181,12 +181,12 @@ class Tree:
         return known[name]
 
 
-Places = dict[tuple[str, ...], Line]
+Places = dict[tuple[str, ...], WordLine]
 
 
-def read_tree(path: Path) -> tuple[dict[str, Any], Places, list[Problem]]:
+def read_tree(path: Path) -> tuple[dict[str, Any], Places, list[RobotFileProblem]]:
     """A tree as the tables of a robot's file, where each comes from, and what is wrong with it."""
-    tree = Tree(path)
+    tree = BlockTree(path)
     content: dict[str, Any] = {"name": path.stem, "buses": {}, "devices": {}, "joints": {}, "sensors": {}}
     places: Places = {}
     buses = 0
@@ -206,7 +206,7 @@ def read_tree(path: Path) -> tuple[dict[str, Any], Places, list[Problem]]:
     return content, places, tree.problems
 
 
-def _bus(tree: Tree, block: Block) -> str | None:
+def _bus(tree: BlockTree, block: FileBlock) -> str | None:
     channel = tree.whole(block, "can_channel")
     if channel is not None and channel not in _hubo.BUSES:
         tree.problems.append(
@@ -216,14 +216,14 @@ def _bus(tree: Tree, block: Block) -> str | None:
     return _hubo.BUSES[channel] if channel is not None else None
 
 
-def _claim(tree: Tree, block: Block, section: str, name: str, content: dict[str, Any]) -> bool:
+def _claim(tree: BlockTree, block: FileBlock, section: str, name: str, content: dict[str, Any]) -> bool:
     if name in content[section]:
         tree.problems.append(block.place("name").problem("name", f"{name} is there twice"))
         return False
     return True
 
 
-def _add_boards(tree: Tree, content: dict[str, Any], places: Places) -> None:
+def _add_boards(tree: BlockTree, content: dict[str, Any], places: Places) -> None:
     joints: dict[str, int] = {}
     for block in tree.blocks:
         if block.type == "Joint" and "jmc_name" in block.lines and len(block.lines["jmc_name"].words) == 2:
@@ -252,7 +252,7 @@ def _add_boards(tree: Tree, content: dict[str, Any], places: Places) -> None:
         places["devices", name, "bus"] = block.place("can_channel")
 
 
-def _add_joints(tree: Tree, content: dict[str, Any], places: Places) -> None:
+def _add_joints(tree: BlockTree, content: dict[str, Any], places: Places) -> None:
     order: dict[int, str] = {}
     for block in tree.blocks:
         if block.type != "Joint":
@@ -308,8 +308,8 @@ _JOINT_PLACES: Final[Mapping[tuple[str, ...], str]] = {
 }
 
 
-def _add_sensors(tree: Tree, content: dict[str, Any], places: Places) -> None:
-    boards: dict[int, tuple[str, set[str], Block]] = {}
+def _add_sensors(tree: BlockTree, content: dict[str, Any], places: Places) -> None:
+    boards: dict[int, tuple[str, set[str], FileBlock]] = {}
     for block in tree.blocks:
         if block.type not in ("IMU", "FT"):
             continue

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from aces_bus.device import Problem
 from aces_bus.errors import CallerError
+from aces_bus.robot import RobotFileProblem
 
 #: Bytes of a description file; those of the sources have 7 kB at most.
 LARGEST: Final = 2**20
@@ -21,18 +21,18 @@ MOST: Final = 1000
 _WORD: Final = re.compile(r'"([^"]*)"|([^\s"#]+)|(#.*)|(")')
 
 
-class Line(NamedTuple):
+class WordLine(NamedTuple):
     """A line that has words."""
 
     file: str
     number: int
     words: tuple[str, ...]
 
-    def problem(self, key: str, text: str) -> Problem:
-        return Problem(self.file, self.number, key, text)
+    def problem(self, key: str, text: str) -> RobotFileProblem:
+        return RobotFileProblem(self.file, self.number, key, text)
 
 
-def read_lines(path: Path) -> list[Line]:
+def read_lines(path: Path) -> list[WordLine]:
     """The lines of a file that have words; `#` begins a comment, quotes keep blanks. Raises `CallerError`."""
     try:
         if path.exists() and not path.is_file():
@@ -44,11 +44,11 @@ def read_lines(path: Path) -> list[Line]:
         raise CallerError(f"{path}: larger than a description may be ({LARGEST >> 20} MB)")
     if b"\0" in data:
         raise CallerError(f"{path}: not a text file")
-    found: list[Line] = []
+    found: list[WordLine] = []
     for number, text in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
         words = tuple(_words(text))
         if words:
-            found.append(Line(str(path), number, words))
+            found.append(WordLine(str(path), number, words))
     return found
 
 
@@ -69,14 +69,14 @@ def whole(word: str) -> int:
     return int(word, 0)
 
 
-def decimal(word: str) -> int:
+def decimal_number(word: str) -> int:
     """A whole number in decimal, zeros in front or not. Raises `ValueError`."""
     if len(word) > 20 or "_" in word:
         raise ValueError
     return int(word, 10)
 
 
-def number(word: str) -> float:
+def plausible_number(word: str) -> float:
     """A number of a size that occurs. Raises `ValueError`."""
     if len(word) > 40 or "_" in word:
         raise ValueError
@@ -87,15 +87,21 @@ def number(word: str) -> float:
 
 
 def take(
-    line: Line,
+    line: WordLine,
     key: str,
     words: Sequence[str],
     read: Callable[[str], Any],
     count: int,
-    problems: list[Problem],
+    problems: list[RobotFileProblem],
 ) -> list[Any] | None:
     """`count` values of a line; None, and a problem, when they are not there."""
-    what = "a number" if read is number else "a whole number" if read in (whole, decimal) else "a word"
+    what = (
+        "a number"
+        if read is plausible_number
+        else "a whole number"
+        if read in (whole, decimal_number)
+        else "a word"
+    )
     if len(words) == count:
         try:
             return [read(word) for word in words]

@@ -12,25 +12,26 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from aces_bus.device import Problem, Robot, RobotError, make_robot
+from aces_bus.device import Robot
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.robot import RobotError, RobotFileProblem, make_robot
 
 from . import _hubo, _hubo_ach, _hubocan
 from ._hubocan import Places
-from ._words import Line, read_lines
+from ._words import WordLine, read_lines
 
 
-class Imported(NamedTuple):
+class ImportedRobot(NamedTuple):
     """A robot, and what is worth saying about how it was read."""
 
     robot: Robot
     notes: tuple[str, ...]
-    warnings: tuple[Problem, ...]
+    warnings: tuple[RobotFileProblem, ...]
 
 
 def import_robot(
     paths: Sequence[str | Path], *, base: str | None = None, name: str | None = None
-) -> Imported:
+) -> ImportedRobot:
     """The robot that these files describe.
 
     `base` is a robot that ships, for what a .home table is laid over; `name` is what the robot is to be called.
@@ -47,7 +48,7 @@ def import_robot(
         raise CallerError("a .dd tree and a table both say which joints and sensors there are: name one")
     homes = next(iter(kinds.get("home table", ())), None)
     notes: list[str] = []
-    problems: list[Problem] = []
+    problems: list[RobotFileProblem] = []
     places: Places = {}
     content: dict[str, Any]
     if "tree" in kinds:
@@ -86,7 +87,7 @@ def import_robot(
     errors = [*problems, *(problem for problem in found_problems if not problem.is_warning)]
     if errors or robot is None:
         raise RobotError(sorted(set(errors)))
-    return Imported(robot, tuple(notes), tuple(p for p in found_problems if p.is_warning))
+    return ImportedRobot(robot, tuple(notes), tuple(p for p in found_problems if p.is_warning))
 
 
 def _kind(path: Path) -> str:
@@ -129,7 +130,7 @@ def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
     )
 
 
-def _rows(lines: Sequence[Line]) -> list[Line]:
+def _rows(lines: Sequence[WordLine]) -> list[WordLine]:
     return [line for line in lines if line.words[0] != "JointName"]
 
 

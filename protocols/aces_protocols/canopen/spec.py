@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from construct import Byte, Bytes, GreedyBytes, Int16ul, Int32ul, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Flags, Protocol, Quantity, Reserved, bits
+from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Protocol, Quantity, Reserved, bits
 
 CIA301 = "CiA 301 (canopen; ros2_canopen)"
 
@@ -25,13 +25,13 @@ canopen = Protocol(
     source="CiA 301; christiansandberg/canopen; ros-industrial/ros2_canopen",
 )
 
-Node = Capture("node", range(1, 128), doc="node id")
+Node = IdField("node", range(1, 128), doc="node id")
 #: Bits of an SDO's first byte.
-Sized = Capture("sized", range(2), doc="whether a size is given")
-Unused = Capture("unused", range(4), doc="how many of the four bytes are not data, when sized")
-Left = Capture("unused", range(8), doc="how many of the seven bytes are not data")
-Toggle = Capture("toggle", range(2), doc="alternates from segment to segment")
-Last = Capture("last", range(2), doc="whether this is the last segment")
+Sized = IdField("sized", range(2), doc="whether a size is given")
+Unused = IdField("unused", range(4), doc="how many of the four bytes are not data, when sized")
+Left = IdField("unused", range(8), doc="how many of the seven bytes are not data")
+Toggle = IdField("toggle", range(2), doc="alternates from segment to segment")
+Last = IdField("last", range(2), doc="whether this is the last segment")
 
 #: NMT states; 80 and 96 are the library's own.
 STATES = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from construct import Byte, Default, GreedyBytes, Struct
 
-from aces_bus.protocol import Capture, Enumeration, Protocol, Quantity, SignMagnitude, bits
+from aces_bus.protocol import Enumeration, IdField, Protocol, Quantity, SignMagnitude, bits
 
 from .boards import CONFIGURATIONS
 
@@ -37,9 +37,9 @@ D08 = ("D08", "D08X")
 BEFORE_D15 = (*D08, "D12")
 
 #: identifier = base + board; motor boards have 0x00–0x2F, sensor boards 0x30–0x3F.
-Board = Capture("board", range(0x30), doc="motor board")
+Board = IdField("board", range(0x30), doc="motor board")
 #: identifier = base + sensor id.
-Sensor = Capture("sensor", range(1, 16), doc="sensor id = board − 0x2F")
+Sensor = IdField("sensor", range(1, 16), doc="sensor id = board − 0x2F")
 
 channels = hubo.configured("channels", by="board")
 sensors = hubo.configured("sensors", by="sensor")

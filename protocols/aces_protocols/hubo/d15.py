@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from construct import Array, Byte, Bytes, Int16sl, Int16ul, Int32sl, Int32ul, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Flags, Quantity, Reserved, bits
+from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Quantity, Reserved, bits
 
 from .base import Milliseconds, Off, Rest, hubo
 
@@ -19,10 +19,10 @@ ROBOWORLD = "RoboWorld2018"
 POWER = 0x18
 NUMBERS = range(42)
 
-Motor = Capture("board", tuple(n for n in NUMBERS if n != POWER), doc="motor board")
-PowerBoard = Capture("board", (POWER,), doc="smart power board")
+Motor = IdField("board", tuple(n for n in NUMBERS if n != POWER), doc="motor board")
+PowerBoard = IdField("board", (POWER,), doc="smart power board")
 #: Force/torque boards: sensor ids as in D12; their second frame is 2 higher.
-ForceSensor = Capture("sensor", (1, 2, 6, 7), doc="sensor id")
+ForceSensor = IdField("sensor", (1, 2, 6, 7), doc="sensor id")
 
 command = hubo.family(Struct("opcode" / Byte), id=0x210 + Motor, direction="to device", dialect="D15")
 power = hubo.family(
@@ -140,7 +140,7 @@ PositionModeD15 = command(
 )
 MaxSpeedD15 = command(
     "MaxSpeedD15",
-    opcode=0x40 + Capture("channel", (1, 2), doc="channel, from 1"),
+    opcode=0x40 + IdField("channel", (1, 2), doc="channel, from 1"),
     payload=Struct("acceleration" / Int16ul, "velocity" / Int16ul),
     doc="Largest acceleration and velocity of a channel, which is part of the opcode here only.",
     source=f"{ROBOWORLD} (fields as in D12: hubo-ach)",

@@ -62,7 +62,7 @@ ReferenceHandPosition = hubo.message(
     dialect="D12",
     when=channels("hand"),
     after=ControlMode.where(mode="position"),
-    over="ReferenceHand",
+    overrides="ReferenceHand",
     payload=Struct("position" / SM24, "finger" / Array(2, Int8sl)),
     doc="Wrist roll and finger positions, while the board's control mode is known to be `position`.",
     source="hubo-ach",

@@ -9,7 +9,7 @@ from math import pi
 
 from construct import Array, Byte, GreedyRange, Int16sl, Int16ul, Int32sl, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Quantity, Tuple, bits
+from aces_bus.protocol import BitLayout, IdField, Quantity, Tuple, bits
 
 from .base import BEFORE_D15, D08, Board, Milliseconds, Rest, channels, hubo
 from .commands import (
@@ -164,7 +164,7 @@ Pm = hubo.message(
 
 NameInfoReply = hubo.message(
     "NameInfoReply",
-    id=0x190 + Capture("board", range(0x40), doc="motor or sensor board"),
+    id=0x190 + IdField("board", range(0x40), doc="motor or sensor board"),
     direction="from device",
     dialect=D08,
     length=(3, 4),
@@ -191,7 +191,7 @@ BoardInfo = hubo.message(
 )
 SensorBoardInfo = hubo.message(
     "SensorBoardInfo",
-    id=0x210 + Capture("board", range(0x30, 0x40), doc="sensor board"),
+    id=0x210 + IdField("board", range(0x30, 0x40), doc="sensor board"),
     direction="from device",
     dialect="D12",
     reply_to=GetBoardInfo,

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from construct import Array, Byte, Const, Int16ul, Int32sl, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Flags, Quantity, bits
+from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Quantity, bits
 
 from .base import CW_CCW, HOMING_MODES, Milliseconds, Percent, command
 
 #: Opcodes that carry their channel: opcode = base + channel.
-Channel = Capture("channel", range(5), doc="motor channel, from 0")
+Channel = IdField("channel", range(5), doc="motor channel, from 0")
 
 # ---------------------------------------------------------------------- 0x20–0x6F: parameters of D12
 
 DeadZone = command(
     "DeadZone",
     # Channel 4 would be 0x24, which is GetParameters.
-    opcode=0x20 + Capture("channel", range(4), doc="motor channel, from 0"),
+    opcode=0x20 + IdField("channel", range(4), doc="motor channel, from 0"),
     dialect="D12",
     payload=Struct("dead_zone" / Byte),
     doc="Dead zone of a motor's PWM.",

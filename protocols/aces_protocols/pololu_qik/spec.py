@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from construct import Byte, Const, Struct
 
-from aces_bus.protocol import Capture, Enumeration, Flags, Protocol, Text
+from aces_bus.protocol import Enumeration, Flags, IdField, Protocol, Text
 
 #: Numbers of devices and arguments: seven bits.
 SEVEN = range(128)
@@ -35,7 +35,7 @@ bare = pololu_qik.framing(name="bare", sync=b"\xaa", header=_HEADER, size=3, gap
 one = pololu_qik.framing(name="one argument", sync=b"\xaa", header=_HEADER, size=4, gap=GAP)
 setting = pololu_qik.framing(name="setting", sync=b"\xaa", header=_HEADER, size=7, gap=GAP)
 
-Motor = Capture("motor", range(2), doc="motor M0 or M1")
+Motor = IdField("motor", range(2), doc="motor M0 or M1")
 _PARAMETERS = {"device_id": 0, "pwm": 1, "shutdown_on_error": 2, "serial_timeout": 3}
 
 # ---------------------------------------------------------------------- requests
@@ -93,8 +93,8 @@ SetSpeed = one(
         "id": SEVEN,
         "command": 0x08
         | Motor << 2
-        | Capture("reverse", range(2), doc="1: backwards") << 1
-        | Capture("high", range(2), doc="1: 128 more, in the 8-bit range"),
+        | IdField("reverse", range(2), doc="1: backwards") << 1
+        | IdField("high", range(2), doc="1: 128 more, in the 8-bit range"),
         "speed": SEVEN,
     },
     prefix=Struct("speed" / Byte),

@@ -14,7 +14,7 @@ from construct import Byte, Int16ul
 
 from aces_bus.errors import FieldError
 from aces_bus.protocol import Enumeration, Flags, RegisterMap
-from aces_bus.protocol.spec.fields import Field
+from aces_bus.protocol.declare.fields import Field
 
 #: Error bits of a status packet; the alarm registers are masks of the same bits.
 ERRORS = {

@@ -124,7 +124,7 @@ Status = packet(
     match={"id": SERVOS},
     # A broadcast is not answered, except that a Ping may be.
     reply_to=(Ping, *(request.where(id=SERVOS) for request in (Read, Write, RegWrite, Action, Reset))),
-    over=("Ping", "Read", "Write", "RegWrite", "Action", "Reset"),
+    overrides=("Ping", "Read", "Write", "RegWrite", "Action", "Reset"),
     # A servo waits 0.5 ms at most; the rest is for 259 bytes at 9600 baud and for adapters that collect bytes.
     within=0.5,
     payload=Struct("error" / Flags(Byte, ERRORS), "parameters" / GreedyBytes),

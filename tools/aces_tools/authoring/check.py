@@ -40,13 +40,13 @@ from typing import Any
 from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
 from aces_bus.plain_text import printable, printable_lines
 from aces_bus.protocol import Protocol, Variant, list_protocols
+from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
-from aces_bus.protocol.spec.place import Place
 
 from ..console import Output, say, wants_colour
 from ..output.text import Paint, make_paint, no_paint
-from ..protocols_arg import load_file, named, problems_of
-from .proving import prove, raised
+from ..protocols_arg import load_file, named_protocol, problems_of
+from .proving import finding_of_error, prove
 
 #: How long the laws are asked of a protocol, unless it is said.
 SECONDS = 3.0
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
                     result.findings += check_protocol(protocol) + _of_database(protocol)
                 except Exception as error:  # whatever a spec makes a rule raise is a fault with a line
                     placed = _of_error(error) if isinstance(error, AcesError) else None
-                    result.findings.append(placed or raised(error, protocol, "cannot be checked"))
+                    result.findings.append(placed or finding_of_error(error, protocol, "cannot be checked"))
                 if arguments.seconds:
                     _ask_laws(protocol, result, arguments.seconds)
     if not arguments.apart and len(variants) > 1:
@@ -149,7 +149,7 @@ def _check(name: str, result: Checked, variants: dict[Variant, str]) -> None:
             _check_robot(name, result)
             return
         for protocol_name in _every(name):
-            chosen = named(protocol_name)
+            chosen = named_protocol(protocol_name)
             variants.setdefault(chosen.variant(), protocol_name)
             result.protocols.append(chosen.protocol)
     except SystemExit as ended:
@@ -163,7 +163,7 @@ def _check(name: str, result: Checked, variants: dict[Variant, str]) -> None:
     except (
         Exception
     ) as error:  # of the core, in the hands of a spec: no traceback, and the line where it began
-        place = _innermost(error) or Place(name, 0)
+        place = _innermost(error) or SourceLine(name, 0)
         said = " ".join(str(error).split())
         result.findings.append(Finding("error", "python", place, f"{type(error).__name__}: {said}"))
 
@@ -204,7 +204,7 @@ def _is_robot(name: str) -> bool:
 
 
 def _check_robot(name: str, result: Checked) -> None:
-    from aces_bus.device import check_robot, parse_robot
+    from aces_bus.robot import check_robot, parse_robot
     from aces_devices.robots import is_path, list_robots
 
     shipped = f"{name}.toml"
@@ -216,7 +216,7 @@ def _check_robot(name: str, result: Checked) -> None:
                 # What `aces robot check` warns of (a driver that is not installed) is no fault of a spec.
                 "note" if problem.is_warning else "error",
                 "robot",
-                Place(problem.file, problem.line),
+                SourceLine(problem.file, problem.line),
                 text,
             )
         )
@@ -232,7 +232,7 @@ def _check_robot(name: str, result: Checked) -> None:
         for protocol_name, dialect in spoken.items():
             if protocol_name not in list_protocols():
                 continue  # the robot's own check has said so
-            protocol = named(protocol_name).protocol
+            protocol = named_protocol(protocol_name).protocol
             chosen = dialect if dialect is not None else robot.dialect(protocol_name)
             variant = protocol.variant(chosen, robot.tables(protocol) or None)
             wire.append(variant)
@@ -253,7 +253,7 @@ def _of_database(protocol: Protocol) -> list[Finding]:
         Finding(
             "note" if p.is_note else "warning",
             "database",
-            Place(path, p.line),
+            SourceLine(path, p.line),
             str(p).removeprefix(f"line {p.line}: "),
         )
         for p in problems_of(protocol)
@@ -265,11 +265,11 @@ def _of_error(error: AcesError) -> Finding | None:
     text = str(error)
     found = _PLACED.fullmatch(text)
     if found is not None and (isinstance(error, SpecError) or os.path.exists(found["file"])):
-        place = Place(os.path.abspath(found["file"]), int(found["line"]))
+        place = SourceLine(os.path.abspath(found["file"]), int(found["line"]))
         rule = "ambiguous" if " is ambiguous with " in text else "spec"
         return Finding("error", rule, place, found["text"], None, _witness(text))
     if isinstance(error, SpecError):
-        return Finding("error", "spec", Place("<spec>", 0), text)
+        return Finding("error", "spec", SourceLine("<spec>", 0), text)
     cause = error.__cause__
     if isinstance(error, CallerError) and cause is not None and not isinstance(cause, AcesError):
         place_of = _innermost(cause)
@@ -287,10 +287,10 @@ def _witness(text: str) -> str | None:
     return found["frame"] or f"hex:{found['bytes'].replace(' ', '')}"
 
 
-def _innermost(error: BaseException) -> Place | None:
+def _innermost(error: BaseException) -> SourceLine | None:
     """The last line of a traceback that is not Python's own or the core's."""
     if isinstance(error, SyntaxError) and error.filename and not error.filename.startswith("<"):
-        return Place(error.filename, error.lineno or 1)
+        return SourceLine(error.filename, error.lineno or 1)
     own = str(Path(sys.modules["aces_bus"].__file__ or "").parent)
     library = str(Path(os.__file__).parent)
     for one in reversed(traceback.extract_tb(error.__traceback__)):
@@ -299,7 +299,7 @@ def _innermost(error: BaseException) -> Place | None:
         )
         if not is_foreign and f"{os.sep}construct{os.sep}" not in one.filename:
             if Path(one.filename).name != "protocols_arg.py":
-                return Place(one.filename, one.lineno or 1)
+                return SourceLine(one.filename, one.lineno or 1)
     return None
 
 

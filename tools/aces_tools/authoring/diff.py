@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from aces_bus.protocol import Message, draw
-from aces_bus.protocol.codegen.flatten import flatten
 from aces_bus.protocol.draw import FieldRow
+from aces_bus.protocol.plan.flatten import flatten
 
 #: Columns of a field's line that are compared, and what each is called.
 COMPARED = ("place", "type", "unit", "scale", "offset", "range", "names")
@@ -74,7 +74,7 @@ class Difference:
         }
 
 
-def difference(old: Mapping[str, Message], new: Mapping[str, Message]) -> Difference:
+def spec_difference(old: Mapping[str, Message], new: Mapping[str, Message]) -> Difference:
     """What differs from `old` to `new`."""
     removed = [name for name in old if name not in new]
     added = [name for name in new if name not in old]
@@ -115,7 +115,7 @@ def _template_key(message: Message) -> Any:
 
 def _exactly(message: Message) -> Any:
     plan = flatten(message)
-    return _template_key(message), plan.lengths, tuple(_row_key(row) for row in draw.table(plan))
+    return _template_key(message), plan.lengths, tuple(_row_key(row) for row in draw.field_table(plan))
 
 
 def _row_key(row: FieldRow) -> Any:
@@ -128,8 +128,8 @@ def _compared(old: Message, new: Message) -> Changed:
     for what in before:
         if before[what] != behind[what]:
             found.template.append(Change(what, before[what], behind[what]))
-    rows = {row.name: row for row in draw.table(flatten(old), draw.captured_values(old))}
-    others = {row.name: row for row in draw.table(flatten(new), draw.captured_values(new))}
+    rows = {row.name: row for row in draw.field_table(flatten(old), draw.captured_values(old))}
+    others = {row.name: row for row in draw.field_table(flatten(new), draw.captured_values(new))}
     gone = [name for name in rows if name not in others]
     fresh = [name for name in others if name not in rows]
     for name in list(gone):
@@ -189,7 +189,7 @@ def _constant(offset: int, mask: int, value: int) -> str:
     return f"byte {offset}{'' if mask == 0xFF else f' & {mask:#04x}'}={value:#04x}"
 
 
-def lines_of(found: Difference) -> list[tuple[str, str]]:
+def difference_lines(found: Difference) -> list[tuple[str, str]]:
     """(style, line) of a difference for people: `-` is gone, `+` is new, `~` is another."""
     lines: list[tuple[str, str]] = []
     lines += [("malformed", f"- {name}") for name in found.removed]
@@ -216,4 +216,4 @@ def _arrow(change: Change) -> str:
     return f"{change.old or 'none'} → {change.new or 'none'}"
 
 
-__all__ = ["Change", "Changed", "Difference", "difference", "lines_of"]
+__all__ = ["Change", "Changed", "Difference", "difference_lines", "spec_difference"]

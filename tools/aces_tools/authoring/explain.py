@@ -29,15 +29,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol.declare.fields import FlagSet
 from aces_bus.protocol.explain import Attempt
-from aces_bus.protocol.lint.examples import plain
-from aces_bus.protocol.spec.fields import FlagSet
+from aces_bus.protocol.lint.examples import plain_parsed
 
 from ..console import Output, check_suffix, say, terminal_width, wants_colour
 from ..output.text import make_paint, no_paint
 from ..protocols_arg import parse_protocols
-from .explain_inputs import DIRECTIONS, LARGEST, Frames, Stream, inputs_of
-from .explain_text import lines_of
+from .explain_inputs import DIRECTIONS, LARGEST, FrameInput, StreamInput, inputs_of
+from .explain_text import attempt_lines
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     if count < 1:
         raise CallerError("--count: at least one decision is explained")
     check_suffix("--svg", arguments.svg, ".svg")
-    inputs: list[Frames | Stream] = []
+    inputs: list[FrameInput | StreamInput] = []
     groups: list[tuple[str, list[Attempt]]] = []
     for one in inputs_of(arguments.capture, variants, DIRECTIONS[arguments.direction]):
         inputs.append(one)  # the capture is open until the next one
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(any(attempt.found.message is None for attempt in attempts))
 
 
-def _counted(inputs: Sequence[Frames | Stream]) -> str:
+def _counted(inputs: Sequence[FrameInput | StreamInput]) -> str:
     return " and ".join(one.counted for one in inputs) or "nothing in it"
 
 
@@ -118,7 +118,7 @@ def _print(groups: Sequence[tuple[str, Sequence[Attempt]]], arguments: argparse.
             if not is_first:
                 print()
             is_first = False
-            for line in lines_of(attempt, width, paint):
+            for line in attempt_lines(attempt, width, paint):
                 print(line)
 
 
@@ -143,12 +143,12 @@ def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
         "raw": attempt.raw.hex(),
         "protocol": found.protocol,
         "message": found.message,
-        "fields": None if found.fields is None else plain(found.fields),
+        "fields": None if found.fields is None else plain_parsed(found.fields),
         "reason": found.reason or None,
         "resumes": None if attempt.is_can else attempt.resumes,
         "request": None
         if attempt.request is None
-        else {"message": attempt.request[0], "fields": plain(attempt.request[1])},
+        else {"message": attempt.request[0], "fields": plain_parsed(attempt.request[1])},
         "templates": list(attempt.templates),
         "steps": [
             {
@@ -159,7 +159,7 @@ def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
                     {
                         "template": r.template or None,
                         "field": r.name,
-                        "value": plain(r.value),
+                        "value": plain_parsed(r.value),
                         "unit": r.unit or None,
                     }
                     for r in step.read

@@ -13,12 +13,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from aces_bus.capture import CanCapture, SerialCapture, open_capture
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Unknown, Variant, make_scanner
+from aces_bus.protocol.declare.examples import parse_word
 from aces_bus.protocol.explain import Attempt, Tracer
-from aces_bus.protocol.lint.examples import frame_of
-from aces_bus.protocol.spec.examples import parse_word
+from aces_bus.protocol.lint.examples import example_frame
+from aces_bus.recordings import CanRecording, SerialRecording, open_recording
 
 Direction = Literal["to device", "from device", "both"]
 DIRECTIONS: dict[str | None, Direction | None] = {
@@ -36,7 +36,7 @@ SPAN = 16384
 
 
 @dataclass
-class Frames:
+class FrameInput:
     """The frames of a capture, one after the other."""
 
     variants: Sequence[Variant]
@@ -53,7 +53,7 @@ class Frames:
         """The frames from `at` on. Those before are read as fast as they can be; requests are remembered."""
         tracer = Tracer(self.variants)
         interesting = tracer.interesting
-        scanner: Any = make_scanner(self.variants, everything=True)
+        scanner: Any = make_scanner(self.variants, include_unknown=True)
         found: list[Attempt] = []
         first = at or 0
         for number, frame in enumerate(self.frames):
@@ -70,7 +70,7 @@ class Frames:
 
 
 @dataclass
-class Stream:
+class StreamInput:
     """The bytes of one direction, with what happened between them."""
 
     variants: Sequence[Variant]
@@ -113,7 +113,7 @@ class Stream:
 
     def _around(self, at: int, count: int) -> tuple[int, int]:
         """From where to where the reference has to read: the scanner, which is quick, finds the decisions' borders."""
-        scanner: Any = make_scanner(self.variants, direction=self.direction, everything=True)
+        scanner: Any = make_scanner(self.variants, direction=self.direction, include_unknown=True)
         last: deque[int] = deque(maxlen=BEFORE)
         behind = 0
         events: list[tuple[int, bytes | None]] = [(offset, None) for offset in self.idle_at]
@@ -149,7 +149,7 @@ def _begin(borders: Iterable[int], at: int) -> int:
 
 def _check_direction(variants: Sequence[Variant], direction: Direction | None) -> None:
     for variant in variants if direction is None else ():
-        clash = variant.needs_direction
+        clash = variant.direction_conflict
         if clash is not None and variant.link != "can":
             raise CallerError(
                 f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
@@ -159,14 +159,14 @@ def _check_direction(variants: Sequence[Variant], direction: Direction | None) -
 
 def inputs_of(
     capture: str, variants: Sequence[Variant], direction: Direction | None
-) -> Iterator[Frames | Stream]:
+) -> Iterator[FrameInput | StreamInput]:
     """What the capture holds, for the protocols of its link."""
     can = [variant for variant in variants if variant.link == "can"]
     streams = [variant for variant in variants if variant.link != "can"]
     if capture.startswith("hex:"):
         if not streams:
             raise CallerError("hex: is for bytes of a stream; a CAN frame is written '063#78 00'")
-        stream = Stream(streams, direction)
+        stream = StreamInput(streams, direction)
         try:
             stream.data += bytes.fromhex(capture[4:].replace(",", " "))
         except ValueError:
@@ -182,27 +182,27 @@ def inputs_of(
             words = [parse_word(text, is_can=True) for text in re.split(r"[;,]", capture) if text.strip()]
         except ValueError as error:
             raise CallerError(str(error)) from None
-        yield Frames(can, [frame_of(word) for word in words])
+        yield FrameInput(can, [example_frame(word) for word in words])
         return
-    opened: CanCapture | SerialCapture
+    opened: CanRecording | SerialRecording
     if not streams:
-        opened = open_capture(capture, link="can")
+        opened = open_recording(capture, link="can")
     elif not can:
-        opened = open_capture(capture, link="serial")
+        opened = open_recording(capture, link="serial")
     else:
-        opened = open_capture(capture)
+        opened = open_recording(capture)
     with opened:
-        if isinstance(opened, CanCapture):
-            yield Frames(can, (frame for frames in opened.batches(256) for frame in frames))
+        if isinstance(opened, CanRecording):
+            yield FrameInput(can, (frame for frames in opened.batches(256) for frame in frames))
         else:
             yield from _streams(opened, streams, direction)
 
 
 def _streams(
-    capture: SerialCapture, variants: list[Variant], direction: Direction | None
-) -> Iterator[Stream]:
+    capture: SerialRecording, variants: list[Variant], direction: Direction | None
+) -> Iterator[StreamInput]:
     """The bytes of a serial capture: one stream a direction, requests going over to the replies'."""
-    found: dict[Direction | None, Stream] = {}
+    found: dict[Direction | None, StreamInput] = {}
     is_paired = any(m.reply_to or m.after for variant in variants for m in variant.messages.values())
     requests: Any = make_scanner(variants, direction="to device") if is_paired else None
     total = 0
@@ -212,12 +212,12 @@ def _streams(
             for stream in found.values():
                 stream.idle_at.append(len(stream.data))
             continue
-        stream = found.setdefault(way, Stream(variants, way, "" if way is None else way))
+        stream = found.setdefault(way, StreamInput(variants, way, "" if way is None else way))
         room = LARGEST - total
         stream.data += chunk.data[:room]
         total += len(chunk.data)
         if way == "to device" and direction is None and requests is not None:
-            replies = found.setdefault("from device", Stream(variants, "from device", "from device"))
+            replies = found.setdefault("from device", StreamInput(variants, "from device", "from device"))
             replies.sent_at += [
                 (len(replies.data), r.meta.raw) for r in requests.feed(chunk.data, chunk.time)
             ]
@@ -231,4 +231,4 @@ def _streams(
         yield stream
 
 
-__all__ = ["DIRECTIONS", "LARGEST", "Direction", "Frames", "Stream", "inputs_of"]
+__all__ = ["DIRECTIONS", "LARGEST", "Direction", "FrameInput", "StreamInput", "inputs_of"]

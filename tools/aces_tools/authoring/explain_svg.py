@@ -19,10 +19,10 @@ from aces_bus.protocol.draw.canvas import (
     PAPER,
     Canvas,
     fitted,
-    width_of,
+    text_width,
 )
-from aces_bus.protocol.explain import Attempt, Row, Step
-from aces_bus.protocol.lint.examples import plain, show
+from aces_bus.protocol.explain import Attempt, Step, TemplateTrace
+from aces_bus.protocol.lint.examples import plain_parsed, show_value
 
 TEMPLATES = 12
 COLUMNS = 20
@@ -76,9 +76,9 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
     return top + 18
 
 
-def _width(index: int, step: Step, rows: Sequence[Row]) -> float:
+def _width(index: int, step: Step, rows: Sequence[TemplateTrace]) -> float:
     texts = [step.word, *(_text(row, index) for row in _chosen(rows) if index < len(row.cells))]
-    return min(130.0, max(38.0, max(width_of(text, SMALL) for text in texts) + 10))
+    return min(130.0, max(38.0, max(text_width(text, SMALL) for text in texts) + 10))
 
 
 def _read(
@@ -90,14 +90,14 @@ def _read(
     for index, step in enumerate(steps):
         for one in step.read:
             unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
-            text = f"{one.name} = {show(plain(one.value))}{unit}"
+            text = f"{one.name} = {show_value(plain_parsed(one.value))}{unit}"
             if len(text) > 48:
                 text = text[:47] + "…"
             x = lefts[index] + 4
             line = next((number for number, end in enumerate(ends) if end < x), len(ends))
             if line == len(ends):
                 ends.append(0.0)
-            ends[line] = x + width_of(text, SMALL) + 10
+            ends[line] = x + text_width(text, SMALL) + 10
             marks.append((line, lefts[index] + 1))
             canvas.text(x, top + 10 + 14 * line, text, GOOD_INK, size=SMALL)
     height = 14.0 * len(ends)
@@ -107,7 +107,12 @@ def _read(
 
 
 def _row(
-    canvas: Canvas, row: Row, lefts: Sequence[float], widths: Sequence[float], top: float, count: int
+    canvas: Canvas,
+    row: TemplateTrace,
+    lefts: Sequence[float],
+    widths: Sequence[float],
+    top: float,
+    count: int,
 ) -> None:
     colour = GOOD_INK if row.is_chosen else INK if row.dies_at is None else FAINT
     name = fitted(row.template, NAME - 12)
@@ -127,7 +132,7 @@ def _row(
         canvas.text(end + 10, top + 15, "…", FAINT, anchor="middle")
 
 
-def _text(row: Row, index: int) -> str:
+def _text(row: TemplateTrace, index: int) -> str:
     """What a template expects of a word; of the one that kills it, what for."""
     text = row.cells[index] if index < len(row.cells) else ""
     if row.dies_at != index:
@@ -139,7 +144,7 @@ def _text(row: Row, index: int) -> str:
 _BESIDE = ("request", "order", "content", "template")
 
 
-def _chosen(rows: Sequence[Row]) -> list[Row]:
+def _chosen(rows: Sequence[TemplateTrace]) -> list[TemplateTrace]:
     """The templates that are drawn: the accepted one, then those that lived longest."""
     ordered = sorted(
         enumerate(rows),
@@ -150,7 +155,7 @@ def _chosen(rows: Sequence[Row]) -> list[Row]:
             item[0],
         ),
     )
-    chosen: list[Row] = []
+    chosen: list[TemplateTrace] = []
     for _, row in ordered:
         if row.dies_at != 0 or sum(one.dies_at == 0 for one in chosen) < FIRST:
             chosen.append(row)
@@ -161,7 +166,9 @@ def _verdict(attempt: Attempt) -> tuple[str, str]:
     found = attempt.found
     if found.message is not None:
         fields = found.fields or {}
-        inside = ", ".join(f"{k}={show(plain(v))}" for k, v in fields.items() if not k.startswith("_"))
+        inside = ", ".join(
+            f"{k}={show_value(plain_parsed(v))}" for k, v in fields.items() if not k.startswith("_")
+        )
         text = f"{found.message}({inside})"
         return text if len(text) <= 120 else text[:119] + "…", GOOD_INK
     more = (

@@ -10,8 +10,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from aces_bus.protocol.explain import Attempt, Death, Reading, Step
-from aces_bus.protocol.lint.examples import plain, show
+from aces_bus.protocol.explain import Attempt, Death, FieldRead, Step
+from aces_bus.protocol.lint.examples import plain_parsed, show_value
 
 from ..output.text import Paint
 
@@ -23,7 +23,7 @@ NAMED = 3
 NARROW = 24
 
 
-def lines_of(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
+def attempt_lines(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
     """One attempt."""
     found = attempt.found
     head = paint("source", attempt.label)
@@ -95,11 +95,11 @@ def _step(
     return [text.rstrip(), *lines]
 
 
-def _reading(one: Reading) -> str:
+def _reading(one: FieldRead) -> str:
     unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
     owner = f"{one.template}." if one.template else ""
-    value = plain(one.value)
-    shown = _hex(value) if isinstance(value, bytes) and value else show(value)
+    value = plain_parsed(one.value)
+    shown = _hex(value) if isinstance(value, bytes) and value else show_value(value)
     return f"{owner}{one.name} = {shown}{unit}"
 
 
@@ -170,7 +170,7 @@ def _verdict(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
 
 
 def _listed(fields: Mapping[str, Any]) -> str:
-    return ", ".join(f"{k}={show(plain(v))}" for k, v in fields.items() if not k.startswith("_"))
+    return ", ".join(f"{k}={show_value(plain_parsed(v))}" for k, v in fields.items() if not k.startswith("_"))
 
 
 def _style(reason: str) -> str:
@@ -195,4 +195,4 @@ def _wrapped(text: str, indent: str, width: int | None, hang: str = "") -> list[
     )
 
 
-__all__ = ["lines_of"]
+__all__ = ["attempt_lines"]

@@ -26,10 +26,10 @@ from collections.abc import Callable, Sequence
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.printers import Loss
+from aces_bus.protocol.exchange import Loss
 
 from ..console import check_suffix, say
-from ..protocols_arg import named
+from ..protocols_arg import named_protocol
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     check_suffix("-o", arguments.output, *_SUFFIXES[arguments.to])
-    variant = named(arguments.protocol).variant()
+    variant = named_protocol(arguments.protocol).variant()
     for name in arguments.message:
         if name not in variant.messages:
             raise UnknownNameError(f"message of {variant.label}", name, variant.messages)
@@ -138,13 +138,13 @@ def _number(text: str) -> int:
 
 
 def _dbc(variant: Variant, arguments: argparse.Namespace) -> tuple[str, list[Loss]]:
-    from aces_bus.protocol.printers.dbc import print_dbc
+    from aces_bus.protocol.exchange.export_dbc import print_dbc
 
     return print_dbc(variant, only=arguments.message, expand=arguments.expand)
 
 
 def _wireshark(variant: Variant, arguments: argparse.Namespace) -> tuple[str, list[Loss]]:
-    from aces_bus.protocol.printers.wireshark import Way, print_dissector
+    from aces_bus.protocol.exchange.export_wireshark import Way, print_dissector
 
     ways: dict[str, Way] = {"to": "to device", "from": "from device", "both": "both"}
     direction: Way = ways.get(arguments.direction or "", "by port")
@@ -156,7 +156,7 @@ def _wireshark(variant: Variant, arguments: argparse.Namespace) -> tuple[str, li
 
 
 def _markdown(variant: Variant, arguments: argparse.Namespace) -> tuple[str, list[Loss]]:
-    from aces_bus.protocol.printers.markdown import print_markdown
+    from aces_bus.protocol.exchange.export_markdown import print_markdown
 
     return print_markdown(variant), []
 

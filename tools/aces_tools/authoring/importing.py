@@ -18,11 +18,11 @@ import sys
 from pathlib import Path
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.foreign import SUFFIXES, load_database
-from aces_bus.protocol.printers.source import print_source
+from aces_bus.protocol.exchange import SUFFIXES, load_database
+from aces_bus.protocol.exchange.export_source import print_source
 
 from ..console import check_suffix, say
-from .left_out import left_out
+from .losses import left_out
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from construct import Construct
 
 from aces_bus.protocol import Message, Protocol
+from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.lint import Finding
 from aces_bus.protocol.lint.walk import Written
-from aces_bus.protocol.spec.place import Place
 
 if TYPE_CHECKING:
     from aces_bus.testing.fuzz import Failure, Fuzzer
@@ -31,7 +31,7 @@ LEAST = 8
 
 
 @dataclass
-class Proved:
+class ProofResult:
     """How many scenes were judged, and what was found; `drawings` show a failure, by its finding."""
 
     scenes: int = 0
@@ -39,9 +39,9 @@ class Proved:
     drawings: dict[Finding, str] = field(default_factory=dict[Finding, str])
 
 
-def prove(protocol: Protocol, name: str, seconds: float) -> Proved:
+def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
     """Ask the laws of scenes of a protocol for so long; `name` is what the command line calls it."""
-    proved = Proved()
+    proved = ProofResult()
     end = time.monotonic() + seconds
     try:
         from aces_bus.testing._values import UndrawableError
@@ -49,7 +49,7 @@ def prove(protocol: Protocol, name: str, seconds: float) -> Proved:
 
         try:
             fuzzer = Fuzzer([protocol], seed=SEED)
-            for number in numbers(len(fuzzer.benches)):
+            for number in example_numbers(len(fuzzer.benches)):
                 if fuzzer.examples >= LEAST and time.monotonic() > end:
                     break
                 fuzzer.run(1, number)
@@ -57,13 +57,13 @@ def prove(protocol: Protocol, name: str, seconds: float) -> Proved:
             for failure in fuzzer.failures:
                 _tell(proved, fuzzer, failure, protocol, name)
         except UndrawableError as error:
-            proved.findings.append(raised(error, protocol, "the laws could not be asked"))
+            proved.findings.append(finding_of_error(error, protocol, "the laws could not be asked"))
     except Exception as error:  # whatever a spec makes generated code or the core raise
-        proved.findings.append(raised(error, protocol, "the generated code cannot be made or run"))
+        proved.findings.append(finding_of_error(error, protocol, "the generated code cannot be made or run"))
     return proved
 
 
-def numbers(benches: int) -> Iterator[int]:
+def example_numbers(benches: int) -> Iterator[int]:
     """The numbers of a fuzzer's examples, one of each bench in turn, each once."""
     from aces_bus.testing.fuzz import BLOCK
 
@@ -76,8 +76,8 @@ def numbers(benches: int) -> Iterator[int]:
         first += benches
 
 
-def _tell(proved: Proved, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
-    from aces_bus.testing._drawing import draw_scene
+def _tell(proved: ProofResult, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
+    from aces_bus.testing._drawing import scene_drawing
 
     message = next(
         (m for m in protocol.declared if re.search(rf"\b{re.escape(m.name)}\b", failure.text)),
@@ -92,16 +92,16 @@ def _tell(proved: Proved, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, 
         f"{where}{text}",
         message.name if message is not None else None,
     )
-    drawing = draw_scene(failure.wire, failure.direction, failure.scene, failure.cuts)
+    drawing = scene_drawing(failure.wire, failure.direction, failure.scene, failure.cuts)
     again = f"again: aces fuzz {name} --law {failure.law.number} --seed {SEED}:{failure.example}"
     proved.findings.append(finding)
     proved.drawings[finding] = f"{drawing}\n{again}"
 
 
-def raised(error: BaseException, protocol: Protocol, what: str) -> Finding:
+def finding_of_error(error: BaseException, protocol: Protocol, what: str) -> Finding:
     """What a spec made the core raise: the message and field that were in hand, and their line."""
     owner = name = ""
-    place: Place | None = None
+    place: SourceLine | None = None
     for value in _in_hand(error):
         if isinstance(value, Written) and not owner:
             owner, name, place = value.owner, value.name, value.place
@@ -132,4 +132,4 @@ def _in_hand(error: BaseException) -> Iterator[Any]:
         yield from list(frame.f_locals.values())
 
 
-__all__ = ["Proved", "numbers", "prove", "raised"]
+__all__ = ["ProofResult", "example_numbers", "finding_of_error", "prove"]

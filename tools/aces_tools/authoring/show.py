@@ -29,14 +29,14 @@ from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Message, draw
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.spec.ambiguity import needing_context
+from aces_bus.protocol.declare.ambiguity import needing_context
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 
 from .. import protocols
 from ..console import Output, check_suffix, say
 from ..protocols import Page
-from ..protocols_arg import named
+from ..protocols_arg import named_protocol
 
 _WAYS = ("source", "plan", "paths", "diff")
 
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _chosen(arguments: argparse.Namespace) -> list[Message]:
     """The message that is asked for, or all."""
-    chosen = named(arguments.protocol)
+    chosen = named_protocol(arguments.protocol)
     messages = list(chosen.protocol.declared)
     if chosen.dialect is not None or chosen.configuration is not None:
         messages = list(chosen.variant().messages.values())
@@ -172,7 +172,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
 def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
     """The lines of the field table, each with the node that it comes from."""
     nodes = dict(_leaves(plan.fields, ""))
-    for row in draw.table(plan):
+    for row in draw.field_table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
 
 
@@ -183,7 +183,7 @@ def _leaves(fields: Sequence[p.PlanField], prefix: str) -> Iterator[tuple[str, p
 
 def _inside(name: str, node: p.Node) -> Iterator[tuple[str, p.Node]]:
     yield name, node
-    if isinstance(node, p.Group):
+    if isinstance(node, p.NestedRecord):
         yield from _leaves(node.fields, f"{name}.")
     elif isinstance(node, p.Many):
         for index, item in enumerate(node.items):
@@ -207,7 +207,7 @@ def _steps(node: p.Node) -> str:
             if sent is not None:
                 bounds = f"sent in {sent[0]:g}…{sent[1]:g}{'' if step.bounds is not None else ' (raw)'}"
             parts += filter(None, [" ".join(filter(None, [scale, offset])), unknown, names, bounds])
-        elif isinstance(step, p.Names):
+        elif isinstance(step, p.ValueNames):
             parts.append(f"{len(step.values)} names")
         elif isinstance(step, p.FlagBits):
             parts.append(f"{len(step.bits)} flags")
@@ -237,7 +237,7 @@ def _plain(value: Any) -> Any:
 def _paths(arguments: argparse.Namespace) -> None:
     messages = _chosen(arguments)
     hanging: set[str] = set()
-    for variant in named(arguments.protocol).protocol.variants():
+    for variant in named_protocol(arguments.protocol).protocol.variants():
         hanging |= needing_context(list(variant.messages.values()))
     found = [_path(message, message.name in hanging) for message in messages]
     if arguments.json:
@@ -277,7 +277,7 @@ def _path(message: Message, hangs: bool) -> dict[str, Any]:
 def _field_paths(fields: Sequence[p.PlanField], prefix: str) -> Iterator[tuple[str, str, str]]:
     for one in fields:
         for name, node in _inside(f"{prefix}{one.name}", one.node):
-            if isinstance(node, (p.Group, p.Many)):
+            if isinstance(node, (p.NestedRecord, p.Many)):
                 continue
             if isinstance(node, p.Opaque):
                 yield name, "construct", node.reason
@@ -292,7 +292,7 @@ def _how(node: p.Node) -> str:
         return "taken from the request"
     if isinstance(node, p.Rest):
         return "the bits that are left"
-    if isinstance(node, (p.Cell, p.MoreCells)):
+    if isinstance(node, (p.DelimitedField, p.MoreCells)):
         return "cut out of the text"
     assert isinstance(node, p.Scalar)
     if node.kind in ("bytes", "text"):
@@ -306,10 +306,10 @@ def _how(node: p.Node) -> str:
 
 
 def _diff(arguments: argparse.Namespace) -> int:
-    from .diff import difference, lines_of
+    from .diff import difference_lines, spec_difference
 
-    old, new = (named(text).variant() for text in arguments.diff)
-    found = difference(old.messages, new.messages)
+    old, new = (named_protocol(text).variant() for text in arguments.diff)
+    found = spec_difference(old.messages, new.messages)
     if arguments.json:
         print(
             json.dumps({"from": old.label, "to": new.label, **found.as_dict()}, ensure_ascii=False, indent=2)
@@ -317,7 +317,7 @@ def _diff(arguments: argparse.Namespace) -> int:
         return int(not found.is_none)
     page = Page(arguments.color)
     page.lines([f"{page.paint('malformed', f'- {old.label}')}", page.paint("from device", f"+ {new.label}")])
-    for style, line in lines_of(found):
+    for style, line in difference_lines(found):
         page.lines(page.paint(style, part) for part in _folded(line, page.width))
     page.lines(
         [

@@ -24,10 +24,10 @@ from pathlib import Path
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol, list_protocols
-from aces_bus.protocol.codegen.print_stub import print_module, print_stub
+from aces_bus.protocol.generate.stubs import print_module, print_stub
 
 from ..console import say
-from ..protocols_arg import load_file, named
+from ..protocols_arg import load_file, named_protocol
 
 BESIDE = "beside the spec"
 
@@ -111,7 +111,7 @@ class _Home:
 
 
 def _home(text: str) -> _Home:
-    name = named(text)
+    name = named_protocol(text)
     if name.dialect is not None or name.configuration is not None:
         raise CallerError(f"{text}: stubs are of all dialects and configurations; leave them out")
     protocol = name.protocol

@@ -24,21 +24,21 @@ from typing import Any
 
 import can
 
-from aces_bus.frame import Frame
-from aces_bus.hardware.faults import Faults
-from aces_bus.hardware.frame_time import frame_bits
-from aces_bus.hardware.virtual import virtual_clock
-from aces_bus.hardware.wire import Node, Wire
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.backend import virtual_clock
+from aces_bus.hardware.simulated.bus import BusNode, SimulatedBus
+from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.runtime import VirtualClock
 
-from .timing import Row, fastest
+from .timing import BenchRow, fastest
 
 _DATA = bytes(range(8))
 #: Seconds after which a partner that does not answer is taken for dead.
 _PATIENCE_S = 10
 
 
-def run(*, quick: bool = False) -> Iterable[Row]:
+def run(*, quick: bool = False) -> Iterable[BenchRow]:
     """All rows; `quick` takes some twenty seconds and is rougher."""
     yield from in_process(rounds=5 if quick else 15, count=2_000 if quick else 5_000)
     yield from across_processes(rounds=6 if quick else 20, count=200 if quick else 500)
@@ -48,7 +48,7 @@ def run(*, quick: bool = False) -> Iterable[Row]:
 # ---------------------------------------------------------------------- in one process
 
 
-def in_process(*, rounds: int, count: int) -> Iterable[Row]:
+def in_process(*, rounds: int, count: int) -> Iterable[BenchRow]:
     """A frame is sent and received before the next one: by one other node, and by four."""
     message = can.Message(arbitration_id=0x123, data=_DATA, is_extended_id=False)
     kinds: dict[str, dict[str, Any]] = {
@@ -77,7 +77,7 @@ def in_process(*, rounds: int, count: int) -> Iterable[Row]:
         peer = best["python-can's virtual"]
         for name, rate in best.items():
             target = targets.get(name) if receivers == 1 else None
-            yield Row(
+            yield BenchRow(
                 f"in process, one sends, {receivers} receive{'s' if receivers == 1 else ''}",
                 name,
                 rate,
@@ -118,7 +118,7 @@ server.serve()
 """
 
 
-def across_processes(*, rounds: int, count: int) -> Iterable[Row]:
+def across_processes(*, rounds: int, count: int) -> Iterable[BenchRow]:
     """A frame to another process and one back: the median of the best round of each contender."""
     wire_us = 2 * frame_bits(Frame(0x100, _DATA)).total
     with ExitStack() as stack:
@@ -156,7 +156,7 @@ def across_processes(*, rounds: int, count: int) -> Iterable[Row]:
     for name, micros in best.items():
         judged = peer is not None and name == "aces served, no physics"
         ratio = peer / micros if peer is not None and judged else None
-        yield Row(
+        yield BenchRow(
             "across processes, there and back",
             name,
             micros,
@@ -222,11 +222,11 @@ class Simulated:
     digest: str
 
 
-def simulate(seconds: float, seed: int, *, load: float = 0.7) -> Simulated:
+def simulate_bus(seconds: float, seed: int, *, load: float = 0.7) -> Simulated:
     """A 1 Mbit/s bus with ten senders, jitter, data and bit errors from a seed, in virtual time."""
     rng = random.Random(seed)
     clock = VirtualClock()
-    wire = Wire(clock, bitrate=1_000_000, faults=Faults(seed=seed, corrupt=0.0002))
+    wire = SimulatedBus(clock, bitrate=1_000_000, faults=Faults(seed=seed, corrupt=0.0002))
     heard: list[bytes] = []
     digest = hashlib.blake2b(digest_size=16)
     pack = struct.Struct("<qI").pack
@@ -243,7 +243,7 @@ def simulate(seconds: float, seed: int, *, load: float = 0.7) -> Simulated:
         senders * 115_700 / load
     )  # an 8-byte frame takes 115.7 bits, on average, with the pause behind it
 
-    def sender(number: int, node: Node) -> None:
+    def sender(number: int, node: BusNode) -> None:
         bytes_of, jitter, identifier = rng.randbytes, rng.random, 0x100 + number
 
         def send() -> None:
@@ -261,19 +261,19 @@ def simulate(seconds: float, seed: int, *, load: float = 0.7) -> Simulated:
     return Simulated(wall, wire.load.frames, wire.load.ratio(clock.now()), digest.hexdigest())
 
 
-def long_bus(*, seconds: float) -> Iterable[Row]:
+def long_bus(*, seconds: float) -> Iterable[BenchRow]:
     """So many seconds of a bus in virtual time; a fifth of it, twice from one seed and once from another."""
     part = seconds / 5
-    first, again, other = simulate(part, 1), simulate(part, 1), simulate(part, 2)
-    whole = simulate(seconds, 1)
+    first, again, other = simulate_bus(part, 1), simulate_bus(part, 1), simulate_bus(part, 2)
+    whole = simulate_bus(seconds, 1)
     subject = f"{seconds:,.0f} s of 1 Mbit/s at {whole.load:.0%} load, virtual time"
     share = whole.wall_s / seconds
-    yield Row(
+    yield BenchRow(
         subject, f"{whole.frames:,} frames, wall time / bus time", share, "×", None, "< 0.1", share < 0.1
     )
     costs = [run.wall_s / run.frames * 1e6 for run in (whole, first)]
     growth = costs[0] / min(costs[1], again.wall_s / again.frames * 1e6)
-    yield Row(
+    yield BenchRow(
         subject,
         f"cost per frame, beside {part:,.0f} s",
         costs[0],
@@ -283,4 +283,4 @@ def long_bus(*, seconds: float) -> Iterable[Row]:
         growth <= 1.25,
     )
     same = first.digest == again.digest != other.digest
-    yield Row(subject, f"same seed, same bus: {first.digest[:8]}", float(same), "", None, "1", same)
+    yield BenchRow(subject, f"same seed, same bus: {first.digest[:8]}", float(same), "", None, "1", same)

@@ -17,14 +17,14 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from aces_bus.capture import open_capture
 from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import CanScanner, Variant
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.recordings import open_recording
 
 from .c_peer import run_c
 from .car import car_dbc, write_car_log
-from .timing import Row, fastest, optional
+from .timing import BenchRow, fastest, optional
 
 #: Frames that a peer is given of the whole: as many as it does in some tenths of a second.
 PEER = 30_000
@@ -47,7 +47,7 @@ class Subject:
         self.part_count = min(PEER, count)
         with open(self.log, "rb") as whole, open(self.part, "wb") as part:
             part.writelines(islice(whole, self.part_count))
-        from aces_bus.protocol.foreign import load_database
+        from aces_bus.protocol.exchange import load_database
 
         self.variant: Variant = load_database(str(self.dbc)).protocol.variant()
         cantools = optional("cantools")
@@ -55,11 +55,11 @@ class Subject:
 
     def tables(self) -> list[FrameTable]:
         """The whole log, parsed."""
-        with open_capture(str(self.log), link="can") as capture:
+        with open_recording(str(self.log), link="can") as capture:
             return list(capture.tables())
 
 
-def run(*, quick: bool, frames: int | None = None) -> list[Row]:
+def run(*, quick: bool, frames: int | None = None) -> list[BenchRow]:
     """All rows; `quick` with fewer frames and rounds."""
     count = frames or (200_000 if quick else 1_000_000)
     rounds = 2 if quick else 4
@@ -76,9 +76,9 @@ def run(*, quick: bool, frames: int | None = None) -> list[Row]:
         rows += _memory(subject)
         rows += _blf(subject, rounds)
         rows += _mf4(subject, rounds)
-    from .columns_serial import serial_rows
+    from .columns_serial import stream_rows
 
-    return rows + serial_rows(quick=quick)
+    return rows + stream_rows(quick=quick)
 
 
 @contextmanager
@@ -97,18 +97,18 @@ def _rows(
     targets: dict[str, float],
     c_rate: float | None = None,
     c_target: float = 0.3,
-) -> list[Row]:
+) -> list[BenchRow]:
     """Rows of one subject. Each contender is a function and the frames it does; ours, first, is compared with each peer."""
     best = fastest({name: run for name, (run, _) in contenders.items()}, rounds=rounds)
     rates = {name: contenders[name][1] / seconds for name, seconds in best.items()}
     ours = next(iter(contenders))
-    rows = [Row(subject, ours, rates[ours], "frames/s")]
+    rows = [BenchRow(subject, ours, rates[ours], "frames/s")]
     for name, rate in rates.items():
         if name == ours:
             continue
         ratio, target = rates[ours] / rate, targets.get(name)
         rows.append(
-            Row(
+            BenchRow(
                 subject,
                 name,
                 rate,
@@ -121,7 +121,7 @@ def _rows(
     if c_rate is not None:
         ratio = rates[ours] / c_rate
         rows.append(
-            Row(subject, "C, one core", c_rate, "frames/s", ratio, f"≥ {c_target:g}", ratio >= c_target)
+            BenchRow(subject, "C, one core", c_rate, "frames/s", ratio, f"≥ {c_target:g}", ratio >= c_target)
         )
     return rows
 
@@ -135,9 +135,9 @@ def _python_can(path: Path) -> int:
     return sum(1 for _ in can.CanutilsLogReader(str(path)))
 
 
-def _parse(subject: Subject, rounds: int, c_rate: float | None) -> list[Row]:
+def _parse(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]:
     def ours() -> int:
-        with open_capture(str(subject.log), link="can") as capture:
+        with open_recording(str(subject.log), link="can") as capture:
             return sum(len(table) for table in capture.tables())
 
     contenders: dict[str, tuple[Callable[[], object], int]] = {
@@ -179,9 +179,9 @@ def pieces(tables: Iterator[FrameTable] | list[FrameTable]) -> Iterator[FrameTab
         yield FrameTable.concat(kept)
 
 
-def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[Row]:
+def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]:
     def ours() -> int:
-        with open_capture(str(subject.log), link="can") as capture:
+        with open_recording(str(subject.log), link="can") as capture:
             return columns_of(subject, capture.tables())
 
     contenders: dict[str, tuple[Callable[[], object], int]] = {"aces": (ours, subject.count)}
@@ -226,7 +226,7 @@ def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[Row]:
     return _rows("candump log → columns of physical values", contenders, rounds, targets, c_rate)
 
 
-def _decode(subject: Subject, rounds: int, c_rate: float | None) -> list[Row]:
+def _decode(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]:
     whole = FrameTable.concat(subject.tables())
     tables = [whole.take(slice(at, at + BATCH)) for at in range(0, len(whole), BATCH)]
     contenders: dict[str, tuple[Callable[[], object], int]] = {
@@ -244,10 +244,10 @@ def _decode(subject: Subject, rounds: int, c_rate: float | None) -> list[Row]:
     return _rows("decode only, frames in memory", contenders, rounds, {"cantools": 45}, c_rate)
 
 
-def _objects(subject: Subject, rounds: int) -> list[Row]:
+def _objects(subject: Subject, rounds: int) -> list[BenchRow]:
     def ours() -> int:
         scanner = CanScanner([subject.variant])
-        with open_capture(str(subject.log), link="can") as capture:
+        with open_recording(str(subject.log), link="can") as capture:
             return sum(
                 len(scanner.feed_table(table.take(slice(at, at + PART))))
                 for table in capture.tables()
@@ -276,7 +276,7 @@ def _aces(*arguments: str) -> None:
     subprocess.run([sys.executable, "-m", "aces_tools.main", *arguments], check=True, capture_output=True)
 
 
-def _parquet(subject: Subject, rounds: int) -> list[Row]:
+def _parquet(subject: Subject, rounds: int) -> list[BenchRow]:
     if optional("pyarrow") is None:
         return []
     from aces_bus.export import open_export
@@ -286,7 +286,7 @@ def _parquet(subject: Subject, rounds: int) -> list[Row]:
     def ours() -> None:
         shutil.rmtree(out, ignore_errors=True)
         scanner = make_column_scanner([subject.variant])
-        with open_capture(str(subject.log), link="can") as capture, open_export(str(out)) as export:
+        with open_recording(str(subject.log), link="can") as capture, open_export(str(out)) as export:
             for piece in pieces(capture.tables()):
                 export.write(scanner.feed(piece))
 
@@ -311,7 +311,7 @@ def _parquet(subject: Subject, rounds: int) -> list[Row]:
     return _rows("candump log → Parquet", contenders, max(2, rounds - 1), targets)
 
 
-def _jobs(subject: Subject) -> list[Row]:
+def _jobs(subject: Subject) -> list[BenchRow]:
     """Two processes beside one, on a longer log, start-up included."""
     long = subject.folder / "long.log"
     with open(long, "wb") as file:
@@ -334,8 +334,8 @@ def _jobs(subject: Subject) -> list[Row]:
     ratio = rates["two"] / rates["one"]
     name = "aces decode → Parquet, the whole command"
     return [
-        Row(name, "--jobs 2", rates["two"], "frames/s"),
-        Row(name, "--jobs 1", rates["one"], "frames/s", ratio, "≥ 1.8", ratio >= 1.8),
+        BenchRow(name, "--jobs 2", rates["two"], "frames/s"),
+        BenchRow(name, "--jobs 1", rates["one"], "frames/s", ratio, "≥ 1.8", ratio >= 1.8),
     ]
 
 
@@ -343,19 +343,19 @@ def _jobs(subject: Subject) -> list[Row]:
 _PEAK = "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
 
 
-def _memory(subject: Subject) -> list[Row]:
+def _memory(subject: Subject) -> list[BenchRow]:
     """Peak memory of whole commands, and of an interpreter that only imports."""
     if not Path("/proc/self/status").exists():
         return []
-    base = _peak("import aces_bus.protocol, aces_bus.capture, numpy")
+    base = _peak("import aces_bus.protocol, aces_bus.recordings, numpy")
     out = str(subject.folder / "memory.parquet")
     ours = _peak(
         "from aces_tools.main import main;"
         f"main(['decode', {str(subject.log)!r}, '-p', {str(subject.dbc)!r}, '-o', {out!r}])"
     )
     rows = [
-        Row("peak memory, candump log → Parquet", "aces", ours, "MB"),
-        Row("peak memory, candump log → Parquet", "of which imports", base, "MB"),
+        BenchRow("peak memory, candump log → Parquet", "aces", ours, "MB"),
+        BenchRow("peak memory, candump log → Parquet", "of which imports", base, "MB"),
     ]
     if optional("can_decoder") is not None and optional("pandas") is not None:
         code = (
@@ -368,7 +368,7 @@ def _memory(subject: Subject) -> list[Row]:
             f"can_decoder.DataFrameDecoder(can_decoder.load_dbc({str(subject.dbc)!r})).decode_frame(t)"
         )
         label = f"can_decoder, {subject.part_count:,} frames only"
-        rows.append(Row("peak memory, candump log → Parquet", label, _peak(code), "MB"))
+        rows.append(BenchRow("peak memory, candump log → Parquet", label, _peak(code), "MB"))
     return rows
 
 
@@ -383,21 +383,21 @@ def _peak(code: str) -> float:
 
 
 def _write(subject: Subject, path: Path, count: int) -> None:
-    from aces_bus.capture.write import open_writer
+    from aces_bus.recordings.write import open_writer
 
     left = count
-    with open_capture(str(subject.log), link="can") as capture, open_writer(str(path)) as writer:
+    with open_recording(str(subject.log), link="can") as capture, open_writer(str(path)) as writer:
         for table in capture.tables():
             writer.write(table.take(slice(0, left)))
             left -= min(left, len(table))
 
 
 def _read(path: Path) -> int:
-    with open_capture(str(path), link="can") as capture:
+    with open_recording(str(path), link="can") as capture:
         return sum(len(table) for table in capture.tables())
 
 
-def _blf(subject: Subject, rounds: int) -> list[Row]:
+def _blf(subject: Subject, rounds: int) -> list[BenchRow]:
     import can
 
     whole, part = subject.folder / "car.blf", subject.folder / "part.blf"
@@ -410,7 +410,7 @@ def _blf(subject: Subject, rounds: int) -> list[Row]:
     return _rows("BLF, read", contenders, rounds, {"python-can": 20})
 
 
-def _mf4(subject: Subject, rounds: int) -> list[Row]:
+def _mf4(subject: Subject, rounds: int) -> list[BenchRow]:
     if optional("asammdf") is None or subject.database is None:
         return []
     from asammdf import MDF
@@ -419,7 +419,7 @@ def _mf4(subject: Subject, rounds: int) -> list[Row]:
     _write(subject, path, subject.count)
 
     def ours() -> int:
-        with open_capture(str(path), link="can") as capture:
+        with open_recording(str(path), link="can") as capture:
             return columns_of(subject, capture.tables())
 
     def extract() -> int:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from aces_bus.protocol import load_protocol
-from aces_bus.protocol.scan.columns import make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
 
 from .live import dynamixel_stream, sdk_packets
-from .timing import Row, fastest
+from .timing import BenchRow, fastest
 
 #: Chunk size → how many times dynamixel_sdk's rate is wanted.
 CHUNKS = {1 << 20: 40.0, 4096: 12.0}
 
 
-def serial_rows(*, quick: bool) -> list[Row]:
+def stream_rows(*, quick: bool) -> list[BenchRow]:
     """Rows for each chunk size; the peer reads a part."""
     data, good = dynamixel_stream(1_000_000)
     whole = data * (8 if quick else 64)
@@ -50,7 +50,7 @@ def serial_rows(*, quick: bool) -> list[Row]:
         wanted = good * (len(whole) // len(data))
         label = f"aces, chunks of {chunk:,} bytes, {found[chunk]} of {wanted} good packets"
         is_met = None if ratio is None else ratio >= target and found[chunk] >= wanted
-        rows.append(Row(subject, label, rate, "MB/s", ratio, f"≥ {target:g} × dynamixel_sdk", is_met))
+        rows.append(BenchRow(subject, label, rate, "MB/s", ratio, f"≥ {target:g} × dynamixel_sdk", is_met))
     if base is not None:
-        rows.append(Row(subject, "dynamixel_sdk", base, "MB/s"))
+        rows.append(BenchRow(subject, "dynamixel_sdk", base, "MB/s"))
     return rows

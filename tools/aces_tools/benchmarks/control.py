@@ -18,7 +18,7 @@ from aces_bus.runtime import RealClock
 from aces_bus.state import Kalman, LowPass, Median, MovingAverage, RateLimit, Sos, State
 from aces_bus.state.filters import Filter
 
-from .timing import Row, fastest, optional
+from .timing import BenchRow, fastest, optional
 
 #: A thousand samples at 200 Hz.
 HISTORY, PERIOD_NS = 1_000, 5_000_000
@@ -44,12 +44,12 @@ UNLIKE = re.compile("Kalman|eighth|average|median|limit|low pass")
 Contenders = Mapping[str, Callable[[], Any]]
 
 
-def run(*, quick: bool = False) -> Iterable[Row]:
+def run(*, quick: bool = False) -> Iterable[BenchRow]:
     """All rows; `quick` takes some two seconds and is rougher."""
     rounds, calls = (8, 2_000) if quick else (20, 5_000)  # short and many: some are left alone by others
     for subject, peer, target, contenders in (
         values(),
-        between(),
+        control_between(),
         made_of(),
         samples(),
         filters(),
@@ -62,7 +62,7 @@ def run(*, quick: bool = False) -> Iterable[Row]:
         beside = best.get(peer)
         for name, ns in best.items():
             is_ours = name != peer
-            yield Row(
+            yield BenchRow(
                 subject,
                 name,
                 ns,
@@ -90,7 +90,7 @@ def _loop(call: Callable[[], Any], calls: int) -> Callable[[], None]:
     return run
 
 
-def state_of(samples: int = HISTORY, **options: Any) -> State:
+def sine_state(samples: int = HISTORY, **options: Any) -> State:
     """A state with samples of a sine, the last of them now."""
     clock = RealClock()
     state = State("omega", unit="rad/s", clock=clock, history=HISTORY, **options)
@@ -102,7 +102,7 @@ def state_of(samples: int = HISTORY, **options: Any) -> State:
 
 def values() -> tuple[str, str, int | None, Contenders]:
     """The newest value."""
-    plain, aged = state_of(), state_of(stale_after_s=3600)
+    plain, aged = sine_state(), sine_state(stale_after_s=3600)
     recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(1, HISTORY + 1)], HISTORY)
     return (
         "the newest value",
@@ -116,12 +116,12 @@ def values() -> tuple[str, str, int | None, Contenders]:
     )
 
 
-def between() -> tuple[str, str, int | None, Contenders]:
+def control_between() -> tuple[str, str, int | None, Contenders]:
     """A value between two samples."""
     import numpy as np
 
-    linear, cubic = state_of(), state_of(interpolation="cubic")
-    ahead = state_of(estimator=Kalman(0.01, 1.0))
+    linear, cubic = sine_state(), sine_state(interpolation="cubic")
+    ahead = sine_state(estimator=Kalman(0.01, 1.0))
     recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(1, HISTORY + 1)], HISTORY)
 
     def interpolated() -> float:
@@ -143,7 +143,7 @@ def between() -> tuple[str, str, int | None, Contenders]:
 
 def made_of() -> tuple[str, str, int | None, Contenders]:
     """What is computed when it is read."""
-    torque, omega = state_of(), state_of()
+    torque, omega = sine_state(), sine_state()
     power = torque * omega
     return (
         "computed from states",
@@ -160,7 +160,7 @@ def made_of() -> tuple[str, str, int | None, Contenders]:
 def samples() -> tuple[str, str, int | None, Contenders]:
     """Taking a sample."""
     instants = count(1 << 61, PERIOD_NS)
-    plain = state_of(samples=0)
+    plain = sine_state(samples=0)
     recent: deque[tuple[int, float]] = deque(maxlen=HISTORY)
     return (
         "a sample comes in",
@@ -197,7 +197,7 @@ def filters() -> tuple[str, str, int | None, Contenders]:
         contenders[name] = _step(kind.start_filter(0.5), instants)
     whole = Sos((SECTION,), 200)
     for name, uneven in (("even samples", "resample"), ("samples as they come", "accept")):
-        fed = state_of(samples=0)
+        fed = sine_state(samples=0)
         out: Any = fed.filtered(whole, uneven=uneven)  # type: ignore[arg-type]
         contenders[f"omega.filtered(second order), {name}"] = _taken(out, instants)
     return "a sample through a filter", "scipy sosfilt, second order", FILTER_NS, contenders
@@ -242,7 +242,7 @@ def trajectories() -> tuple[str, str, int | None, Contenders]:
 def laws() -> tuple[str, str, int | None, Contenders]:
     """A step of a controller of one joint, and of a state machine that changes its phase."""
     from aces_bus.controller import PID, Phase, StateMachine
-    from aces_bus.controller import Row as Transition
+    from aces_bus.controller import Transition as Transition
 
     pid = PID(2.0, 1.0, 0.1, limits=(-1, 1), derivative_filter_s=0.01, setpoint=0.5)
     machine = StateMachine(

@@ -14,10 +14,10 @@ from typing import Any
 
 from construct import Array, Compiled, Int16sl, Int32sl, Struct
 
-from aces_bus.protocol import BitLayout, Capture, Enumeration, Protocol, Quantity, bits
-from aces_bus.protocol.codegen.load import codec
+from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, bits
+from aces_bus.protocol.generate.load import codec
 
-from .timing import Row, fastest, optional
+from .timing import BenchRow, fastest, optional
 
 BATCH = 64
 CHUNK = 4096
@@ -54,18 +54,18 @@ def hubo_like() -> Protocol:
     protocol = Protocol("bench_hubo", link="can")
     protocol.message(
         "Encoder",
-        id=0x060 + Capture("board", range(0x30)),
+        id=0x060 + IdField("board", range(0x30)),
         payload=Struct("position" / Array(2, Quantity(Int32sl, scale=6.283185307e-06, unit="rad"))),
     )
     cent = Quantity(Int16sl, scale=0.01)
     protocol.message(
         "ForceTorque",
-        id=0x040 + Capture("sensor", range(8)),
+        id=0x040 + IdField("sensor", range(8)),
         payload=Struct("mx" / cent, "my" / cent, "fz" / Quantity(Int16sl, scale=0.1, unit="N")),
     )
     protocol.message(
         "Imu",
-        id=0x050 + Capture("sensor", range(8)),
+        id=0x050 + IdField("sensor", range(8)),
         payload=Struct("roll" / cent, "pitch" / cent, "roll_rate" / cent, "pitch_rate" / cent),
     )
     return protocol
@@ -120,7 +120,7 @@ def _batches(items: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
 
 def can_rows(
     subject: str, protocol: Protocol, shapes: Sequence[tuple[int, int, str, str]], *, rounds: int, count: int
-) -> list[Row]:
+) -> list[BenchRow]:
     """Rows of one kind of frames; `shapes` are (identifier, length, message, bare struct format)."""
     frames = messages([(identifier, size) for identifier, size, _, _ in shapes], count)
     cantools = optional("cantools")
@@ -177,7 +177,7 @@ def can_rows(
         ratio = peer_time / best[name] if peer_time is not None and name != "cantools" else None
         target = targets.get(name)
         rows.append(
-            Row(
+            BenchRow(
                 subject,
                 name,
                 best[name],
@@ -188,7 +188,7 @@ def can_rows(
             )
         )
     over = best["aces codec"] / best["struct, bare"]
-    rows.append(Row(subject, "aces codec / bare struct", over, "×", None, "≤ 3 ×", over <= 3))
+    rows.append(BenchRow(subject, "aces codec / bare struct", over, "×", None, "≤ 3 ×", over <= 3))
     return rows
 
 
@@ -245,7 +245,7 @@ def sdk_packets(data: bytes) -> Callable[[], int] | None:
     return run
 
 
-def serial_rows(*, rounds: int, size: int) -> list[Row]:
+def serial_rows(*, rounds: int, size: int) -> list[BenchRow]:
     """Dynamixel 1.0 records beside dynamixel_sdk."""
     from aces_protocols.robotis.spec import robotis
 
@@ -273,7 +273,7 @@ def serial_rows(*, rounds: int, size: int) -> list[Row]:
     rows = []
     if sdk is not None:
         rows.append(
-            Row(
+            BenchRow(
                 subject,
                 f"dynamixel_sdk, {found['sdk']} of {good} good packets",
                 best["dynamixel_sdk"],
@@ -283,7 +283,7 @@ def serial_rows(*, rounds: int, size: int) -> list[Row]:
     ratio = best["aces records"] / best["dynamixel_sdk"] if sdk is not None else None
     met = None if ratio is None else ratio >= 3 and found["aces"] >= good
     rows.append(
-        Row(
+        BenchRow(
             subject,
             f"aces records, {found['aces']} of {good} good packets",
             best["aces records"],
@@ -296,7 +296,7 @@ def serial_rows(*, rounds: int, size: int) -> list[Row]:
     return rows
 
 
-def construct_rows(*, rounds: int, count: int) -> list[Row]:
+def construct_rows(*, rounds: int, count: int) -> list[BenchRow]:
     """construct itself, interpreted and compiled, on the encoder frame: what the generated decoder replaces."""
     plain = Struct("position" / Array(2, Int32sl))
     quick: Compiled = plain.compile()
@@ -321,7 +321,7 @@ def construct_rows(*, rounds: int, count: int) -> list[Row]:
     )
     base = best["construct, compiled"]
     return [
-        Row(
+        BenchRow(
             "construct on 2 × int32",
             name,
             seconds / count * 1e6,
@@ -332,7 +332,7 @@ def construct_rows(*, rounds: int, count: int) -> list[Row]:
     ]
 
 
-def run(*, quick: bool = False) -> Iterable[Row]:
+def run(*, quick: bool = False) -> Iterable[BenchRow]:
     """All rows; `quick` takes a few seconds and is rougher."""
     rounds, count, size = (5, 4_000, 200_000) if quick else (30, 20_000, 2_000_000)
     hubo_shapes = [(0x060, 8, "Encoder", "<2i"), (0x040, 6, "ForceTorque", "<3h"), (0x050, 8, "Imu", "<4h")]

@@ -16,7 +16,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Row:
+class BenchRow:
     """One line of a result: a contender, its cost and what it is compared with."""
 
     subject: str

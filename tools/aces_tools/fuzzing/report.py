@@ -13,14 +13,14 @@ from typing import Any
 
 from aces_bus.testing._coverage import KINDS, Coverage
 
-from .work import Found
+from .work import FoundFailure
 
 #: Names of a kind that are listed when they were never reached.
 NAMED = 40
 PLURALS = {"message": "messages", "field": "fields", "value": "named values", "template": "templates"}
 
 
-def failure_text(found: Found) -> str:
+def failure_text(found: FoundFailure) -> str:
     """A failure, drawn, with the lines that repeat it."""
     where = f"{found.label}, {found.direction or 'any direction'}"
     lines = [f"FAILED law {found.law} ({found.name}) of {where}", ""]
@@ -32,7 +32,7 @@ def failure_text(found: Found) -> str:
     return "\n".join(lines) + "\n"
 
 
-def table(coverage: Coverage, width: int) -> str:
+def coverage_table(coverage: Coverage, width: int) -> str:
     """What was reached, a line a message; then what never was."""
     lines: list[str] = []
     for protocol in coverage.protocols:
@@ -74,7 +74,7 @@ def _part(numbers: tuple[int, int]) -> str:
 
 
 def as_json(
-    names: Sequence[str], numbers: Mapping[str, Any], found: Sequence[Found], coverage: Coverage
+    names: Sequence[str], numbers: Mapping[str, Any], found: Sequence[FoundFailure], coverage: Coverage
 ) -> str:
     """The whole run as one JSON object."""
     protocols = {
@@ -114,4 +114,4 @@ def as_json(
     )
 
 
-__all__ = ["as_json", "failure_text", "table"]
+__all__ = ["as_json", "coverage_table", "failure_text"]

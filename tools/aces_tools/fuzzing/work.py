@@ -20,16 +20,16 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.testing import laws
 from aces_bus.testing._coverage import Feature
-from aces_bus.testing._drawing import draw_scene
-from aces_bus.testing._saved import load, save
+from aces_bus.testing._drawing import scene_drawing
+from aces_bus.testing._saved import load_scene, save_scene
 from aces_bus.testing.fuzz import Failure, Fuzzer
 from aces_bus.testing.laws import Law, Way
 
-from ..protocols_arg import named
+from ..protocols_arg import named_protocol
 
 
 @dataclass(frozen=True)
-class Job:
+class FuzzJob:
     """What is asked of every process: the names as they were written, the laws, the seed, and where things go."""
 
     names: tuple[str, ...]
@@ -41,7 +41,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Task:
+class FuzzTask:
     """Examples `first`…`first + count`, or the scenes of files."""
 
     first: int = 0
@@ -50,7 +50,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundFailure:
     """A failure as text."""
 
     law: int
@@ -68,7 +68,7 @@ class Found:
 
 
 @dataclass
-class Done:
+class TaskResult:
     """What a task did."""
 
     examples: int = 0
@@ -79,7 +79,7 @@ class Done:
     turn: int = 0
     reached: dict[Feature, int] = field(default_factory=dict)
     expected: set[Feature] = field(default_factory=set)
-    found: list[Found] = field(default_factory=list)
+    found: list[FoundFailure] = field(default_factory=list)
     kept: int = 0
 
 
@@ -97,7 +97,7 @@ def rare_collections() -> None:
 
 def places(text: str) -> list[tuple[Variant, Way]]:
     """The wires of a protocol as the command line names it: all of a name alone, else those of dialect or configuration."""
-    what = named(text)
+    what = named_protocol(text)
     if what.channel is not None:
         raise CallerError(f"{text}: a channel makes no difference here; write {text.partition('=')[2]}")
     if what.configuration is not None:
@@ -110,10 +110,10 @@ def places(text: str) -> list[tuple[Variant, Way]]:
     return [(variant, way) for variant in variants for way in laws.directions(variant)]
 
 
-class Worker:
+class FuzzWorker:
     """The fuzzer of this process; what is in the corpus is judged before anything else."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: FuzzJob) -> None:
         chosen = [law for law in laws.LAWS if law.number in job.laws]
         self.job = job
         self.fuzzer = Fuzzer(
@@ -121,11 +121,11 @@ class Worker:
         )
         self.fuzzer.keeps = job.corpus is not None
         rare_collections()
-        self._done = Done()
+        self._done = TaskResult()
         self._failures = self._kept = self._turn = 0
         self.todo = corpus_files(job.corpus) if job.corpus is not None else ()
 
-    def do(self, task: Task) -> Done:
+    def do(self, task: FuzzTask) -> TaskResult:
         """Do a task; tells what was done since the last time, and everything that was reached so far."""
         fuzzer, before = self.fuzzer, self._done
         for name in (*self.todo, *task.files):
@@ -135,14 +135,14 @@ class Worker:
         fuzzer.run(task.count, task.first, most=self.job.most)
         for bench, scene, cuts in fuzzer.kept if self.job.corpus is not None else ():
             if self._kept < MOST_KEPT:
-                save(Path(self.job.corpus or ""), bench.wire, bench.direction, scene, cuts)
+                save_scene(Path(self.job.corpus or ""), bench.wire, bench.direction, scene, cuts)
                 self._kept += 1
         fuzzer.kept.clear()
-        found = [told(self.job, failure) for failure in fuzzer.failures[self._failures :]]
+        found = [failure_report(self.job, failure) for failure in fuzzer.failures[self._failures :]]
         self._failures = len(fuzzer.failures)
         self._turn += 1
-        self._done = Done(fuzzer.examples, fuzzer.checks, fuzzer.words, kept=self._kept)
-        return Done(
+        self._done = TaskResult(fuzzer.examples, fuzzer.checks, fuzzer.words, kept=self._kept)
+        return TaskResult(
             fuzzer.examples - before.examples,
             fuzzer.checks - before.checks,
             fuzzer.words - before.words,
@@ -172,12 +172,12 @@ def corpus_files(folder: str) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=1)
-def worker_of(job: Job) -> Worker:
+def worker_of(job: FuzzJob) -> FuzzWorker:
     """The worker of this process."""
-    return Worker(job)
+    return FuzzWorker(job)
 
 
-def work(job: Job, task: Task) -> Done:
+def work(job: FuzzJob, task: FuzzTask) -> TaskResult:
     """Do a task in this process."""
     return worker_of(job).do(task)
 
@@ -187,7 +187,7 @@ def _replayed(fuzzer: Fuzzer, name: str) -> None:
     if not name.endswith(".json"):
         _captured(fuzzer, name)
         return
-    loaded = load(Path(name))
+    loaded = load_scene(Path(name))
     mine = [b for b in fuzzer.benches if b.variants[0].name == loaded.protocol] or fuzzer.benches
     mine = [b for b in mine if b.is_can != isinstance(loaded.words, bytes)]
     if not mine:
@@ -204,15 +204,15 @@ PIECES = {True: (32, 200), False: (512, 200)}
 
 
 def _captured(fuzzer: Fuzzer, name: str) -> None:
-    from aces_bus.capture import CanCapture
-    from aces_bus.capture.open import open_capture
+    from aces_bus.recordings import CanRecording
+    from aces_bus.recordings.open import open_recording
 
     for is_can in sorted({bench.is_can for bench in fuzzer.benches}):
         size, most = PIECES[is_can]
-        with open_capture(name, link="can" if is_can else "serial") as capture:
+        with open_recording(name, link="can" if is_can else "serial") as capture:
             words: list[Any] = []
             for item in capture:
-                words += [item] if isinstance(capture, CanCapture) else [bytes([b]) for b in item.data]
+                words += [item] if isinstance(capture, CanRecording) else [bytes([b]) for b in item.data]
                 if len(words) >= size * most:
                     break
         for start in range(0, len(words), size):
@@ -223,30 +223,32 @@ def _captured(fuzzer: Fuzzer, name: str) -> None:
                     fuzzer.judge(bench, scene, (len(scene) // 2,))
 
 
-def told(job: Job, failure: Failure) -> Found:
+def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
     """A failure, saved and in words."""
     folder = Path(job.failures)
     wire, direction, law = failure.wire, failure.direction, failure.law
-    saved = save(folder, wire, direction, failure.scene, failure.cuts, law=law.number)
+    saved = save_scene(folder, wire, direction, failure.scene, failure.cuts, law=law.number)
     if job.corpus is not None:
-        save(Path(job.corpus), wire, direction, failure.scene, failure.cuts, law=law.number)
+        save_scene(Path(job.corpus), wire, direction, failure.scene, failure.cuts, law=law.number)
     names = " ".join(map(shlex.quote, job.names))
     commands = [f"aces fuzz {names} --replay {shlex.quote(str(saved.scene))}"]
     if failure.example is not None:
         commands.insert(0, f"aces fuzz {names} --law {law.number} --seed {job.seed}:{failure.example}")
     way = {"to device": " --direction to", "from device": " --direction from", "both": " --direction both"}
-    name = next((n for n in job.names if named(n).protocol.name == laws.variants_of(wire)[0].name), names)
+    name = next(
+        (n for n in job.names if named_protocol(n).protocol.name == laws.wire_variants(wire)[0].name), names
+    )
     commands.append(
         f"aces decode {shlex.quote(str(saved.capture))} -p {shlex.quote(name)}{way.get(str(direction), '')}"
     )
-    return Found(
+    return FoundFailure(
         law.number,
         law.name,
-        laws.variants_of(wire)[0].name,
+        laws.wire_variants(wire)[0].name,
         failure.label,
         direction,
         failure.text,
-        draw_scene(wire, direction, failure.scene, failure.cuts),
+        scene_drawing(wire, direction, failure.scene, failure.cuts),
         len(failure.scene),
         str(saved.capture),
         str(saved.scene),
@@ -273,10 +275,10 @@ def _law(text: str) -> Law:
 
 
 __all__ = [
-    "Done",
-    "Found",
-    "Job",
-    "Task",
+    "FoundFailure",
+    "FuzzJob",
+    "FuzzTask",
+    "TaskResult",
     "chosen_laws",
     "corpus_files",
     "ignore_interrupts",

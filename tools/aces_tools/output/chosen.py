@@ -13,7 +13,7 @@ from typing import Literal
 
 from aces_bus.errors import CallerError
 from aces_bus.export.open import SUFFIXES as TABLES
-from aces_bus.export.open import format_of
+from aces_bus.export.open import export_format
 
 Format = Literal["text", "jsonl", "csv"]
 
@@ -39,7 +39,7 @@ def table_format(path: str | None, chosen: str | None) -> str | None:
     >>> table_format("walk.parquet", None), table_format("walk.csv/", None), table_format("walk.csv", None)
     ('parquet', 'csv', None)
     """
-    of_path = format_of(path) if path is not None else None
+    of_path = export_format(path) if path is not None else None
     said = _said(path)
     if said is None and chosen is None:
         known = " ".join(suffix for suffix in (*SUFFIXES, *TABLES) if suffix)
@@ -62,7 +62,7 @@ def table_format(path: str | None, chosen: str | None) -> str | None:
 
 def line_format(path: str | None, chosen: Format | None) -> Format:
     """The format of lines that are written as they come; raises `CallerError` for anything else."""
-    is_table = path is not None and format_of(path) is not None
+    is_table = path is not None and export_format(path) is not None
     if is_table or (chosen is None and _said(path) is None):
         known = " ".join(suffix for suffix in SUFFIXES if suffix)
         raise CallerError(
@@ -75,7 +75,7 @@ def line_format(path: str | None, chosen: Format | None) -> Format:
 
 def _said(path: str | None) -> str | None:
     """What a path says; None for a suffix that means nothing here."""
-    return (format_of(path) if path is not None else None) or SUFFIXES.get(_suffix(path))
+    return (export_format(path) if path is not None else None) or SUFFIXES.get(_suffix(path))
 
 
 def _suffix(path: str | None) -> str:

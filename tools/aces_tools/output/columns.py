@@ -20,7 +20,9 @@ LEAST = 28
 INDENT = 4
 
 
-def columns(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None, paint: Paint) -> list[str]:
+def column_output(
+    head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None, paint: Paint
+) -> list[str]:
     """Rows below a head; columns that are empty throughout are left out."""
     rows = [[printable_lines(cell) for cell in row] for row in rows]
     used = [index for index in range(len(head)) if any(row[index] for row in rows)]

@@ -18,10 +18,10 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from aces_bus.protocol import Record, Unknown
-from aces_bus.protocol.codegen.plan import MessagePlan
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
+from aces_bus.protocol.plan.nodes import MessagePlan
 
-from .shape import OfKind, Plans, is_plain, plain
+from .shape import OfKind, Plans, is_single_value, json_value
 
 
 class CanLine(msgspec.Struct, gc=False):
@@ -67,7 +67,7 @@ class JsonLines:
     def __init__(self, plans: Plans, direction: str | None) -> None:
         self._plans = plans
         self._direction = direction
-        self._encode = msgspec.json.Encoder(enc_hook=plain).encode
+        self._encode = msgspec.json.Encoder(enc_hook=json_value).encode
         self._lines: OfKind[Convert]
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
@@ -86,7 +86,7 @@ class JsonLines:
     def _line(self, kind: type[Record], plan: MessagePlan, source: str, *, is_can: bool) -> Convert:
         """The line of a record. The transport's fields are read from the record: `meta` costs as much as all else."""
         names = tuple(field.name for field in plan.fields)
-        special = tuple(field.name for field in plan.fields if not is_plain(field.node))
+        special = tuple(field.name for field in plan.fields if not is_single_value(field.node))
         protocol, message, direction = (
             kind._protocol,
             kind.__name__,
@@ -97,7 +97,7 @@ class JsonLines:
         def fields(values: list[Any]) -> dict[str, Any]:
             found = dict(zip(names, values, strict=True))
             for name in special:
-                found[name] = plain(found[name])
+                found[name] = json_value(found[name])
             return found
 
         def can(record: Any) -> CanLine:

@@ -12,11 +12,11 @@ from typing import Any, TypeVar
 import msgspec
 
 from aces_bus.protocol import FlagSet, Record, Variant
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.codegen.load import records_of
-from aces_bus.protocol.scan.gather import getter as getter
-from aces_bus.protocol.scan.gather import leaves_of
+from aces_bus.protocol.columns.gather import getter as getter
+from aces_bus.protocol.columns.gather import value_paths
+from aces_bus.protocol.generate.load import records_of
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 
 Convert = Callable[[Any], Any]
 T = TypeVar("T")
@@ -75,7 +75,7 @@ def flag_names(flags: Any) -> list[str]:
     return [*names, f"{flags.unknown:#x}"] if flags.unknown else names
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Any value of a record as what JSON has."""
     if value is None or isinstance(value, (bool, float)):
         return value
@@ -89,31 +89,33 @@ def plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, msgspec.Struct):
         return {
-            name: plain(getattr(value, name)) for name in value.__struct_fields__ if not name.startswith("_")
+            name: json_value(getattr(value, name))
+            for name in value.__struct_fields__
+            if not name.startswith("_")
         }
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
-        return [plain(item) for item in value]
+        return [json_value(item) for item in value]
     return str(value)
 
 
-def is_plain(node: p.Node) -> bool:
+def is_single_value(node: p.Node) -> bool:
     """Whether msgspec writes the values of this node as they are."""
     if isinstance(node, p.Scalar):
         return node.kind != "bytes" and not any(isinstance(step, p.FlagBits) for step in node.steps)
     if isinstance(node, p.Many):
-        return all(map(is_plain, node.items))
-    if isinstance(node, p.Group):
-        return all(is_plain(field.node) for field in node.fields)
-    return isinstance(node, (p.FromIdentifier, p.Rest, p.Cell, p.MoreCells))
+        return all(map(is_single_value, node.items))
+    if isinstance(node, p.NestedRecord):
+        return all(is_single_value(field.node) for field in node.fields)
+    return isinstance(node, (p.FromIdentifier, p.Rest, p.DelimitedField, p.MoreCells))
 
 
 # ---------------------------------------------------------------------- single values, by path
 
 
 @dataclass(frozen=True)
-class Leaf:
+class RecordLeaf:
     """One value of a record: `path` is as a condition or a column names it (`servos.0.id`), `get` reads it.
 
     `conditional` says that the value is None while a selector has other values.
@@ -125,9 +127,11 @@ class Leaf:
     conditional: bool = False
 
 
-def leaves(plan: p.MessagePlan) -> list[Leaf]:
+def record_leaves(plan: p.MessagePlan) -> list[RecordLeaf]:
     """The values of a record, tuples and nested records taken apart; what has no fixed shape is one value."""
-    return [Leaf(path, node, getter(way), bool(whens)) for path, _, node, way, whens in leaves_of(plan)]
+    return [
+        RecordLeaf(path, node, getter(way), bool(whens)) for path, _, node, way, whens in value_paths(plan)
+    ]
 
 
 def unit_of(node: p.Node) -> str:

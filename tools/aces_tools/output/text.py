@@ -21,15 +21,15 @@ from typing import Any, NamedTuple
 
 from aces_bus.plain_text import printable as printable
 from aces_bus.protocol import FlagSet, Unknown
-from aces_bus.protocol.codegen import plan as p
+from aces_bus.protocol.plan import nodes as p
 
-from .shape import Leaf, OfKind, Plans, flag_names, getter, plain, unit_of
+from .shape import OfKind, Plans, RecordLeaf, flag_names, getter, json_value, unit_of
 
 Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
 
 
-class Token(NamedTuple):
+class PrintedField(NamedTuple):
     """A field as it is printed; `pad` are the blanks that keep the next one in its column."""
 
     label: str
@@ -94,7 +94,7 @@ def make_paint() -> Paint:
     return paint
 
 
-class Text:
+class TextOutput:
     """`paint` colours, `width` is the terminal's (None: no limit), `is_relative` counts time from the first item."""
 
     def __init__(
@@ -197,18 +197,18 @@ class Text:
         return text.rjust(max(least, self._column(column, text)))
 
     @staticmethod
-    def _lost(item: Unknown, meta: Any) -> list[Token]:
-        tokens: list[Token] = []
+    def _lost(item: Unknown, meta: Any) -> list[PrintedField]:
+        tokens: list[PrintedField] = []
         if why := item.reason.partition(": ")[2]:
-            tokens.append(Token("", why, "", "unknown"))
+            tokens.append(PrintedField("", why, "", "unknown"))
         if meta.remote:
-            tokens.append(Token("", "remote frame", "", "raw"))
+            tokens.append(PrintedField("", "remote frame", "", "raw"))
         if meta.raw:
             more = f" … ({len(meta.raw)} bytes)" if len(meta.raw) > SHOWN else ""
-            tokens.append(Token("", hexadecimal(meta.raw[:SHOWN]) + more, "", "raw"))
+            tokens.append(PrintedField("", spaced_hexadecimal(meta.raw[:SHOWN]) + more, "", "raw"))
         return tokens
 
-    def _wrapped(self, head: str, size: int, tokens: list[Token]) -> list[str]:
+    def _wrapped(self, head: str, size: int, tokens: list[PrintedField]) -> list[str]:
         """Fields behind the head, on as many lines as the terminal's width asks for."""
         limit, paint = self._width, self._paint
         if limit is None:
@@ -261,11 +261,11 @@ class _Fields:
     def __init__(self, plan: p.MessagePlan) -> None:
         parts = _parts(plan.fields, "", (), False)
         self._entries = [
-            (leaf, f"{leaf.path}=", show(leaf.node), _unit(leaf.node), _Width()) for leaf in parts
+            (leaf, f"{leaf.path}=", value_printer(leaf.node), _unit(leaf.node), _Width()) for leaf in parts
         ]
 
-    def tokens(self, record: Any) -> list[Token]:
-        out: list[Token] = []
+    def tokens(self, record: Any) -> list[PrintedField]:
+        out: list[PrintedField] = []
         for leaf, label, shown, unit, width in self._entries:
             value = leaf.get(record)
             if value is None:
@@ -277,7 +277,7 @@ class _Fields:
             else:
                 text, mark = shown(value), unit
             style = "flags" if isinstance(value, FlagSet) and value else "value"
-            out.append(Token(label, text, mark, style, width.pad(len(label) + len(text) + len(mark))))
+            out.append(PrintedField(label, text, mark, style, width.pad(len(label) + len(text) + len(mark))))
         return out
 
 
@@ -293,15 +293,17 @@ class _Width:
         return max(0, self.most - length)
 
 
-def _parts(fields: Sequence[p.PlanField], prefix: str, way: tuple[str, ...], conditional: bool) -> list[Leaf]:
+def _parts(
+    fields: Sequence[p.PlanField], prefix: str, way: tuple[str, ...], conditional: bool
+) -> list[RecordLeaf]:
     """Fields, those of nested records under `outer.inner`; tuples stay whole."""
-    found: list[Leaf] = []
+    found: list[RecordLeaf] = []
     for field in fields:
         only_then = conditional or field.when is not None or isinstance(field.node, p.FromRequest)
-        if isinstance(field.node, p.Group):
+        if isinstance(field.node, p.NestedRecord):
             found += _parts(field.node.fields, f"{prefix}{field.name}.", (*way, field.name), only_then)
         else:
-            found.append(Leaf(prefix + field.name, field.node, getter((*way, field.name)), only_then))
+            found.append(RecordLeaf(prefix + field.name, field.node, getter((*way, field.name)), only_then))
     return found
 
 
@@ -315,19 +317,19 @@ def _unit(node: p.Node) -> str:
     return f" {unit}" if unit else ""
 
 
-def show(node: p.Node) -> Show:
+def value_printer(node: p.Node) -> Show:
     """How the values of a node are printed."""
     if isinstance(node, p.Many):
         return _show_many(node)
-    if isinstance(node, p.Group):
-        inner = [(f.name, getter((f.name,)), show(f.node), _unit(f.node)) for f in node.fields]
+    if isinstance(node, p.NestedRecord):
+        inner = [(f.name, getter((f.name,)), value_printer(f.node), _unit(f.node)) for f in node.fields]
         return lambda value: (
             "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
         )
     if isinstance(node, p.Scalar) and node.kind == "bytes":
-        return hexadecimal
+        return spaced_hexadecimal
     if isinstance(node, p.Scalar) and node.kind == "text":
-        return quoted
+        return shell_quoted
     if isinstance(node, p.Rest):
         return hex
     if isinstance(node, (p.Scalar, p.FromIdentifier)):
@@ -340,7 +342,7 @@ def _or_unknown(shown: Show, value: Any) -> str:
 
 
 def _show_many(node: p.Many) -> Show:
-    shows = [show(item) for item in node.items]
+    shows = [value_printer(item) for item in node.items]
     same = unit_of(node)
     units = ["" if same else _unit(item) for item in node.items]
 
@@ -354,7 +356,7 @@ def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
     for step in node.steps:
         if isinstance(step, p.FlagBits):
             return lambda value: "{" + ", ".join(flag_names(value)) + "}"
-        if isinstance(step, p.Names):
+        if isinstance(step, p.ValueNames):
             return _name
     if isinstance(node, p.Scalar) and node.kind == "float":
         digits = {2: 4, 4: 7}.get(node.size or 0, 15)
@@ -392,7 +394,7 @@ def decimals(scale: float, offset: float) -> int:
     return min(wanted, 15)
 
 
-def hexadecimal(data: bytes) -> str:
+def spaced_hexadecimal(data: bytes) -> str:
     return data.hex(" ").upper()
 
 
@@ -405,7 +407,7 @@ def can_write(text: str, encoding: str) -> bool:
     return True
 
 
-def quoted(text: str) -> str:
+def shell_quoted(text: str) -> str:
     return f'"{printable(text)}"'
 
 
@@ -420,9 +422,9 @@ def anything(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.10g}"
     if isinstance(value, bytes):
-        return hexadecimal(value)
+        return spaced_hexadecimal(value)
     if isinstance(value, str):
-        return quoted(value)
+        return shell_quoted(value)
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(anything, value))}]"
     names = getattr(value, "__struct_fields__", None)
@@ -432,4 +434,4 @@ def anything(value: Any) -> str:
             + ", ".join(f"{name}={anything(getattr(value, name))}" for name in names if name[0] != "_")
             + "}"
         )
-    return str(plain(value))
+    return str(json_value(value))

@@ -20,7 +20,7 @@ import numpy as np
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.export.files import Staging, telling
 
-from .picture import Line, Panel, Picture, lone, steps, values_range
+from .picture import Picture, PlotLine, PlotPanel, lone, steps, values_range
 from .series import thin
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5F5F5F")
@@ -34,7 +34,7 @@ FEW = 40
 LONGEST_NAME = 32
 
 
-def load() -> Any:
+def load_matplotlib() -> Any:
     """matplotlib; raises `CallerError` when it is not installed."""
     try:
         import matplotlib
@@ -51,20 +51,20 @@ def check_output(path: str) -> None:
     if os.path.splitext(path)[1].lower() not in SUFFIXES:
         raise CallerError(f"-o {path}: the suffix says the format, one of {', '.join(SUFFIXES)}")
     Staging(path, is_folder=False).discard()
-    load()
+    load_matplotlib()
 
 
 def check_style(style: str | None) -> None:
     """Raises `CallerError` for a style that matplotlib does not have."""
     if style is not None:
-        load()
+        load_matplotlib()
         import matplotlib.style as styles
 
         if style not in styles.available and style != "default" and not os.path.isfile(style):
             raise UnknownNameError("matplotlib style", style, [s for s in styles.available if s[0] != "_"])
 
 
-def save(picture: Picture, path: str) -> None:
+def save_figure(picture: Picture, path: str) -> None:
     """Draw into a file, whose suffix says the format. Raises `CallerError` when it cannot be written, and leaves what
     was there before."""
     check_output(path)
@@ -77,7 +77,7 @@ def save(picture: Picture, path: str) -> None:
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     with _styled(picture):
         figure = Figure(figsize=(WIDTH, height_of(picture)), layout="constrained")
-        draw(picture, figure)
+        draw_figure(picture, figure)
         staging = Staging(path, is_folder=False)
         try:
             with telling(path):
@@ -87,22 +87,22 @@ def save(picture: Picture, path: str) -> None:
             staging.discard()
 
 
-def show(picture: Picture) -> None:
+def show_figure(picture: Picture) -> None:
     """Open a window, and wait until it is closed. Raises `CallerError` when there is no display."""
-    matplotlib = load()
+    matplotlib = load_matplotlib()
     from matplotlib import pyplot
 
     if matplotlib.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template", "pgf"):
         raise CallerError("--show: no display, or no window toolkit (such as python3-tk); use -o FILE.png")
     with _styled(picture):
         figure = pyplot.figure(figsize=(WIDTH, min(height_of(picture), 8.0)), layout="constrained")
-        draw(picture, figure)
+        draw_figure(picture, figure)
         pyplot.show()
 
 
 @contextmanager
 def _styled(picture: Picture) -> Generator[None, None, None]:
-    load()
+    load_matplotlib()
     import matplotlib
     import matplotlib.style as styles
 
@@ -133,7 +133,7 @@ def height_of(picture: Picture) -> float:
     return min(TALLEST, max(2.6, sum(map(_height, picture.panels)) + 0.6 + (0.3 if picture.title else 0)))
 
 
-def _height(panel: Panel) -> float:
+def _height(panel: PlotPanel) -> float:
     legend = 0.18 * len(panel.lines) + 0.35
     if panel.sort == "flags":
         return max(0.7, 0.24 * len(panel.lines) + 0.45)
@@ -142,7 +142,7 @@ def _height(panel: Panel) -> float:
     return max(2.3, legend)
 
 
-def draw(picture: Picture, figure: Any) -> None:
+def draw_figure(picture: Picture, figure: Any) -> None:
     """Draw the panels into a matplotlib figure."""
     grid = figure.add_gridspec(
         len(picture.panels), 1, height_ratios=[_height(panel) for panel in picture.panels]
@@ -188,7 +188,7 @@ def _places(picture: Picture, x: Any) -> Any:
     return (picture.clock.origin + np.round(x * 1e9).astype(np.int64)).astype("datetime64[ns]")
 
 
-def _lines(picture: Picture, panel: Panel, ax: Any) -> None:
+def _lines(picture: Picture, panel: PlotPanel, ax: Any) -> None:
     number = 0
     handles: list[Any] = []
     labels: list[str] = []
@@ -235,7 +235,7 @@ def _lines(picture: Picture, panel: Panel, ax: Any) -> None:
             text.set_text(label)
 
 
-def _line(picture: Picture, panel: Panel, line: Line, ax: Any, number: int) -> Any:
+def _line(picture: Picture, panel: PlotPanel, line: PlotLine, ax: Any, number: int) -> Any:
     shape = line.format
     colour = shape.colour
     if colour is None:
@@ -270,7 +270,7 @@ def _line(picture: Picture, panel: Panel, line: Line, ax: Any, number: int) -> A
     return drawn
 
 
-def _flags(picture: Picture, panel: Panel, ax: Any) -> None:
+def _flags(picture: Picture, panel: PlotPanel, ax: Any) -> None:
     """A lane a flag, the first on top; filled while it is set."""
     lines = panel.lines
     for number, line in enumerate(lines):
@@ -291,7 +291,7 @@ def _flags(picture: Picture, panel: Panel, ax: Any) -> None:
     ax.set_ylim(-0.2, len(lines))
 
 
-def _parts(line: Line) -> Sequence[slice]:
+def _parts(line: PlotLine) -> Sequence[slice]:
     """The stretches between gaps."""
     there = np.concatenate(([False], ~np.isnan(line.y), [False]))
     edges = np.flatnonzero(there[1:] != there[:-1]).tolist()

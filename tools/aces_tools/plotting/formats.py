@@ -19,7 +19,7 @@ _COLOURS = "bgrcmykw"
 
 
 @dataclass(frozen=True)
-class Format:
+class ImageFormat:
     """What is not said is None, and left to the drawing."""
 
     colour: str | None = None
@@ -28,7 +28,7 @@ class Format:
     is_stem: bool = False
 
 
-def parse_format(text: str, where: str) -> Format:
+def parse_format(text: str, where: str) -> ImageFormat:
     """A format as it was typed behind the signal `where`; raises `CallerError` for what is none."""
     colour = marker = line = None
     is_stem = text.startswith("|")
@@ -49,4 +49,4 @@ def parse_format(text: str, where: str) -> Format:
                 f"{where!r}: {text!r} is no format; it is made of a colour (b g r c m y k w C0…C9), a line"
                 " (- -- -. :) and a marker (. o s x + D …), such as r-- or .k; | in front draws stems"
             )
-    return Format(colour, marker, line, is_stem)
+    return ImageFormat(colour, marker, line, is_stem)

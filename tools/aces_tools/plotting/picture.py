@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from .formats import Format
-from .select import CHANNEL, Pattern, Signal
-from .series import MOST_LINES, Clock, Key, Series, broken, matching, too_many
+from .formats import ImageFormat
+from .select import CHANNEL, PlotSignal, SignalPattern
+from .series import MOST_LINES, Key, Series, TimeAxis, broken, matching, too_many
 
 Array = npt.NDArray[Any]
 Sort = Literal["numbers", "names", "flags"]
@@ -31,11 +31,11 @@ EPOCH_NS = 10**17
 
 
 @dataclass
-class Line:
+class PlotLine:
     """A series as it is drawn; `y` is NaN in gaps. Of an enumeration `y` are places of `Panel.categories`."""
 
     series: Series
-    format: Format
+    format: ImageFormat
     x: Array
     y: Array
     label: str = ""
@@ -47,11 +47,11 @@ class Line:
 
 
 @dataclass
-class Panel:
+class PlotPanel:
     """Lines over one time axis. `axes` are the vertical ones: the first on the left, others on the right."""
 
     sort: Sort
-    axes: list[list[Line]]
+    axes: list[list[PlotLine]]
     title: str = ""
     #: Of each axis: the units of its lines, and what the caller wants to stand there instead.
     units: list[str] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Panel:
     categories: list[str] = field(default_factory=list)
 
     @property
-    def lines(self) -> list[Line]:
+    def lines(self) -> list[PlotLine]:
         """All of them."""
         return [line for axis in self.axes for line in axis]
 
@@ -70,8 +70,8 @@ class Panel:
 class Picture:
     """Panels from top to bottom. `is_absolute` asks for instants instead of seconds from the first one."""
 
-    panels: list[Panel]
-    clock: Clock
+    panels: list[PlotPanel]
+    clock: TimeAxis
     title: str = ""
     x_label: str = ""
     unit_of_rows: str = "frame"
@@ -121,21 +121,21 @@ def instant(ns: int) -> datetime.datetime:
 
 
 def panels_of(
-    groups: Sequence[Sequence[Sequence[Pattern]]],
+    groups: Sequence[Sequence[Sequence[SignalPattern]]],
     series: Sequence[Series],
     *,
     longest_gap: float | None = None,
     by_unit: bool = False,
-) -> list[Panel]:
+) -> list[PlotPanel]:
     """The panels of subplots × axes × patterns. `by_unit` gives each unit its own.
 
     Raises `CallerError` when there are too many lines.
     """
     asked = {name for group in groups for axis in group for pattern in axis for name, _ in pattern.where}
-    names = Names(series, asked)
-    panels: list[Panel] = []
+    names = LineNames(series, asked)
+    panels: list[PlotPanel] = []
     for group in groups:
-        found: dict[Any, Panel] = {}
+        found: dict[Any, PlotPanel] = {}
         for place, patterns in enumerate(group):
             for one, pattern in _lines_of(patterns, series):
                 if one.others:
@@ -145,15 +145,15 @@ def panels_of(
                     x, y = broken(x, y, longest_gap)
                 kind = one.signal.kind
                 if (one.signal.bit is not None or kind.names is not None) and not pattern.format.marker:
-                    x, y = changes(x, y)
-                line = Line(one, pattern.format, x, y)
+                    x, y = value_changes(x, y)
+                line = PlotLine(one, pattern.format, x, y)
                 if one.signal.bit is not None:
-                    panel = found.setdefault("flags", Panel("flags", [[]]))
+                    panel = found.setdefault("flags", PlotPanel("flags", [[]]))
                     panel.axes[0].append(line)
                 elif kind.names is not None and _is_enumeration(y, kind.names):
-                    panel = found.setdefault((one.signal, one.key), Panel("names", [[line]]))
+                    panel = found.setdefault((one.signal, one.key), PlotPanel("names", [[line]]))
                 else:
-                    panel = found.setdefault((line.unit if by_unit else "numbers",), Panel("numbers", []))
+                    panel = found.setdefault((line.unit if by_unit else "numbers",), PlotPanel("numbers", []))
                     while len(panel.axes) <= place:
                         panel.axes.append([])
                     panel.axes[place].append(line)
@@ -169,15 +169,17 @@ def panels_of(
     return panels
 
 
-def _lines_of(patterns: Iterable[Pattern], series: Sequence[Series]) -> list[tuple[Series, Pattern]]:
-    found: dict[tuple[Signal, Key], tuple[Series, Pattern]] = {}
+def _lines_of(
+    patterns: Iterable[SignalPattern], series: Sequence[Series]
+) -> list[tuple[Series, SignalPattern]]:
+    found: dict[tuple[PlotSignal, Key], tuple[Series, SignalPattern]] = {}
     for pattern in patterns:
         for one in matching(pattern, series):
             found.setdefault((one.signal, one.key), (one, pattern))
     return list(found.values())
 
 
-class Names:
+class LineNames:
     """The names of lines: with those device fields of which there are several values, or that were asked for."""
 
     def __init__(
@@ -193,7 +195,7 @@ class Names:
             if len(some) > 1 or place[1] in asked or (always and place[1] != CHANNEL)
         }
         # Where each device speaks on one bus only, its number says enough.
-        seen: dict[tuple[Signal, Key], int] = {}
+        seen: dict[tuple[PlotSignal, Key], int] = {}
         for one in series:
             device = one.signal, tuple(part for part in one.key if part[0] != CHANNEL)
             seen[device] = seen.get(device, 0) + 1
@@ -212,7 +214,7 @@ class Names:
         return f"{one.signal.message}{self.key(one)}.{one.signal.path}"
 
 
-def _label(panel: Panel, names: Names) -> None:
+def _label(panel: PlotPanel, names: LineNames) -> None:
     lines = panel.lines
     messages = {line.series.signal.owner for line in lines}
     keys = {names.key(line.series) for line in lines}
@@ -251,7 +253,7 @@ def _is_enumeration(y: Array, names: Mapping[Any, str]) -> bool:
     return len(numbers) <= MOST_CATEGORIES and 2 * named >= len(numbers)
 
 
-def _categorise(panel: Panel) -> None:
+def _categorise(panel: PlotPanel) -> None:
     """The values that occur become 0, 1, 2, …: far numbers would leave no room for near ones."""
     lines = panel.lines
     present = [line.y[~np.isnan(line.y)] for line in lines]
@@ -264,7 +266,7 @@ def _categorise(panel: Panel) -> None:
         line.y[gone] = np.nan
 
 
-def changes(x: Array, y: Array) -> tuple[Array, Array]:
+def value_changes(x: Array, y: Array) -> tuple[Array, Array]:
     """Without the samples that say again what the last one said and the next one says: of steps, nothing is lost."""
     gone = np.isnan(y)
     same = (y[1:] == y[:-1]) | (gone[1:] & gone[:-1])
@@ -294,7 +296,7 @@ def lone(y: Array) -> Array:
 LARGEST = 8e307
 
 
-def values_range(lines: Sequence[Line], limits: Limits) -> tuple[float, float]:
+def values_range(lines: Sequence[PlotLine], limits: Limits) -> tuple[float, float]:
     """From where to where a vertical axis goes: all values with a margin, or what the caller said."""
     values = [line.y[~np.isnan(line.y)] for line in lines]
     some = np.concatenate(values) if values else np.empty(0)

@@ -21,12 +21,12 @@ from functools import cached_property
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.scan.gather import kinds_of, leaves_of
-from aces_bus.protocol.scan.message_table import ColumnKind
+from aces_bus.protocol.columns.gather import kinds_of, value_paths
+from aces_bus.protocol.columns.table import ColumnKind
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 
-from .formats import Format, parse_format
+from .formats import ImageFormat, parse_format
 
 #: Names of top-level integers that say whose values a message carries.
 DEVICE_NAMES = frozenset(
@@ -42,7 +42,7 @@ _PATTERN = re.compile(
 
 
 @dataclass(frozen=True)
-class Signal:
+class PlotSignal:
     """One number of a message over time. `column` is the table's column; of a flag, `bit` is its bit in that column.
 
     `conditional` says that other messages of the kind do not carry it (multiplexing): its absence is no gap.
@@ -74,7 +74,7 @@ class Signal:
 class Declared:
     """A message: its signals, and the columns that say whose they are."""
 
-    signals: tuple[Signal, ...]
+    signals: tuple[PlotSignal, ...]
     devices: tuple[str, ...]
     columns: frozenset[str]
 
@@ -89,9 +89,9 @@ def declared(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
 
 
 def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
-    signals: list[Signal] = []
+    signals: list[PlotSignal] = []
     devices: list[str] = []
-    for kind, (path, _, node, way, conditional) in zip(kinds_of(plan), leaves_of(plan), strict=True):
+    for kind, (path, _, node, way, conditional) in zip(kinds_of(plan), value_paths(plan), strict=True):
         is_device = isinstance(node, p.FromIdentifier) or (
             len(way) == 1 and path in DEVICE_NAMES and isinstance(node, p.Scalar) and node.kind == "uint"
         )
@@ -99,12 +99,12 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
             devices.append(path)
         if kind.flags:
             signals += [
-                Signal(protocol, message, f"{path}.{flag}", path, kind, bool(conditional), bit)
+                PlotSignal(protocol, message, f"{path}.{flag}", path, kind, bool(conditional), bit)
                 for flag, bit in kind.flags.items()
             ]
             continue
         signals.append(
-            Signal(
+            PlotSignal(
                 protocol,
                 message,
                 path,
@@ -122,7 +122,7 @@ def _is_text(node: p.Node) -> bool:
     if isinstance(node, p.Scalar):
         return node.kind in ("bytes", "text")
     return isinstance(node, p.MoreCells) or (
-        isinstance(node, p.Cell) and node.conversion in ("text", "names")
+        isinstance(node, p.DelimitedField) and node.conversion in ("text", "names")
     )
 
 
@@ -133,7 +133,7 @@ def glob(text: str) -> re.Pattern[str]:
 
 
 @dataclass(frozen=True)
-class Pattern:
+class SignalPattern:
     """One SIGNAL of the command line. `where` are the conditions in brackets: (field, glob)."""
 
     text: str
@@ -141,7 +141,7 @@ class Pattern:
     where: tuple[tuple[str, str], ...] = ()
     #: What stands behind the brackets, when something does: then `name` is the message alone.
     rest: str | None = None
-    format: Format = field(default_factory=Format)
+    format: ImageFormat = field(default_factory=ImageFormat)
 
     @cached_property
     def _globs(self) -> tuple[re.Pattern[str], re.Pattern[str] | None]:
@@ -152,7 +152,7 @@ class Pattern:
         """Whether it may mean several signals."""
         return any(c in self.name + (self.rest or "") for c in "*?")
 
-    def takes(self, signal: Signal) -> bool:
+    def takes(self, signal: PlotSignal) -> bool:
         """Whether it means this signal, devices apart."""
         name, rest = self._globs
         if rest is not None:
@@ -161,7 +161,7 @@ class Pattern:
             return True
         return not self.is_wild and bool(name.fullmatch(signal.message)) and not signal.is_quiet
 
-    def _is_one(self, wanted: re.Pattern[str], name: str, signal: Signal) -> bool:
+    def _is_one(self, wanted: re.Pattern[str], name: str, signal: PlotSignal) -> bool:
         if wanted.fullmatch(name):
             return not (self.is_wild and signal.is_quiet)
         if self.is_wild:
@@ -186,7 +186,7 @@ def _is_value(wanted: str, value: str) -> bool:
         return False
 
 
-def parse_pattern(text: str) -> Pattern:
+def parse_pattern(text: str) -> SignalPattern:
     """A SIGNAL as it was typed; raises `CallerError` with how it is written."""
     found = _PATTERN.fullmatch(text)
     if found is None or not (found["head"] or found["where"]):
@@ -206,13 +206,13 @@ def parse_pattern(text: str) -> Pattern:
     rest = found["rest"]
     shape = parse_format(found["format"] or "", text)
     if rest:
-        return Pattern(text, found["head"] or "*", tuple(where), rest.removeprefix("."), shape)
-    return Pattern(text, found["head"] or "*", tuple(where), None, shape)
+        return SignalPattern(text, found["head"] or "*", tuple(where), rest.removeprefix("."), shape)
+    return SignalPattern(text, found["head"] or "*", tuple(where), None, shape)
 
 
-def parse_groups(texts: Sequence[str]) -> list[list[list[Pattern]]]:
+def parse_groups(texts: Sequence[str]) -> list[list[list[SignalPattern]]]:
     """Subplots, divided by `-`; in each its vertical axes, divided by `,`; in each the patterns."""
-    groups: list[list[list[Pattern]]] = [[[]]]
+    groups: list[list[list[SignalPattern]]] = [[[]]]
     for text in texts:
         if text == "-":
             groups.append([[]])
@@ -228,22 +228,22 @@ def parse_groups(texts: Sequence[str]) -> list[list[list[Pattern]]]:
 class Wanted:
     """What is to be collected of one message."""
 
-    signals: tuple[tuple[Signal, tuple[Pattern, ...]], ...]
+    signals: tuple[tuple[PlotSignal, tuple[SignalPattern, ...]], ...]
     #: Columns that split signals into lines.
     keys: tuple[str, ...]
 
 
 def select(
-    patterns: Sequence[Pattern], messages: dict[tuple[str, str], Declared]
+    patterns: Sequence[SignalPattern], messages: dict[tuple[str, str], Declared]
 ) -> dict[tuple[str, str], Wanted]:
     """The signals that patterns mean, by message. Raises `CallerError` for a pattern that means none, with near names."""
-    hit: set[Pattern] = set()
+    hit: set[SignalPattern] = set()
     found: dict[tuple[str, str], Wanted] = {}
     for owner, message in messages.items():
-        signals: list[tuple[Signal, tuple[Pattern, ...]]] = []
+        signals: list[tuple[PlotSignal, tuple[SignalPattern, ...]]] = []
         keys = dict.fromkeys(message.devices)
         for signal in message.signals:
-            takers: list[Pattern] = []
+            takers: list[SignalPattern] = []
             for pattern in patterns:
                 if signal.is_number and pattern.takes(signal) and _has(pattern, message):
                     takers.append(pattern)
@@ -259,11 +259,11 @@ def select(
     return found
 
 
-def _has(pattern: Pattern, message: Declared) -> bool:
+def _has(pattern: SignalPattern, message: Declared) -> bool:
     return all(name == CHANNEL or name in message.columns for name, _ in pattern.where)
 
 
-def _missing(pattern: Pattern, messages: dict[tuple[str, str], Declared]) -> str:
+def _missing(pattern: SignalPattern, messages: dict[tuple[str, str], Declared]) -> str:
     every = [signal for message in messages.values() for signal in message.signals]
     meant = [signal for signal in every if pattern.takes(signal)]
     if any(signal.is_number for signal in meant):

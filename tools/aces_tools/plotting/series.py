@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME
-from aces_bus.protocol.scan.message_table import Column, MessageTable
+from aces_bus.protocol.columns.table import Column, MessageTable
 
-from ..window import Window
-from .select import CHANNEL, Pattern, Signal, Wanted
+from ..window import TimeWindow
+from .select import CHANNEL, PlotSignal, SignalPattern, Wanted
 
 Array = npt.NDArray[Any]
 Key = tuple[tuple[str, str], ...]
@@ -74,7 +74,7 @@ def thin(x: Array, y: Array, buckets: int) -> tuple[Array, Array]:
 class Series:
     """One line: a signal of one device. `count`, `low` and `high` are of all values, thinned or not."""
 
-    signal: Signal
+    signal: PlotSignal
     key: Key
     count: int = 0
     low: float | int | None = None
@@ -120,7 +120,7 @@ def broken(x: Array, y: Array, longest: float) -> tuple[Array, Array]:
 
 
 @dataclass
-class Clock:
+class TimeAxis:
     """The horizontal axis. `origin` is the instant of zero in ns, None where the captures have no times: then frames
     (or bytes) are counted.
     """
@@ -159,8 +159,8 @@ class Collector:
     def __init__(
         self,
         wanted: Mapping[tuple[str, str], Wanted],
-        clock: Clock,
-        window: Window | None = None,
+        clock: TimeAxis,
+        window: TimeWindow | None = None,
         *,
         keeps_points: bool = True,
     ) -> None:
@@ -168,7 +168,7 @@ class Collector:
         self.clock = clock
         self.window = window
         self.keeps_points = keeps_points
-        self.series: dict[tuple[Signal, Key], Series] = {}
+        self.series: dict[tuple[PlotSignal, Key], Series] = {}
         #: Lines that there was no room for.
         self.left_out = 0
 
@@ -199,7 +199,7 @@ class Collector:
                 else:
                     self._take(signal, key, x[at], values[at], floats[at], column, at)
 
-    def _of(self, signal: Signal, key: Key, *, there: bool) -> Series | None:
+    def _of(self, signal: PlotSignal, key: Key, *, there: bool) -> Series | None:
         if signal.column in dict(key):  # a device's number, drawn itself: one line
             key = tuple(part for part in key if part[0] != signal.column)
         found = self.series.get((signal, key))
@@ -213,7 +213,7 @@ class Collector:
         return found
 
     def _take(
-        self, signal: Signal, key: Key, x: Array, values: Array, y: Array, column: Column, at: Any
+        self, signal: PlotSignal, key: Key, x: Array, values: Array, y: Array, column: Column, at: Any
     ) -> None:
         if column.absent is not None:
             there = ~column.absent[at]
@@ -227,7 +227,7 @@ class Collector:
         if self.keeps_points:
             series.extend(x, y)
 
-    def _strange(self, signal: Signal, key: Key, column: Column, at: Any) -> None:
+    def _strange(self, signal: PlotSignal, key: Key, column: Column, at: Any) -> None:
         values = [value for value in column.values[at].tolist() if value is not None]
         series = self._of(signal, key, there=bool(values))
         if series is not None and values:
@@ -282,7 +282,7 @@ def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> li
     return out
 
 
-def _numbers(column: Column, signal: Signal) -> tuple[Array, Array | None]:
+def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:
     """The values as they are, and as float64 with NaN in gaps; None instead when they are no numbers."""
     if signal.bit is not None:
         bit = signal.bit
@@ -307,7 +307,7 @@ def _numbers(column: Column, signal: Signal) -> tuple[Array, Array | None]:
     return values, floats
 
 
-def matching(pattern: Pattern, series: Sequence[Series]) -> list[Series]:
+def matching(pattern: SignalPattern, series: Sequence[Series]) -> list[Series]:
     """The series that a pattern means, in declared order."""
     return [one for one in series if pattern.takes(one.signal) and pattern.holds(one.key)]
 

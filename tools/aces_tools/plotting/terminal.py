@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..output.text import can_write, printable
-from .picture import Line, Panel, Picture, instant, lone, steps, values_range
+from .picture import Picture, PlotLine, PlotPanel, instant, lone, steps, values_range
 from .series import thin
 
 #: (style, text) → text: style is a colour of rich, or "dim" or "bold".
@@ -45,7 +45,7 @@ LEAST_WIDTH = 20
 APART = 24
 
 
-def make_paint() -> Paint:
+def make_plot_paint() -> Paint:
     """Colours as rich has them for this terminal, or its 16 where it cannot tell."""
     from rich.color import ColorSystem
     from rich.console import Console
@@ -68,7 +68,7 @@ def make_paint() -> Paint:
     return paint
 
 
-def draw(
+def draw_terminal(
     picture: Picture,
     width: int,
     *,
@@ -136,7 +136,7 @@ class _Drawing:
 
     # ------------------------------------------------------------------ vertical axis
 
-    def _scale(self, panel: Panel, place: int, rows: int) -> dict[int, str]:
+    def _scale(self, panel: PlotPanel, place: int, rows: int) -> dict[int, str]:
         """Labels of the vertical axis by row."""
         if panel.sort == "flags":
             return {row: printable(line.label) for row, line in enumerate(panel.lines)}
@@ -163,7 +163,7 @@ class _Drawing:
     def _cut(self, text: str, width: int) -> str:
         return text if len(text) <= width else text[: max(0, width - 1)] + self.dots
 
-    def _heading(self, panel: Panel, place: int) -> list[str]:
+    def _heading(self, panel: PlotPanel, place: int) -> list[str]:
         lines = panel.axes[place]
         parts = [panel.title] if panel.title else []
         if len(lines) == 1 and (not panel.title or len(panel.axes) > 1):
@@ -179,7 +179,7 @@ class _Drawing:
             out += self._legend(lines)
         return out
 
-    def _legend(self, lines: Sequence[Line]) -> list[str]:
+    def _legend(self, lines: Sequence[PlotLine]) -> list[str]:
         out: list[str] = []
         line, at = "", 0
         for number, one in enumerate(lines):
@@ -233,7 +233,7 @@ class _Drawing:
 
     # ------------------------------------------------------------------ panels
 
-    def _panel(self, panel: Panel, place: int, rows: int, labels: dict[int, str]) -> list[str]:
+    def _panel(self, panel: PlotPanel, place: int, rows: int, labels: dict[int, str]) -> list[str]:
         if panel.sort == "flags":
             bodies = [self._lane(line, number) for number, line in enumerate(panel.lines)]
         else:
@@ -252,7 +252,7 @@ class _Drawing:
         places: Array = ((x - self.low) * (count / (self.high - self.low))).astype(np.int64)
         return np.clip(places, 0, count - 1)
 
-    def _lane(self, line: Line, number: int) -> str:
+    def _lane(self, line: PlotLine, number: int) -> str:
         """A flag: full while set, a thin line while not, half where both happen in one column."""
         on = np.zeros(self.columns, bool)
         off = np.zeros(self.columns, bool)
@@ -269,7 +269,7 @@ class _Drawing:
         marks = np.where(on, np.where(off, mixed, full), np.where(off, thin_line, " "))
         return self.paint(_colour(line, number), "".join(marks.tolist()).rstrip())
 
-    def _canvas(self, panel: Panel, place: int, rows: int) -> list[str]:
+    def _canvas(self, panel: PlotPanel, place: int, rows: int) -> list[str]:
         """Lines as braille."""
         lines = panel.axes[place]
         if panel.sort == "names":
@@ -307,7 +307,7 @@ class _Drawing:
                     break
 
     def _cells(
-        self, cells: Array, owner: Array, lines: Sequence[Line], marks: dict[tuple[int, int], str]
+        self, cells: Array, owner: Array, lines: Sequence[PlotLine], marks: dict[tuple[int, int], str]
     ) -> list[str]:
         out: list[str] = []
         for row in range(len(cells)):
@@ -327,7 +327,7 @@ class _Drawing:
             out.append(text)
         return out
 
-    def _trace(self, bits: Array, line: Line, low: float, high: float, *, is_step: bool) -> None:
+    def _trace(self, bits: Array, line: PlotLine, low: float, high: float, *, is_step: bool) -> None:
         """Set the dots of a line."""
         tall, wide = bits.shape
         x, y = thin(line.x, line.y, wide)
@@ -391,7 +391,7 @@ def _mark(number: int) -> str:
     return str(number + 1)
 
 
-def _colour(line: Line, number: int) -> str:
+def _colour(line: PlotLine, number: int) -> str:
     colour = line.format.colour
     if colour is None:
         return COLOURS[number % len(COLOURS)]

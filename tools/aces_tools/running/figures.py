@@ -11,11 +11,11 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.frame import Frame
-from aces_bus.hardware.wire import Wire
+from aces_bus.frames import Frame
+from aces_bus.hardware.simulated.bus import SimulatedBus
 
 if TYPE_CHECKING:
-    from aces_bus.assembly import Runner
+    from aces_bus.robot import Runner
     from aces_bus.runtime import Task
 
 #: What happens on a good day, and is not worth a line.
@@ -210,10 +210,10 @@ class Watch:
     def _bus(self, name: str, host: Any, passed: float) -> BusLine:
         counts, port = host.counts, host.port
         wire = getattr(self.runner.world, "wires", {}).get(name)
-        busy = wire.load.busy_ns if isinstance(wire, Wire) else 0
+        busy = wire.load.busy_ns if isinstance(wire, SimulatedBus) else 0
         sent, received, on_wire = self._since(f"bus {name}", counts.sent, counts.received, busy)
         load: float | None = None
-        if isinstance(wire, Wire):
+        if isinstance(wire, SimulatedBus):
             load = on_wire / 1e9 / passed
         elif port.link == "can" and self.real:
             load = (sent + received) * port.wire_ns(LONGEST) / 1e9 / passed
@@ -221,7 +221,7 @@ class Watch:
         return BusLine(
             name,
             load,
-            not isinstance(wire, Wire),
+            not isinstance(wire, SimulatedBus),
             sent / passed,
             received / passed,
             counts.missed,

@@ -64,7 +64,7 @@ def panel(figures: Figures, title: str, width: int, height: int) -> list[Line]:
     return [_fitted(line, width) for line in [*parts, *feet]][:height]
 
 
-def plain(figures: Figures) -> str:
+def plain_line(figures: Figures) -> str:
     """One line that says how it is."""
     parts = [f"{figures.seconds:9.2f} s"]
     for one in figures.components:

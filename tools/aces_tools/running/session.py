@@ -21,14 +21,14 @@ from ..console import abandon_stdout, say, terminal_width, wants_colour
 from ..live import LivePatience
 from ..robot_arg import bus_options
 from .figures import USUAL, Figures, Watch, event_text
-from .panel import panel, plain, to_rich
+from .panel import panel, plain_line, to_rich
 
 if TYPE_CHECKING:
-    from aces_bus.assembly import Ended, Runner
     from aces_bus.controller import ControllerLike
     from aces_bus.controller.log import Logger
     from aces_bus.device import Device, Robot
-    from aces_bus.frame import Frame
+    from aces_bus.frames import Frame
+    from aces_bus.robot import Ended, Runner
 
 #: Between two pictures of the panel, and two lines (ns).
 PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
@@ -70,7 +70,7 @@ class Session:
     # ------------------------------------------------------------------ making
 
     def _make(self, stack: ExitStack) -> Runner:
-        from aces_bus.assembly import run_real, run_replay, run_virtual
+        from aces_bus.robot import run_real, run_replay, run_virtual
 
         asked = self.arguments
         if asked.virtual:
@@ -239,7 +239,7 @@ class Session:
             self._live.update(to_rich(lines), refresh=True)
             return
         try:
-            print(plain(figures), flush=True)
+            print(plain_line(figures), flush=True)
         except BrokenPipeError:  # nobody reads any more: the robot is stopped as if by Ctrl-C
             abandon_stdout()
             self.patience.is_over = True
@@ -309,10 +309,10 @@ class _Recording:
     """A CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
 
     def __init__(self, path: str) -> None:
-        from aces_bus.capture import CanCapture, open_capture
+        from aces_bus.recordings import CanRecording, open_recording
 
-        capture = open_capture(path)
-        if not isinstance(capture, CanCapture):
+        capture = open_recording(path)
+        if not isinstance(capture, CanRecording):
             capture.close()
             raise CallerError(f"{path}: a serial recording; --replay takes those of CAN")
         self.capture = capture

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import CallerError
 
 if TYPE_CHECKING:
-    from aces_bus.capture import CanFilter
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
     from aces_bus.protocol import Scanner
+    from aces_bus.recordings import CanFilter
 
 
 def check_screen() -> None:
@@ -52,7 +52,7 @@ def run_screen(
 ) -> int:
     """Show what a gate hears, until the user quits; the exit status. The gate is opened, and closed at the end.
 
-    `scanner` has to be made with `everything`; None, or one without protocols, decodes nothing (CAN only). `filter` is
+    `scanner` has to be made with `include_unknown`; None, or one without protocols, decodes nothing (CAN only). `filter` is
     applied before anything is counted; `show` is a filter as it can be typed, of words. `record` gives what the head says
     of a recording. `bitrate` and `data_bitrate` in bit/s are what the load is a share of; without them it is the
     protocols' bit rate, and where they have none, bit/s are shown. `open_gate` opens the gate instead of
@@ -104,7 +104,7 @@ def make_screen(
     from ..console import wants_colour
     from .app import LiveScreen
     from .model import Model
-    from .stream import Stream
+    from .stream import ModelFeed
 
     if isinstance(gate, SerialGate):
         bitrate = gate.baud
@@ -116,7 +116,7 @@ def make_screen(
     if isinstance(gate, CanGate):
         inbox: Any = gate.subscribe(filter=filter)
     else:
-        stream = Stream(model, are_datagrams=isinstance(gate, DatagramGate))
+        stream = ModelFeed(model, are_datagrams=isinstance(gate, DatagramGate))
         feed, idle = stream.feed, stream.idle
         inbox = gate.subscribe()
     gate.on_event(model.tell)

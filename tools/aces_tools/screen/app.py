@@ -25,9 +25,9 @@ from textual.widget import Widget
 from textual.widgets import Footer, Input, Static
 
 from .detail import detail
-from .head import Line, Status, head, text_of
-from .model import Model, Place, Row
-from .paint import Column, Needs, Span, columns, line, styles, title
+from .head import Line, Status, head, plain_text
+from .model import Model, Place, RepeatedFrame
+from .paint import Needs, StyledText, TableColumn, line, styles, title, visible_columns
 from .view import View
 
 #: Pictures a second, and of them those in which the details are made anew: each second one.
@@ -70,7 +70,7 @@ HELP = """\
 Esc closes this."""
 
 
-class Counters(Protocol):
+class ShownCounters(Protocol):
     """What a gate counts, as far as it is shown."""
 
     dropped: int
@@ -79,7 +79,7 @@ class Counters(Protocol):
     reopened: int
 
 
-class Heard(Protocol):
+class InboxFeed(Protocol):
     """Where items come from: a gate's inbox."""
 
     def get(self, timeout: float | None = None) -> list[Any]: ...
@@ -110,7 +110,7 @@ class Lines(Widget):
     @property
     def text(self) -> str:
         """What stands there, without styles."""
-        return text_of(self._lines)
+        return plain_text(self._lines)
 
     def show(self, lines: list[Line]) -> None:
         """Show these."""
@@ -134,7 +134,7 @@ class Painter:
         self._styles = {name: ground + style for name, style in styles(has_colour=has_colour).items()}
         self.ground = ground
 
-    def __call__(self, spans: Sequence[Span], width: int) -> Strip:
+    def __call__(self, spans: Sequence[StyledText], width: int) -> Strip:
         """A line of this width."""
         known = self._styles
         segments = [Segment(span.text, known[span.style]) for span in spans]
@@ -158,19 +158,19 @@ class Table(ScrollView, can_focus=True):
         self._model, self._view, self._now = model, view, now
         self._paint = Painter(GROUND, has_colour=has_colour)
         self._paint_selected = Painter(CURSOR, has_colour=has_colour, is_reverse=True)
-        self.rows: list[Row] = []
-        self.layout_columns: list[Column] = []
+        self.rows: list[RepeatedFrame] = []
+        self.layout_columns: list[TableColumn] = []
         self.is_marking = True
         self._instant = 0
         self._selected: Place | None = None
         self._at = 0
 
     @property
-    def selected(self) -> Row | None:
+    def selected(self) -> RepeatedFrame | None:
         """The row under the cursor."""
         return self.rows[self._at] if self.rows else None
 
-    def show(self, rows: list[Row], found: list[Column]) -> None:
+    def show(self, rows: list[RepeatedFrame], found: list[TableColumn]) -> None:
         """Show these rows, in these columns."""
         self._instant = self._view.instant(self._now())
         self.layout_columns = found
@@ -286,7 +286,7 @@ class LiveScreen(App[None]):
         self,
         model: Model,
         gate: Listening,
-        inbox: Heard,
+        inbox: InboxFeed,
         *,
         title: str = "",
         recording: Callable[[], str] | None = None,
@@ -372,7 +372,7 @@ class LiveScreen(App[None]):
         if self.has_class("detailed") and self._pictures % 2 == 0:
             self._details(now)
 
-    def _rows(self, rows: list[Row], now: int) -> None:
+    def _rows(self, rows: list[RepeatedFrame], now: int) -> None:
         table = self.table
         if self._needs is None or (
             self._needs_of != self.model.generation and now - self._measured >= MEASURE_NS
@@ -380,7 +380,7 @@ class LiveScreen(App[None]):
             self._needs, self._needs_of = Needs.of(self.model, rows), self.model.generation
             self._measured = now
         width = max(1, table.scrollable_content_region.width or table.size.width or self.size.width)
-        found = columns(self._needs, width)
+        found = visible_columns(self._needs, width)
         self.query_one("#titles", Lines).show(
             [title(found, self.view.sort, is_reversed=self.view.is_reversed)]
         )
@@ -390,7 +390,7 @@ class LiveScreen(App[None]):
         pane = self.query_one("#detail", Lines)
         row = self.table.selected
         if row is None:
-            pane.show([[Span("no row", "dim")]])
+            pane.show([[StyledText("no row", "dim")]])
             return
         width = max(20, pane.size.width)
         pane.show(detail(row, self.model, self.view.instant(now), width, is_marking=self.table.is_marking))
@@ -411,7 +411,7 @@ class LiveScreen(App[None]):
         )
 
     def _counts(self) -> tuple[int, int, int]:
-        counters: Counters = self.gate.counters
+        counters: ShownCounters = self.gate.counters
         scanner = self.model.scanner
         return (
             counters.dropped + counters.kernel_dropped,

@@ -11,8 +11,8 @@ from rich.cells import cell_len
 
 from ..output.text import printable
 from .head import Line
-from .model import Model, Row
-from .paint import FADE_NS, FADES, Span, binary, bits, cut, elapsed, mark, milliseconds, rate
+from .model import Model, RepeatedFrame
+from .paint import FADE_NS, FADES, StyledText, binary, elapsed, fit, mark, milliseconds, paint_bits, rate
 from .values import Value
 
 #: The width of a layout's picture.
@@ -22,7 +22,9 @@ CURVE = 24
 MOST_VALUES = 400
 
 
-def detail(row: Row, model: Model, now_ns: int, width: int, *, is_marking: bool = True) -> list[Line]:
+def detail(
+    row: RepeatedFrame, model: Model, now_ns: int, width: int, *, is_marking: bool = True
+) -> list[Line]:
     """The lines of the pane."""
     lines = [*_about(row, model, now_ns)]
     fields = model.fields_of(row)
@@ -30,25 +32,25 @@ def detail(row: Row, model: Model, now_ns: int, width: int, *, is_marking: bool 
         values = fields.values(row.record, tuple(row.history), CURVE)
         lines += [[], *_values(values[:MOST_VALUES], width)]
         if len(values) > MOST_VALUES:
-            lines.append([Span(f"  and {len(values) - MOST_VALUES} more", "dim")])
+            lines.append([StyledText(f"  and {len(values) - MOST_VALUES} more", "dim")])
     elif row.is_lost and row.record is not None and row.record.reason != row.name:
-        lines += [[], [Span(printable(row.record.reason), "lost")]]
+        lines += [[], [StyledText(printable(row.record.reason), "lost")]]
     lines += [[], *_bits(row, now_ns, width, is_marking=is_marking)]
     if fields is not None and width >= PICTURE:
-        lines += [[], *([Span(text, "dim")] for text in fields.picture)]
-    return [cut(line, width) for line in lines]
+        lines += [[], *([StyledText(text, "dim")] for text in fields.picture)]
+    return [fit(line, width) for line in lines]
 
 
-def _about(row: Row, model: Model, now_ns: int) -> list[Line]:
+def _about(row: RepeatedFrame, model: Model, now_ns: int) -> list[Line]:
     fields = model.fields_of(row)
     sign, style = mark(row, model)
-    first: Line = [Span(f"{row.identifier} ", "id")]
+    first: Line = [StyledText(f"{row.identifier} ", "id")]
     if row.name:
-        first.append(Span(f"{row.name} ", "lost" if row.is_lost else "message"))
+        first.append(StyledText(f"{row.name} ", "lost" if row.is_lost else "message"))
     if fields is not None:
         way = f"{sign} {fields.direction}, " if fields.direction else ""
-        first += [Span(way, style), Span(f"{fields.label}", "dim")]
-    first.append(Span(f"  {printable(row.channel)}", "channel"))
+        first += [StyledText(way, style), StyledText(f"{fields.label}", "dim")]
+    first.append(StyledText(f"  {printable(row.channel)}", "channel"))
     frame = row.frame
     if frame is not None:
         kinds = [
@@ -58,24 +60,24 @@ def _about(row: Row, model: Model, now_ns: int) -> list[Line]:
             "remote" if frame.is_remote_frame else "",
             "sent by this host" if frame.is_rx is False else "",
         ]
-        first.append(Span("".join(f"  {kind}" for kind in kinds if kind), "dim"))
+        first.append(StyledText("".join(f"  {kind}" for kind in kinds if kind), "dim"))
     lines: list[Line] = [first]
     if fields is not None and fields.doc:
-        lines.append([Span(printable(fields.doc.splitlines()[0]), "dim")])
+        lines.append([StyledText(printable(fields.doc.splitlines()[0]), "dim")])
     now = row.rate(now_ns)
-    pace: Line = [Span(f"{row.count:,} times, {rate(now)}/s", "plain")]
+    pace: Line = [StyledText(f"{row.count:,} times, {rate(now)}/s", "plain")]
     if row.count > 1:
         pace.append(
-            Span(
+            StyledText(
                 f", every {milliseconds(row.period_s).strip()} ± {milliseconds(row.jitter_s).strip()} ms",
                 "plain",
             )
         )
     if row.wire_bits and now:
-        pace.append(Span(f", {bits(row.wire_bits * now)}", "plain"))
+        pace.append(StyledText(f", {paint_bits(row.wire_bits * now)}", "plain"))
         if model.bitrate:
-            pace.append(Span(f" ({100 * row.wire_bits * now / model.bitrate:.2g} %)", "dim"))
-    pace.append(Span(f", last {elapsed(now_ns - row.host_ns)} ago", "dim"))
+            pace.append(StyledText(f" ({100 * row.wire_bits * now / model.bitrate:.2g} %)", "dim"))
+    pace.append(StyledText(f", last {elapsed(now_ns - row.host_ns)} ago", "dim"))
     lines.append(pace)
     return lines
 
@@ -89,24 +91,28 @@ def _values(values: Sequence[Value], width: int) -> list[Line]:
     lines: list[Line] = []
     for value, told in zip(values, shown, strict=True):
         number, unit = printable(value.text), f" {value.unit}" if value.unit else ""
-        line: Line = [Span(f"{value.path:<{name}}  ", "name"), Span(number, "value"), Span(unit, "unit")]
+        line: Line = [
+            StyledText(f"{value.path:<{name}}  ", "name"),
+            StyledText(number, "value"),
+            StyledText(unit, "unit"),
+        ]
         if has_curve:
-            line.append(Span(" " * max(0, text - cell_len(told)) + "  ", "plain"))
-            line.append(Span(f"{value.curve:<{CURVE}}", "curve"))
+            line.append(StyledText(" " * max(0, text - cell_len(told)) + "  ", "plain"))
+            line.append(StyledText(f"{value.curve:<{CURVE}}", "curve"))
         else:
-            line.append(Span(" " * max(0, text - cell_len(told)), "plain"))
+            line.append(StyledText(" " * max(0, text - cell_len(told)), "plain"))
         about = "  ".join(part for part in (value.place, printable(value.doc)) if part)
         if about:
-            line.append(Span(f"  {about}", "dim"))
+            line.append(StyledText(f"  {about}", "dim"))
         lines.append(line)
     return lines
 
 
-def _bits(row: Row, now_ns: int, width: int, *, is_marking: bool) -> list[Line]:
+def _bits(row: RepeatedFrame, now_ns: int, width: int, *, is_marking: bool) -> list[Line]:
     """The bytes as hexadecimal digits and as bits, as many in a line as there is room for."""
     data = row.data[:64]
     if not data:
-        return [[Span("no data", "dim")]]
+        return [[StyledText("no data", "dim")]]
     lines: list[Line] = []
     marks = row.ages(now_ns, FADE_NS) if is_marking else []
     each = max(1, min(4 if width < 120 else 8, (width + 2) // 18))
@@ -114,26 +120,26 @@ def _bits(row: Row, now_ns: int, width: int, *, is_marking: bool) -> list[Line]:
         line: Line = []
         for number in range(start, min(start + each, len(data))):
             one = row.data[number : number + 1]
-            digits = [Span(one.hex().upper(), "data")]
+            digits = [StyledText(one.hex().upper(), "data")]
             if marks:
                 digits = _digits(row, number, marks)
-            line += [Span(f"{number:>2} ", "dim"), *digits, Span(" ", "plain")]
-            line += [*binary(one[0], number, marks), Span("  ", "plain")]
+            line += [StyledText(f"{number:>2} ", "dim"), *digits, StyledText(" ", "plain")]
+            line += [*binary(one[0], number, marks), StyledText("  ", "plain")]
         lines.append(line)
     if len(row.data) > len(data):
-        lines.append([Span(f"and {len(row.data) - len(data)} more bytes", "dim")])
+        lines.append([StyledText(f"and {len(row.data) - len(data)} more bytes", "dim")])
     return lines
 
 
-def _digits(row: Row, number: int, marks: Sequence[int]) -> list[Span]:
-    spans: list[Span] = []
+def _digits(row: RepeatedFrame, number: int, marks: Sequence[int]) -> list[StyledText]:
+    spans: list[StyledText] = []
     for place, digit in enumerate(row.data[number : number + 1].hex().upper()):
         bit = 8 * number + 4 * (1 - place)
         style = next(
             (fade for fade, mask in zip(FADES, marks, strict=True) if mask >> bit & 15),
             "data",
         )
-        spans.append(Span(digit, style))
+        spans.append(StyledText(digit, style))
     return spans
 
 

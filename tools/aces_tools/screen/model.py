@@ -25,15 +25,15 @@ from operator import attrgetter
 from typing import Any
 
 from aces_bus.errors import CallerError
-from aces_bus.frame import Frame
+from aces_bus.frames import Frame
 from aces_bus.hardware import BusEvent, Received
-from aces_bus.hardware.frame_time import INTERMISSION, frame_bits
+from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 from aces_bus.protocol import Scanner, Unknown
 from aces_bus.protocol.keys import key_of
 
 from ..output.shape import OfKind
 from .meter import Meter
-from .values import Fields, FieldsOfKinds
+from .values import FieldFormat, FieldsOfKinds
 
 #: Rows, channels and events that are kept, at most.
 LIMIT, CHANNELS, EVENTS = 2000, 32, 200
@@ -53,7 +53,7 @@ SILENT_NS, SILENT_INTERVALS = 2_000_000_000, 5
 Place = tuple[Hashable, ...]
 
 
-class Row:
+class RepeatedFrame:
     """What is repeated: its counts, its pace, and the last of it."""
 
     __slots__ = (
@@ -192,10 +192,10 @@ class Row:
             taken |= mask
         return found
 
-    def frozen(self) -> Row:
+    def frozen(self) -> RepeatedFrame:
         """A copy that stays as it is."""
-        copy = Row.__new__(Row)
-        for name in Row.__slots__:
+        copy = RepeatedFrame.__new__(RepeatedFrame)
+        for name in RepeatedFrame.__slots__:
             setattr(copy, name, getattr(self, name))
         copy.changes, copy.history = self.changes.copy(), self.history.copy()
         copy._meter = Meter.__new__(Meter)
@@ -215,7 +215,7 @@ def changed_bits(before: bytes, after: bytes) -> int:
 
 
 @dataclass
-class Channel:
+class ChannelRates:
     """One bus of those that are heard: frames, and bits on the wire, in all and a second."""
 
     name: str
@@ -233,7 +233,7 @@ class Channel:
 
 
 @dataclass
-class Others:
+class FoldedRows:
     """Rows that were folded away, by channel: how many, and their frames."""
 
     rows: int = 0
@@ -243,7 +243,7 @@ class Others:
 class Model:
     """Rows, channels, events: everything that the screen shows.
 
-    `scanner` decodes (None: nothing is decoded); it has to be made with `everything`: it says of each frame what it is.
+    `scanner` decodes (None: nothing is decoded); it has to be made with `include_unknown`: it says of each frame what it is.
     `bitrate` and `data_bitrate` in bit/s (of a serial line `bitrate` is its baud rate); None: not known. `name` is shown
     for frames that do not say their channel.
     """
@@ -266,7 +266,7 @@ class Model:
             lambda kind: attrgetter(*one.page) if (one := fields[kind]) is not None and one.page else None
         )
         if self.scanner is not None and not getattr(scanner, "everything", True):
-            raise CallerError("the screen's scanner has to be made with everything=True")
+            raise CallerError("the screen's scanner has to be made with include_unknown=True")
         self.events: deque[BusEvent] = deque(maxlen=EVENTS)
         self.event_counts: dict[str, int] = {}
         self._incoming: deque[BusEvent] = deque(maxlen=EVENTS)
@@ -275,9 +275,9 @@ class Model:
 
     def clear(self) -> None:
         """Forget what was heard; begin anew."""
-        self.rows: dict[Place, Row] = {}
-        self.others: dict[str, Others] = {}
-        self.channels: dict[str, Channel] = {}
+        self.rows: dict[Place, RepeatedFrame] = {}
+        self.others: dict[str, FoldedRows] = {}
+        self.channels: dict[str, ChannelRates] = {}
         self.total = self.errors = self.unknown = self.malformed = 0
         #: Goes up when rows come or go.
         self.generation = getattr(self, "generation", 0) + 1
@@ -301,7 +301,7 @@ class Model:
         """Frames as a gate hands them over, in order."""
         if not items:
             return
-        touched: list[Row] = []
+        touched: list[RepeatedFrame] = []
         rows, pages, scanner = self.rows, self._pages, self.scanner
         frames = [item.frame for item in items]
         records: Sequence[Any]
@@ -340,7 +340,7 @@ class Model:
             fd=frame.is_fd,
         )
 
-    def _can_row(self, place: Place, frame: Frame, record: Any, host_ns: int) -> Row:
+    def _can_row(self, place: Place, frame: Frame, record: Any, host_ns: int) -> RepeatedFrame:
         row = self._row(place, frame.channel, record, host_ns)
         row.key = self._key(frame)
         row.identifier = f"{frame.arbitration_id:0{8 if frame.is_extended_id else 3}X}"
@@ -362,7 +362,7 @@ class Model:
 
     def feed_records(self, records: Sequence[Any], host_ns: int, bits: int = 0) -> None:
         """Packets that a scanner found, and the bits on the line that brought them."""
-        touched: list[Row] = []
+        touched: list[RepeatedFrame] = []
         for record in records:
             kind = type(record)
             data: bytes
@@ -394,7 +394,7 @@ class Model:
 
     # ------------------------------------------------------------------ rows
 
-    def _row(self, place: Place, channel: str | None, record: Any, host_ns: int) -> Row:
+    def _row(self, place: Place, channel: str | None, record: Any, host_ns: int) -> RepeatedFrame:
         self._numbers += 1
         self.generation += 1
         fields = self.fields[type(record)]
@@ -404,7 +404,7 @@ class Model:
             name = record.kind if record.kind != "errors" else "error frame"
         else:
             name = fields.name if fields is not None else ""
-        row = self.rows[place] = Row(place, self._numbers, shown, name, host_ns)
+        row = self.rows[place] = RepeatedFrame(place, self._numbers, shown, name, host_ns)
         row.is_lost = is_lost
         words = [shown, name]
         if fields is not None:
@@ -418,23 +418,23 @@ class Model:
             self.rows.values(), key=lambda row: (not row.is_silent(now_ns), row.count, row.host_ns)
         )
         for row in worst[: len(worst) - self.limit + self.limit // 4]:
-            others = self.others.setdefault(row.channel, Others())
+            others = self.others.setdefault(row.channel, FoldedRows())
             others.rows += 1
             others.count += row.count
             del self.rows[row.place]
         self.generation += 1
 
-    def _channel(self, name: str, start_ns: int) -> Channel:
+    def _channel(self, name: str, start_ns: int) -> ChannelRates:
         found = self.channels.get(name)
         if found is None:
             if len(self.channels) >= CHANNELS:
                 name = "…"
                 if name in self.channels:
                     return self.channels[name]
-            found = self.channels[name] = Channel(name, start_ns)
+            found = self.channels[name] = ChannelRates(name, start_ns)
         return found
 
-    def _settle(self, touched: Sequence[Row], start_ns: int, now_ns: int) -> None:
+    def _settle(self, touched: Sequence[RepeatedFrame], start_ns: int, now_ns: int) -> None:
         """The batch is over: rates, bits on the wire, counts."""
         sums: dict[str, list[float]] = {}
         for row in touched:
@@ -469,11 +469,11 @@ class Model:
 
     # ------------------------------------------------------------------ what is shown
 
-    def load(self, channel: Channel, now_ns: int) -> float | None:
+    def load(self, channel: ChannelRates, now_ns: int) -> float | None:
         """The share of the bus's time that is taken, 0…1; None where the bit rate is not known."""
         return channel.bit_meter.per_second(now_ns) / self.bitrate if self.bitrate else None
 
-    def fields_of(self, row: Row) -> Fields | None:
+    def fields_of(self, row: RepeatedFrame) -> FieldFormat | None:
         """How the row's message is told; None where it is none."""
         return self.fields[type(row.record)]
 
@@ -483,11 +483,11 @@ class Model:
         return self.scanner is None or self.scanner.link == "can"
 
     @property
-    def folded(self) -> Others:
+    def folded(self) -> FoldedRows:
         """What was folded away, of all channels."""
-        return Others(
+        return FoldedRows(
             sum(one.rows for one in self.others.values()), sum(one.count for one in self.others.values())
         )
 
 
-__all__ = ["Channel", "Model", "Others", "Row", "changed_bits"]
+__all__ = ["ChannelRates", "FoldedRows", "Model", "RepeatedFrame", "changed_bits"]

@@ -15,14 +15,14 @@ from rich.cells import cell_len, set_cell_size
 from rich.style import Style
 
 from ..output.text import printable
-from .model import Model, Row
+from .model import Model, RepeatedFrame
 
 #: A change is fresh, recent, or about to be forgotten, up to these ages.
 FADE_NS = (400_000_000, 1_200_000_000, 2_800_000_000)
 FADES = ("fresh", "recent", "fading")
 
 
-class Span(NamedTuple):
+class StyledText(NamedTuple):
     """Text and the name of its style."""
 
     text: str
@@ -102,7 +102,7 @@ def milliseconds(seconds: float) -> str:
     return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
 
 
-def bits(value: float) -> str:
+def paint_bits(value: float) -> str:
     """Bits a second."""
     for unit, size in (("Mbit/s", 1e6), ("kbit/s", 1e3)):
         if value >= size:
@@ -118,20 +118,20 @@ def elapsed(ns: int) -> str:
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
-def bar(share: float, width: int) -> list[Span]:
+def bar(share: float, width: int) -> list[StyledText]:
     """A bar, an eighth of a character exact."""
     eighths = round(max(0.0, min(1.0, share)) * width * 8)
     full, rest = divmod(eighths, 8)
     part = " ▏▎▍▌▋▊▉"[rest] if rest else ""
     style = "bar" if share < 0.7 else "bar high" if share < 0.9 else "bar full"
-    return [Span("█" * full + part, style), Span("░" * (width - full - len(part)), "bar rest")]
+    return [StyledText("█" * full + part, style), StyledText("░" * (width - full - len(part)), "bar rest")]
 
 
 # ---------------------------------------------------------------------- columns
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column of the table; `least` and `most` are its width."""
 
     name: str
@@ -153,7 +153,7 @@ class Needs:
     is_can: bool = True
 
     @classmethod
-    def of(cls, model: Model, rows: Iterable[Row]) -> Needs:
+    def of(cls, model: Model, rows: Iterable[RepeatedFrame]) -> Needs:
         """Of these rows."""
         channel, identifier, message, size, is_can = 4, 2, 7, 1, True
         channels: set[str] = set()
@@ -173,7 +173,7 @@ class Needs:
 LEAST_VALUES = 24
 
 
-def columns(needs: Needs, width: int) -> list[Column]:
+def visible_columns(needs: Needs, width: int) -> list[TableColumn]:
     """The columns that fit: what is told elsewhere, too, is left out first."""
     size = min(needs.size, 16)
     spaced, packed = 3 * size - 1, 2 * size
@@ -194,26 +194,28 @@ def columns(needs: Needs, width: int) -> list[Column]:
         (several, False, False, False, min(packed, 16), min(message, 10)),
         (False, False, False, False, min(packed, 16), min(message, 10)),
     ]
-    found: list[Column] = []
+    found: list[TableColumn] = []
     for has_channel, has_period, has_length, has_jitter, data, name in tries:
-        found = [Column("mark", "", 1)]
+        found = [TableColumn("mark", "", 1)]
         if has_channel:
-            found.append(Column("channel", "Chan", channel))
-        found.append(Column("id", "ID", max(2, identifier), True))
+            found.append(TableColumn("channel", "Chan", channel))
+        found.append(TableColumn("id", "ID", max(2, identifier), True))
         if name:
-            found.append(Column("message", "Message", max(7, name)))
-        found.append(Column("rate", "Rate", 5, True))
+            found.append(TableColumn("message", "Message", max(7, name)))
+        found.append(TableColumn("rate", "Rate", 5, True))
         if has_period:
             found.append(
-                Column("period", "Period ± ms", 11) if has_jitter else Column("short period", "  ms", 5, True)
+                TableColumn("period", "Period ± ms", 11)
+                if has_jitter
+                else TableColumn("short period", "  ms", 5, True)
             )
         if has_length:
-            found.append(Column("length", "Len", 3, True))
-        found.append(Column("data", "Data", max(4, data)))
+            found.append(TableColumn("length", "Len", 3, True))
+        found.append(TableColumn("data", "Data", max(4, data)))
         if _left(found, width) >= (LEAST_VALUES if needs.is_decoded else 0):
             break
     if needs.is_decoded and (left := _left(found, width) - 1) >= 4:
-        found.append(Column("values", "Values", left))
+        found.append(TableColumn("values", "Values", left))
     if _left(found, width) < 0:
         found = [column for column in found if column.name != "rate"]
     while len(found) > 1 and _left(found, width) < 0:
@@ -223,15 +225,15 @@ def columns(needs: Needs, width: int) -> list[Column]:
     return found
 
 
-def _left(found: Sequence[Column], width: int) -> int:
+def _left(found: Sequence[TableColumn], width: int) -> int:
     """What the columns leave of a line."""
     return width - sum(column.width + 1 for column in found)
 
 
-def title(found: Sequence[Column], sort: str, *, is_reversed: bool) -> list[Span]:
+def title(found: Sequence[TableColumn], sort: str, *, is_reversed: bool) -> list[StyledText]:
     """The line above the table; an arrow at the column that the rows are sorted by."""
     sorted_by = {"id": "id", "rate": "rate", "name": "message", "change": "data"}[sort]
-    spans: list[Span] = []
+    spans: list[StyledText] = []
     for column in found:
         text = column.title
         style = "dim"
@@ -239,16 +241,16 @@ def title(found: Sequence[Column], sort: str, *, is_reversed: bool) -> list[Span
             sign = "▴" if is_reversed else "▾"
             text = f"{text}{sign}" if len(text) < column.width else text[:-1] + sign
             style = "title"
-        spans.append(Span(_fitted(text, column.width, is_right=column.is_right) + " ", style))
+        spans.append(StyledText(_fitted(text, column.width, is_right=column.is_right) + " ", style))
     return spans
 
 
 def line(
-    row: Row, model: Model, found: Sequence[Column], now_ns: int, *, is_marking: bool = True
-) -> list[Span]:
+    row: RepeatedFrame, model: Model, found: Sequence[TableColumn], now_ns: int, *, is_marking: bool = True
+) -> list[StyledText]:
     """One row of the table."""
     silent = row.is_silent(now_ns)
-    spans: list[Span] = []
+    spans: list[StyledText] = []
     for column in found:
         if column.name == "data":
             spans += _data(row, column.width, now_ns, is_marking=is_marking and not silent)
@@ -258,12 +260,12 @@ def line(
             text, style = _cell(column.name, row, model, now_ns)
             if silent and style not in ("bad", "lost"):
                 style = "silent"
-            spans.append(Span(_fitted(text, column.width, is_right=column.is_right), style))
-        spans.append(Span(" ", "plain"))
+            spans.append(StyledText(_fitted(text, column.width, is_right=column.is_right), style))
+        spans.append(StyledText(" ", "plain"))
     return spans
 
 
-def _cell(name: str, row: Row, model: Model, now_ns: int) -> tuple[str, str]:
+def _cell(name: str, row: RepeatedFrame, model: Model, now_ns: int) -> tuple[str, str]:
     if name == "mark":
         return mark(row, model)
     if name == "channel":
@@ -284,7 +286,7 @@ def _cell(name: str, row: Row, model: Model, now_ns: int) -> tuple[str, str]:
     return (period if name == "short period" else f"{period}±{milliseconds(row.jitter_s)}"), "rate"
 
 
-def mark(row: Row, model: Model) -> tuple[str, str]:
+def mark(row: RepeatedFrame, model: Model) -> tuple[str, str]:
     """Which way it goes: to a device or from one, as far as its message says; else whether this host sent it."""
     fields = model.fields_of(row)
     if fields is not None and fields.direction is not None:
@@ -302,33 +304,35 @@ def _fitted(text: str, width: int, *, is_right: bool = False) -> str:
     return " " * (width - length) + text if is_right else text + " " * (width - length)
 
 
-def _data(row: Row, width: int, now_ns: int, *, is_marking: bool) -> list[Span]:
+def _data(row: RepeatedFrame, width: int, now_ns: int, *, is_marking: bool) -> list[StyledText]:
     data = row.data
     if row.frame is not None and row.frame.is_remote_frame:
-        return [Span(_fitted(f"remote, {row.frame.length} bytes", width), "dim")]
+        return [StyledText(_fitted(f"remote, {row.frame.length} bytes", width), "dim")]
     gap = " " if width >= 3 * min(len(data), 16) - 1 and width % 3 == 2 else ""
     room = (width + len(gap)) // (2 + len(gap))
     is_cut = len(data) > room
     shown = data[: room - 1] if is_cut else data
-    spans = hexadecimal(row, shown, now_ns, gap, is_marking=is_marking)
+    spans = paint_hexadecimal(row, shown, now_ns, gap, is_marking=is_marking)
     length = sum(len(span.text) for span in spans)
     if is_cut:
-        spans.append(Span("…", "dim"))
+        spans.append(StyledText("…", "dim"))
         length += 1
-    spans.append(Span(" " * (width - length), "plain"))
+    spans.append(StyledText(" " * (width - length), "plain"))
     return spans
 
 
-def hexadecimal(row: Row, shown: bytes, now_ns: int, gap: str, *, is_marking: bool) -> list[Span]:
+def paint_hexadecimal(
+    row: RepeatedFrame, shown: bytes, now_ns: int, gap: str, *, is_marking: bool
+) -> list[StyledText]:
     """Bytes as hexadecimal digits, each by the age of the change of its four bits."""
     text = shown.hex(" ").upper() if gap else shown.hex().upper()
     if not is_marking or not row.changes:
-        return [Span(text, "data")] if text else []
+        return [StyledText(text, "data")] if text else []
     marks = row.ages(now_ns, FADE_NS)
     if not any(marks):
-        return [Span(text, "data")] if text else []
+        return [StyledText(text, "data")] if text else []
     step = 2 + len(gap)
-    spans: list[Span] = []
+    spans: list[StyledText] = []
     begin, style = 0, ""
     for number in range(len(shown)):
         for nibble in (1, 0):
@@ -341,15 +345,15 @@ def hexadecimal(row: Row, shown: bytes, now_ns: int, gap: str, *, is_marking: bo
             at = number * step + 1 - nibble
             if now != style:
                 if at > begin:
-                    spans.append(Span(text[begin:at], style))
+                    spans.append(StyledText(text[begin:at], style))
                 begin, style = at, now
-    spans.append(Span(text[begin:], style))
+    spans.append(StyledText(text[begin:], style))
     return spans
 
 
-def binary(byte: int, number: int, marks: Sequence[int]) -> list[Span]:
+def binary(byte: int, number: int, marks: Sequence[int]) -> list[StyledText]:
     """One byte as bits, the highest first, each by the age of its change; `number` is the byte's, `marks` are `ages`."""
-    spans: list[Span] = []
+    spans: list[StyledText] = []
     for bit in range(7, -1, -1):
         style = "data"
         for fade, mask in zip(FADES, marks, strict=False):
@@ -358,57 +362,68 @@ def binary(byte: int, number: int, marks: Sequence[int]) -> list[Span]:
                 break
         text = str(byte >> bit & 1)
         if spans and spans[-1].style == style:
-            spans[-1] = Span(spans[-1].text + text, style)
+            spans[-1] = StyledText(spans[-1].text + text, style)
         else:
-            spans.append(Span(text, style))
+            spans.append(StyledText(text, style))
         if bit == 4:
-            spans[-1] = Span(spans[-1].text + " ", style)
+            spans[-1] = StyledText(spans[-1].text + " ", style)
     return spans
 
 
-def _values(row: Row, model: Model, width: int, style: str) -> list[Span]:
+def _values(row: RepeatedFrame, model: Model, width: int, style: str) -> list[StyledText]:
     """Decoded fields, as many as there is room for; of what is not decoded, why."""
-    spans: list[Span] = []
+    spans: list[StyledText] = []
     if row.is_lost or row.record is None:
         reason = getattr(row.record, "reason", "").partition(": ")[2]
-        return [Span(_fitted(reason, width), style or "dim")]
+        return [StyledText(_fitted(reason, width), style or "dim")]
     fields = model.fields_of(row)
     if fields is None:
-        return [Span(" " * width, "plain")]
+        return [StyledText(" " * width, "plain")]
     left = width
     for token in fields.tokens(row.record):
         lead = "  " if spans else ""
         parts = (
-            Span(f"{lead}{token.name}=", style or "name"),
-            Span(printable(token.text), style or "value"),
-            Span(f" {token.unit}" if token.unit else "", style or "unit"),
+            StyledText(f"{lead}{token.name}=", style or "name"),
+            StyledText(printable(token.text), style or "value"),
+            StyledText(f" {token.unit}" if token.unit else "", style or "unit"),
         )
         for span in parts:
             length = cell_len(span.text)
             if length > left:
                 if left > 0:
-                    spans.append(Span(set_cell_size(span.text, left - 1) + "…", span.style))
+                    spans.append(StyledText(set_cell_size(span.text, left - 1) + "…", span.style))
                 return spans
             left -= length
             if span.text:
                 spans.append(span)
     if left:
-        spans.append(Span(" " * left, "plain"))
+        spans.append(StyledText(" " * left, "plain"))
     return spans
 
 
-def cut(spans: Sequence[Span], width: int) -> list[Span]:
+def fit(spans: Sequence[StyledText], width: int) -> list[StyledText]:
     """So much of a line as there is room for."""
-    found: list[Span] = []
+    found: list[StyledText] = []
     for span in spans:
         length = cell_len(span.text)
         if length > width:
             if width > 0:
-                found.append(Span(set_cell_size(span.text, width - 1) + "…", span.style))
+                found.append(StyledText(set_cell_size(span.text, width - 1) + "…", span.style))
             break
         found.append(span)
         width -= length
     return found
 
 
-__all__ = ["Column", "Needs", "Span", "bar", "binary", "columns", "cut", "line", "styles", "title"]
+__all__ = [
+    "Needs",
+    "StyledText",
+    "TableColumn",
+    "bar",
+    "binary",
+    "fit",
+    "line",
+    "styles",
+    "title",
+    "visible_columns",
+]

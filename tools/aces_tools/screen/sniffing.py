@@ -16,7 +16,7 @@ from ..live import LivePatience, Told, losses
 from . import check_screen, run_screen
 
 if TYPE_CHECKING:
-    from ..recorder import Recorder
+    from ..recorder import RecordingFile
     from ..sniff import Sniffing
 
 #: Options that say something about lines.
@@ -78,7 +78,7 @@ def run_on_screen(sniffing: Sniffing) -> int:
     return sniffing.status or status
 
 
-def _said(recorder: Recorder) -> Callable[[], str]:
+def _said(recorder: RecordingFile) -> Callable[[], str]:
     """What the head says of a recording."""
     return lambda: f"{recorder.path} {recorder.recorded:,}"
 

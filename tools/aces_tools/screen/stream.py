@@ -20,7 +20,7 @@ SILENCE_S = 1.0
 BYTE = 10
 
 
-class Stream:
+class ModelFeed:
     """Feeds a model. Times are the host's, of its monotonic clock."""
 
     def __init__(self, model: Model, *, are_datagrams: bool = False) -> None:
@@ -50,4 +50,4 @@ class Stream:
             self._model.feed_records(self._scanner.idle(now_ns / 1e9), now_ns)
 
 
-__all__ = ["Stream"]
+__all__ = ["ModelFeed"]

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from aces_bus.protocol import Record, Variant, draw
-from aces_bus.protocol.codegen import plan as p
-from aces_bus.protocol.codegen.flatten import flatten
-from aces_bus.protocol.codegen.load import records_of
-from aces_bus.protocol.spec.message import Message
+from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.generate.load import records_of
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.plan.flatten import flatten
 
-from ..output.shape import Leaf, getter, leaves, unit_of
-from ..output.text import show
+from ..output.shape import RecordLeaf, getter, record_leaves, unit_of
+from ..output.text import value_printer
 
 #: Levels of a curve.
 BLOCKS = "▁▂▃▄▅▆▇█"
@@ -32,7 +32,7 @@ class Value(NamedTuple):
     curve: str
 
 
-class Token(NamedTuple):
+class FieldText(NamedTuple):
     """One field for the table: `name=` `text` ` unit`."""
 
     name: str
@@ -40,7 +40,7 @@ class Token(NamedTuple):
     unit: str
 
 
-class Fields:
+class FieldFormat:
     """How one message's records are told."""
 
     def __init__(self, variant: Variant, message: Message) -> None:
@@ -57,9 +57,9 @@ class Fields:
         #: The fields that say what the rest means, or whom it is about.
         self.page = tuple(name for name in decide if name in self.names)
         self._short: list[tuple[p.PlanField, Callable[[Any], Any], Callable[[Any], str], str]] = [
-            (one, getter((one.name,)), show(one.node), unit_of(one.node)) for one in plan.fields
+            (one, getter((one.name,)), value_printer(one.node), unit_of(one.node)) for one in plan.fields
         ]
-        self._leaves: list[tuple[Leaf, Callable[[Any], str], str]] | None = None
+        self._leaves: list[tuple[RecordLeaf, Callable[[Any], str], str]] | None = None
         self._rows: dict[str, draw.FieldRow] = {}
         self._picture: list[str] | None = None
 
@@ -67,22 +67,24 @@ class Fields:
         """The page's names and values."""
         return [(name, getattr(record, name)) for name in self.page]
 
-    def tokens(self, record: Record) -> Iterator[Token]:
+    def tokens(self, record: Record) -> Iterator[FieldText]:
         """The fields, each as a whole; those that are not there are left out."""
         for one, get, shown, unit in self._short:
             value = get(record)
             if value is None:
                 if one.when is None and not isinstance(one.node, p.FromRequest):
-                    yield Token(one.name, "unknown", "")
+                    yield FieldText(one.name, "unknown", "")
             elif value or not _is_dull(one.node):
-                yield Token(one.name, shown(value), unit)
+                yield FieldText(one.name, shown(value), unit)
 
     def values(self, record: Record, history: Sequence[Record] = (), width: int = 24) -> list[Value]:
         """Every single value, lists and nested records taken apart, with its curve over `history`."""
         if self._leaves is None:
-            self._leaves = [(leaf, show(leaf.node), unit_of(leaf.node)) for leaf in leaves(self._plan)]
+            self._leaves = [
+                (leaf, value_printer(leaf.node), unit_of(leaf.node)) for leaf in record_leaves(self._plan)
+            ]
             captured = draw.captured_values(self._message)
-            self._rows = {row.name: row for row in draw.table(self._plan, captured)}
+            self._rows = {row.name: row for row in draw.field_table(self._plan, captured)}
         found: list[Value] = []
         for leaf, shown, unit in self._leaves:
             value = leaf.get(record)
@@ -137,20 +139,20 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and -1e300 < value < 1e300
 
 
-class FieldsOfKinds(dict[type, Fields | None]):
+class FieldsOfKinds(dict[type, FieldFormat | None]):
     """By the type of an item; None for what is no record. Each is made when the first of its items comes."""
 
     def __init__(self, variants: Sequence[Variant]) -> None:
         super().__init__()
         self._variants = variants
 
-    def __missing__(self, kind: type) -> Fields | None:
+    def __missing__(self, kind: type) -> FieldFormat | None:
         made = None
         for variant in self._variants:
             if kind.__name__ in variant.messages and records_of(variant)[kind.__name__] is kind:
-                made = Fields(variant, variant.messages[kind.__name__])
+                made = FieldFormat(variant, variant.messages[kind.__name__])
         self[kind] = made
         return made
 
 
-__all__ = ["Fields", "FieldsOfKinds", "Token", "Value", "sparkline"]
+__all__ = ["FieldFormat", "FieldText", "FieldsOfKinds", "Value", "sparkline"]

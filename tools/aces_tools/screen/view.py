@@ -13,10 +13,10 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from aces_bus.capture import CanFilter, parse_filter
 from aces_bus.errors import CallerError
+from aces_bus.recordings import CanFilter, parse_filter
 
-from .model import Model, Row
+from .model import Model, RepeatedFrame
 
 #: The orders, in the order in which one key goes through them.
 SORTS = ("id", "rate", "name", "change")
@@ -40,8 +40,8 @@ class View:
         self.frozen_ns: int | None = None
         self._words: list[str] = []
         self._filter: CanFilter | None = None
-        self._frozen: list[Row] = []
-        self._order: list[Row] = []
+        self._frozen: list[RepeatedFrame] = []
+        self._order: list[RepeatedFrame] = []
         self._state: Any = None
         self._ordered_ns = 0
 
@@ -82,7 +82,7 @@ class View:
 
     # ------------------------------------------------------------------ the rows
 
-    def rows(self, now_ns: int) -> list[Row]:
+    def rows(self, now_ns: int) -> list[RepeatedFrame]:
         """The rows to show, in order."""
         generation = -1 if self.frozen_ns is not None else self.model.generation
         state = self.sort, self.is_reversed, self.unknown_only, self.text, generation
@@ -97,14 +97,14 @@ class View:
         self._state, self._ordered_ns = state, now_ns
         return self._order
 
-    def _passes(self, row: Row) -> bool:
+    def _passes(self, row: RepeatedFrame) -> bool:
         if self.unknown_only and not row.is_lost:
             return False
         if self._filter is not None:
             return row.frame is not None and self._filter.matches(row.frame)
         return all(word in row.search for word in self._words)
 
-    def _sort_key(self, now_ns: int) -> Callable[[Row], Any]:
+    def _sort_key(self, now_ns: int) -> Callable[[RepeatedFrame], Any]:
         if self.sort == "rate":
             return lambda row: (-row.rate(now_ns), row.channel, row.key, row.number)
         if self.sort == "name":
@@ -115,7 +115,7 @@ class View:
         return lambda row: (row.channel, row.key, row.name, _natural(row))
 
 
-def _natural(row: Row) -> tuple[int, str, int]:
+def _natural(row: RepeatedFrame) -> tuple[int, str, int]:
     return len(row.identifier), row.identifier, row.number
 
 

@@ -1,0 +1,67 @@
+"""Whose turn it is to be asked, and what a host has counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from .device import Device, Poll
+from .station import tags_of
+from .ticket import Ticket
+
+
+@dataclass
+class HostCounts:
+    """What went over a host's bus, in words; latencies in ns.
+
+    `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for
+    another tick. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it, `latency_ns` that of
+    a single request.
+    """
+
+    ticks: int = 0
+    sent: int = 0
+    set_points: int = 0
+    polls: int = 0
+    polls_carried: int = 0
+    asked: int = 0
+    answered: int = 0
+    missed: int = 0
+    repeated: int = 0
+    received: int = 0
+    not_sent: int = 0
+    latency_ns: int = 0
+    cycle_ns: int = 0
+    cycle_sum_ns: int = 0
+    cycles: int = 0
+    ticks_missed: int = 0
+
+
+class PollSlot:
+    """One poll of one device, and when it is due."""
+
+    __slots__ = (
+        "asked_at",
+        "common",
+        "cost_ns",
+        "device",
+        "due",
+        "every_ns",
+        "poll",
+        "replies",
+        "timeout_ns",
+        "waiting",
+        "word",
+    )
+
+    def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
+        self.device, self.poll, self.word = device, poll, word
+        #: It asks everybody: when several devices want it in one tick, it is sent once.
+        self.common = not tags_of(device, device.variant[poll.message])
+        self.every_ns = 0 if poll.every_s is None else round(poll.every_s * 1e9)
+        self.timeout_ns = round(poll.timeout_s * 1e9)
+        self.replies = poll.replies
+        self.due = self.asked_at = 0
+        self.waiting: Ticket | None = None
+        #: What it costs on the wire, with its answer; learnt.
+        self.cost_ns = cost_ns

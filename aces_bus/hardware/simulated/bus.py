@@ -1,0 +1,442 @@
+"""A CAN bus as a simulation: bit rate, arbitration, acknowledgement, errors, load.
+
+1. Time is the clock's. All that happens is an event of it; the same clock, calls and seed give the same bus, bit for bit.
+2. Nothing is lost in silence: a frame is delivered, waits, is retransmitted, or its sender is told what became of it.
+3. Cost is per frame, not per bit.
+
+A frame takes its real stuffed length (`frame_time`). Whoever wants to send when the bus falls idle takes part in
+arbitration; the lowest arbitration field wins, as on the wire: identifier, then RTR, SRR and IDE. A frame that nobody
+acknowledges, that a fault destroys, or that meets another of the same identifier ends in an error frame, counts at both
+ends (ISO 11898-1:2015, 12.1.4) and is sent again, until its sender is bus-off.
+
+**Not modelled**: propagation delay, sampling and clock tolerance; receivers that disagree about a frame without a fault
+asking for it; overload frames. An error flag is taken to be answered one bit late, so an error frame is 15 bits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from heapq import heapify, heappop, heappush
+from typing import Literal
+
+from ...errors import CallerError
+from ...frames import Frame
+from ...runtime import VirtualClock
+from .faults import NO_FAULTS, Faults
+from .frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, FrameBits, frame_bits
+
+State = Literal["error-active", "error-passive", "bus-off"]
+#: Error counters above these make a node passive, or take it off the bus (12.1.4.3).
+PASSIVE, OFF = 127, 255
+_NOBODY = 1 << 40
+#: A node comes back after 128 times 11 recessive bits.
+RECOVERY = 128 * 11
+
+
+@dataclass(frozen=True)
+class SimulatedBusEvent:
+    """Something that happened to a node: what, when (ns), and the frame it was about.
+
+    `kind` is "no acknowledge", "bit error", "error-passive", "error-active", "bus-off", "recovered" or "sent".
+    """
+
+    kind: str
+    instant: int
+    frame: Frame | None = None
+
+
+@dataclass
+class Load:
+    """What a bus has carried: frames, retransmissions included in `errors`, and nanoseconds in which it was busy."""
+
+    frames: int = 0
+    errors: int = 0
+    busy_ns: int = 0
+    since: int = 0
+
+    def ratio(self, now: int) -> float:
+        """The share of time in which the bus was busy, intermissions included."""
+        return self.busy_ns / (now - self.since) if now > self.since else 0.0
+
+
+class BusNode:
+    """A controller on a wire; made by `Wire.attach`.
+
+    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each `WireEvent` of
+    its own. Both are called from within the simulation: they may send, and must not block.
+    """
+
+    def __init__(
+        self,
+        wire: SimulatedBus,
+        name: str,
+        received: Callable[[Frame, int], None] | None,
+        happened: Callable[[SimulatedBusEvent], None] | None,
+        *,
+        listen_only: bool,
+        fd: bool,
+        mailboxes: int,
+        restart_ns: int | None,
+    ) -> None:
+        self.wire, self.name = wire, name
+        self.received, self.happened = received, happened
+        self.listen_only, self.fd = listen_only, fd
+        self.mailboxes, self.restart_ns = mailboxes, restart_ns
+        self.transmit_errors = self.receive_errors = 0
+        self.state: State = "error-active"
+        self.is_connected = True
+        self.quiet_until = 0
+        #: Whether `happened` is told of every frame that was sent.
+        self.hears_sent = happened is not None
+        self._waiting: list[tuple[int, int, Frame]] = []
+        #: Who wants to know what becomes of a frame, by its number.
+        self._reports: dict[int, Callable[[str, str], object]] = {}
+        #: What is on the wire, not among those that wait.
+        self._sending: tuple[int, int, Frame] | None = None
+
+    @property
+    def pending(self) -> int:
+        """How many frames are not sent yet, the one on the wire included."""
+        return len(self._waiting) + (self._sending is not None)
+
+    def send(self, frame: Frame, report: Callable[[str, str], object] | None = None, age_ns: int = 0) -> bool:
+        """Queue a frame; the most urgent identifier goes first. False when all mailboxes are full or the node is bus-off.
+
+        `report` is called with "sent", "expired" (it did not leave within `age_ns`) or "unsent" (the node was taken off),
+        and why.
+        """
+        if self.listen_only:
+            raise CallerError(f"{self.name} only listens")
+        if frame.is_error_frame:
+            raise CallerError("an error frame is not sent but made by faults")
+        if self.state == "bus-off" or len(self._waiting) >= self.mailboxes:
+            return False
+        wire = self.wire
+        wire.count += 1
+        heappush(self._waiting, (arbitration(frame), wire.count, frame))
+        if report is not None:
+            number = wire.count
+            self._reports[number] = report
+            if age_ns:
+                wire.clock.call_in(age_ns, lambda: self._expire(number))
+        wire.wake()
+        return True
+
+    def _expire(self, number: int) -> None:
+        """A frame is too old: it leaves its mailbox, unless it is on the wire."""
+        if number in self._reports:
+            left = [entry for entry in self._waiting if entry[1] != number]
+            if len(left) < len(self._waiting):
+                heapify(left)
+                self._waiting = left
+            self._reports.pop(number)("expired", "it was not taken; is anybody on the bus?")
+
+    def disconnect(self) -> None:
+        """Pull the plug: nothing arrives and nothing leaves; what waits goes on waiting."""
+        self.is_connected = False
+
+    def connect(self) -> None:
+        """Put the plug back."""
+        self.is_connected = True
+        if self._waiting:
+            self.wire.wake()
+
+    def abort(self) -> int:
+        """Drop what waits to be sent; how many frames that was. The one on the wire is sent."""
+        gone = self._waiting
+        self._waiting = []
+        for _, number, _ in gone if self._reports else ():
+            if (report := self._reports.pop(number, None)) is not None:
+                report("unsent", "the node was taken off, or its mailboxes were emptied")
+        return len(gone)
+
+    def restart(self) -> None:
+        """Come back from bus-off: after 128 times 11 recessive bits."""
+        if self.state == "bus-off":
+            wire = self.wire
+            wire.clock.call_in(RECOVERY * wire.bit_ns, self._recover)
+
+    def _recover(self) -> None:
+        if self.state == "bus-off":
+            self.transmit_errors = self.receive_errors = 0
+            self.state = "error-active"
+            self.tell("recovered")
+            if self._waiting:
+                self.wire.wake()
+
+    def tell(self, kind: str, frame: Frame | None = None) -> None:
+        """Report something that happened to this node."""
+        if self.happened is not None:
+            self.happened(SimulatedBusEvent(kind, self.wire.clock.now(), frame))
+
+    def count_errors(self, transmit: int, receive: int, frame: Frame) -> None:
+        """Add to the error counters; tell when the state changes."""
+        self.transmit_errors = max(0, self.transmit_errors + transmit)
+        self.receive_errors = max(0, self.receive_errors + receive)
+        if self.receive_errors > PASSIVE and receive < 0:
+            self.receive_errors = PASSIVE  # back into 119…127 (12.1.4.2 h)
+        if self.transmit_errors > OFF:
+            self.state = "bus-off"
+            self.tell("bus-off", frame)
+            if self.restart_ns is not None:
+                self.wire.clock.call_in(self.restart_ns, self.restart)
+            return
+        state: State = (
+            "error-passive"
+            if self.transmit_errors > PASSIVE or self.receive_errors > PASSIVE
+            else "error-active"
+        )
+        if state != self.state:
+            self.state = state
+            self.tell(state, frame)
+
+    def __repr__(self) -> str:
+        return f"<node {self.name}: {self.state}, {self.pending} waiting>"
+
+
+def arbitration(frame: Frame) -> int:
+    """What nodes contend with, as a number: the lower one wins."""
+    identifier = frame.arbitration_id
+    remote = 1 if frame.is_remote_frame else 0
+    if frame.is_extended_id:
+        return (identifier >> 18) << 21 | 3 << 19 | (identifier & 0x3FFFF) << 1 | remote
+    return identifier << 21 | remote << 20
+
+
+class SimulatedBus:
+    """One bus segment. `bitrate` and `data_bitrate` are in bit/s; `seed` is of the faults.
+
+    Raises `CallerError` for rates that no CAN controller has (up to 1 and 8 Mbit/s, ISO 11898-2:2016).
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        *,
+        bitrate: int = 500_000,
+        data_bitrate: int | None = None,
+        faults: Faults = NO_FAULTS,
+    ) -> None:
+        if not 1_000 <= bitrate <= 1_000_000:
+            raise CallerError(f"a bit rate of {bitrate} bit/s; CAN has 1,000 to 1,000,000")
+        if data_bitrate is not None and not bitrate <= data_bitrate <= 8_000_000:
+            raise CallerError(f"a data bit rate of {data_bitrate} bit/s; it is from {bitrate} to 8,000,000")
+        self.clock = clock
+        self.bitrate, self.data_bitrate = bitrate, data_bitrate
+        self.bit_ns = round(1_000_000_000 / bitrate)
+        self._is_whole = self.bit_ns * bitrate == 1_000_000_000
+        self.nodes: list[BusNode] = []
+        self.load = Load(since=clock.now())
+        self.count = 0
+        self._faults = faults.start() if faults != NO_FAULTS else None
+        self._is_busy = False
+        self._is_woken = False
+        self._idle_from = 0
+
+    def attach(
+        self,
+        name: str = "",
+        received: Callable[[Frame, int], None] | None = None,
+        happened: Callable[[SimulatedBusEvent], None] | None = None,
+        *,
+        listen_only: bool = False,
+        fd: bool = True,
+        mailboxes: int = 1024,
+        restart_ns: int | None = None,
+    ) -> BusNode:
+        """A new node. `restart_ns` is when it comes back from bus-off by itself, None: when told to."""
+        node = BusNode(
+            self,
+            name or f"node{len(self.nodes)}",
+            received,
+            happened,
+            listen_only=listen_only,
+            fd=fd,
+            mailboxes=mailboxes,
+            restart_ns=restart_ns,
+        )
+        self.nodes.append(node)
+        return node
+
+    def detach(self, node: BusNode) -> None:
+        """Take a node off for good."""
+        node.abort()
+        if node in self.nodes:
+            self.nodes.remove(node)
+
+    # ------------------------------------------------------------------ the bus
+
+    def wake(self) -> None:
+        """Somebody has something to send."""
+        if not self._is_busy and not self._is_woken:
+            self._is_woken = True
+            self.clock.post(self._idle_from, self._arbitrate)  # or now, if that has passed
+
+    def _arbitrate(self) -> None:
+        """The bus is idle: the lowest arbitration field goes first."""
+        self._is_woken = False
+        if self._is_busy:
+            return
+        now = self.clock.now()
+        best = _NOBODY
+        senders: list[BusNode] = []
+        later: int | None = None
+        for node in self.nodes:
+            waiting = node._waiting
+            if not waiting or not node.is_connected or node.state == "bus-off":
+                continue
+            if node.quiet_until > now:
+                later = node.quiet_until if later is None else min(later, node.quiet_until)
+                continue
+            key = waiting[0][0]
+            if key < best:
+                best, senders = key, [node]
+            elif key == best:
+                senders.append(node)
+        if not senders:
+            if later is not None:
+                self._is_woken = True
+                self.clock.call_at(later, self._arbitrate)
+            return
+        frame = senders[0]._waiting[0][2]
+        self._is_busy = True
+        for node in senders:
+            node._sending = heappop(node._waiting)
+        bits = frame_bits(frame)
+        is_alone = len(senders) == 1
+        if not is_alone and any(node._sending and node._sending[2] != frame for node in senders):
+            self._destroy(senders, frame, bits, "bit error", min(bits.total - 1, 20))
+            return
+        listeners = [
+            node
+            for node in self.nodes
+            if not node.listen_only and node.is_connected and node.state != "bus-off" and node not in senders
+        ]
+        if not listeners and is_alone:
+            self._destroy(senders, frame, bits, "no acknowledge", bits.total - 8)
+            return
+        if frame.is_fd and not all(node.fd for node in listeners):
+            self._destroy(
+                senders, frame, bits, "bit error", 20
+            )  # a classic controller takes FDF for a fault of form
+            return
+        if self._faults is not None and (place := self._faults.corrupts(bits.total)) is not None:
+            self._destroy(senders, frame, bits, "bit error", place)
+            return
+        duration = self._duration(bits)
+        self.clock.post(now + duration, partial(self._deliver, senders, frame, duration))
+
+    def _duration(self, bits: FrameBits) -> int:
+        if not bits.data and self._is_whole:
+            return bits.nominal * self.bit_ns
+        return bits.duration_ns(self.bitrate, self.data_bitrate)
+
+    def _deliver(self, senders: list[BusNode], frame: Frame, duration: int) -> None:
+        """The last bit of a good frame."""
+        now = self.clock.now()
+        load = self.load
+        load.frames += 1
+        pause = INTERMISSION * self.bit_ns
+        load.busy_ns += duration + pause
+        self._idle_from = now + pause
+        for node in senders:
+            if node._reports and node._sending is not None:
+                report = node._reports.pop(node._sending[1], None)
+                if report is not None:
+                    report("sent", "")
+            node._sending = None
+            if node.transmit_errors:
+                node.count_errors(-1, 0, frame)
+            if node.state == "error-passive":
+                node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
+        self._is_busy = False
+        faults = self._faults
+        for node in self.nodes:
+            if not node.is_connected or node.state == "bus-off" or node in senders:
+                continue
+            if node.receive_errors:
+                node.count_errors(0, -1, frame)
+            if node.received is None:
+                continue
+            if faults is None:
+                node.received(frame, now)
+                continue
+            for delay in faults.arrivals():
+                self._arrive(node, frame, now, delay)
+        for node in senders:
+            if node.hears_sent:
+                node.tell("sent", frame)
+        for node in self.nodes:
+            if node._waiting:
+                self.wake()
+                break
+
+    def _arrive(self, node: BusNode, frame: Frame, now: int, delay: int) -> None:
+        received = node.received
+        assert received is not None
+        if not delay:
+            received(frame, now)
+        else:
+            self.clock.call_in(delay, lambda: received(frame, self.clock.now()))
+
+    def _destroy(self, senders: list[BusNode], frame: Frame, bits: FrameBits, kind: str, place: int) -> None:
+        """A frame that ends in an error frame behind its bit `place`."""
+        part = FrameBits(min(place, bits.nominal), max(0, min(place - bits.nominal, bits.data)))
+        duration = self._duration(part) + ERROR_FRAME * self.bit_ns
+
+        def end() -> None:
+            pause = INTERMISSION * self.bit_ns
+            self.load.errors += 1
+            self.load.busy_ns += duration + pause
+            self._idle_from = self.clock.now() + pause
+            self._is_busy = False
+            for node in senders:
+                if node._sending is not None and node in self.nodes:
+                    heappush(node._waiting, node._sending)
+                node._sending = None
+                # A passive node whose frame nobody acknowledges does not count it (12.1.4.2 c, exception 1).
+                if kind != "no acknowledge" or node.state != "error-passive":
+                    node.tell(kind, frame)
+                    node.count_errors(8, 0, frame)
+                if node.state == "error-passive":
+                    node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
+            for node in self.nodes:
+                if node not in senders and node.is_connected and node.state != "bus-off":
+                    node.count_errors(0, 1, frame)
+            self.wake()
+
+        self.clock.call_in(duration, end)
+
+
+class Babbler:
+    """A broken node that sends the same frame without end, as long as it is not bus-off."""
+
+    def __init__(self, wire: SimulatedBus, frame: Frame) -> None:
+        self.frame = frame
+        self.node = wire.attach("babbler", happened=self._again)
+        self.node.send(frame)
+
+    def _again(self, event: SimulatedBusEvent) -> None:
+        if event.kind in ("sent", "recovered"):
+            self.node.send(self.frame)
+
+    def stop(self) -> None:
+        """Be quiet."""
+        self.node.wire.detach(self.node)
+
+
+class ListeningNode:
+    """A node that only listens and keeps what it hears, the last `most` frames: (instant in ns, frame)."""
+
+    def __init__(self, wire: SimulatedBus, most: int = 1_000_000) -> None:
+        self.heard: deque[tuple[int, Frame]] = deque(maxlen=most)
+        self.node = wire.attach(
+            "recorder", lambda frame, now: self.heard.append((now, frame)), listen_only=True
+        )
+
+    def frames(self) -> Iterable[Frame]:
+        """The frames, in order."""
+        return (frame for _, frame in self.heard)

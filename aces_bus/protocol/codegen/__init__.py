@@ -1,1 +1,0 @@
-"""From a spec to a plan, from a plan to text, from text to functions."""

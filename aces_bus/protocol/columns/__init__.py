@@ -1,0 +1,1 @@
+"""A whole recording decoded at once: a table per message, with NumPy."""

@@ -1,0 +1,205 @@
+"""A whole capture as columns: a mapping from messages to tables.
+
+1. Everything is in memory: a capture that does not fit is decoded piece by piece (`make_column_scanner`), or into a file
+   (`aces decode -o`, `aces_bus.export`).
+2. Nothing here opens anything: a capture is whatever gives frame tables, frames, chunks or bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from inspect import signature
+from typing import Any, Literal
+
+from ...errors import CallerError, UnknownNameError
+from ...frame_table import FrameTable
+from ..counts import ScanCounts
+from ..declare.message import Direction
+from ..declare.protocol import Variant
+from .dataframes import to_arrow, to_pandas, to_polars
+from .layout import Holds, Objects, empty_table
+from .scanner import ColumnScanner, RecordColumns, make_column_scanner
+from .table import MessageTable
+
+#: Frames that are put into a table at once where a capture gives them one by one.
+PIECE = 16_384
+
+Way = Direction | Literal["both"]
+
+
+class DecodedRecording(Mapping[str, MessageTable]):
+    """Messages by name, each the table of the whole capture; messages that did not occur are not among the keys.
+
+        decoded = hubo.decode(capture)
+        decoded["Encoder"]["position.0"].values     # an array, in the sheet's unit
+        decoded.to_pandas("Encoder")
+        decoded.counts                              # where every frame or byte went
+        decoded.capture.lines_unreadable            # of `aces_bus.decode(path, …)`; also .problems, .others
+
+    The table named "" is what was not decoded, where that was asked for (`include_unknown`).
+    """
+
+    def __init__(self, variant: Variant, tables: Mapping[str, MessageTable], counts: ScanCounts) -> None:
+        self.variant = variant
+        self.counts = counts
+        #: The recording, read and closed, where it was opened here: what of it could not be read is counted there.
+        self.capture: Any = None
+        self._tables = dict(tables)
+        self._objects = Objects([variant])
+
+    def __getitem__(self, message: str) -> MessageTable:
+        """The table of a message, without rows when it did not occur; raises `UnknownNameError`."""
+        if message in self._tables:
+            return self._tables[message]
+        if message not in self.variant.messages:
+            raise UnknownNameError(f"message of {self.variant.label}", message, self.variant.messages)
+        return empty_table(self.variant, message)
+
+    def __contains__(self, message: object) -> bool:
+        return message in self._tables
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tables)
+
+    def __len__(self) -> int:
+        return len(self._tables)
+
+    def __repr__(self) -> str:
+        rows = ", ".join(f"{name or 'not decoded'}: {len(table)}" for name, table in self._tables.items())
+        return f"<{self.variant.label}: {rows}>"
+
+    def to_arrow(self, message: str, *, names: bool = False, float32: bool = False) -> Any:
+        """A message's table as a `pyarrow.Table`; see `aces_bus.export.to_arrow`."""
+        table = self[message]
+        return to_arrow(table, names=names, float32=float32, objects=self._of(table))
+
+    def to_pandas(self, message: str, *, names: bool = False, float32: bool = False) -> Any:
+        """A message's table as a `pandas.DataFrame`; see `aces_bus.export.to_pandas`."""
+        return to_pandas(self[message], names=names, float32=float32)
+
+    def to_polars(self, message: str, *, names: bool = False, float32: bool = False) -> Any:
+        """A message's table as a `polars.DataFrame`; see `aces_bus.export.to_polars`."""
+        table = self[message]
+        return to_polars(table, names=names, float32=float32, objects=self._of(table))
+
+    def _of(self, table: MessageTable) -> dict[str, Holds]:
+        return self._objects.of(table)
+
+
+def decode_tables(
+    variant: Variant,
+    capture: Any,
+    *,
+    message: str | Iterable[str] | None = None,
+    direction: Way | None = None,
+    include_unknown: bool = False,
+    raw: bool = False,
+) -> DecodedRecording:
+    """All messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames (of python-can
+    too), chunks or bytes; bytes may also be given as they are.
+
+    `message` limits what is kept to one or several messages; the counts stay those of the whole. `direction` is that of
+    a stream which does not say it: "to device", "from device" or "both". With `include_unknown`, what was not decoded is the
+    table named "". `raw` leaves out units, scales and names.
+
+    Raises `UnknownNameError` for a message that the protocol does not have, `CallerError` where bytes alone do not tell
+    the messages apart and no direction is given, `CaptureError` where reading stops.
+    """
+    wanted = None if message is None else {message} if isinstance(message, str) else set(message)
+    for name in wanted or ():
+        if name not in variant.messages:
+            raise UnknownNameError(f"message of {variant.label}", name, variant.messages)
+    parts: dict[str, list[MessageTable]] = {}
+    scanners: dict[Any, ColumnScanner] = {}
+
+    def keep(tables: Iterable[MessageTable]) -> None:
+        for table in tables:
+            if len(table) and (wanted is None or table.message in wanted or not table.message):
+                parts.setdefault(table.message, []).append(table)
+
+    for words, way, time in _words(capture, variant):
+        way = direction or way
+        if way not in scanners:
+            scanners[way] = make_column_scanner(
+                [variant], direction=way, include_unknown=include_unknown, raw=raw
+            )
+        keep(feed(scanners[way], words, time))
+    for scanner in scanners.values():
+        keep(scanner.close())
+    if not scanners:
+        make_column_scanner(
+            [variant], direction=direction
+        )  # an empty capture is decoded under the same rules
+    # Declared order, whatever came first.
+    order = {name: place for place, name in enumerate(variant.messages)}
+    names = sorted(parts, key=lambda name: order.get(name, len(order)))
+    tables = {name: MessageTable.concat(parts[name]) for name in names}
+    return DecodedRecording(variant, tables, _sum(scanner.counts for scanner in scanners.values()))
+
+
+def feed(scanner: ColumnScanner, words: Any, time: float | None) -> list[MessageTable]:
+    """`scanner.feed`, with the time of a chunk of bytes where the capture has one and the scanner takes it."""
+    if time is None:
+        return scanner.feed(words)
+    if isinstance(scanner, RecordColumns):
+        live: Any = scanner.scanner
+        return scanner.tables(live.feed(words, time), None)
+    timed: Any = scanner.feed
+    tables: list[MessageTable] = timed(words, time) if len(signature(timed).parameters) > 1 else timed(words)
+    return tables
+
+
+def _words(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | None, float | None]]:
+    """(what to feed, its direction, its time) of anything that may be decoded."""
+    is_can = variant.link == "can"
+    link = getattr(capture, "link", None)
+    if isinstance(link, str) and (link == "can") is not is_can:
+        raise CallerError(
+            f"{variant.name} is a protocol on {variant.link}, and this is a capture on {link};"
+            " open the capture with the link of the protocol"
+        )
+    if isinstance(capture, (bytes, bytearray, memoryview)):
+        yield bytes(capture), None, None
+        return
+    if isinstance(capture, FrameTable):
+        capture = [capture]
+    elif isinstance(capture, str) or not hasattr(capture, "__iter__"):
+        raise CallerError(
+            f"{type(capture).__name__} is no capture: open it (aces_bus.recordings.open_capture), give frames or bytes,"
+            " or call aces_bus.decode(path, protocol)"
+        )
+    frames: list[Any] = []
+    channels = None
+    for item in capture.tables() if is_can and hasattr(capture, "tables") else capture:
+        if isinstance(item, FrameTable):
+            yield item, None, None
+        elif is_can and hasattr(item, "arbitration_id"):
+            frames.append(item)
+            if len(frames) >= PIECE:
+                table = FrameTable.from_frames(frames, channels)
+                channels = table.channels
+                frames = []
+                yield table, None, None
+        elif not is_can and isinstance(item, (bytes, bytearray, memoryview)):
+            yield bytes(item), None, None
+        elif not is_can and hasattr(item, "data"):
+            yield item.data, getattr(item, "direction", None), getattr(item, "time", None)
+        else:
+            raise CallerError(
+                f"{type(item).__name__} is nothing that {variant.name} ({variant.link}) is decoded from"
+            )
+    if frames:
+        yield FrameTable.from_frames(frames, channels), None, None
+
+
+def _sum(all_counts: Iterable[ScanCounts]) -> ScanCounts:
+    total = ScanCounts()
+    for counts in all_counts:
+        for name in ("total", "decoded", "pending", "filtered", "records", "missed"):
+            setattr(total, name, getattr(total, name) + getattr(counts, name))
+        for reason, number in counts.reasons.items():
+            total.lose(number, reason)
+    return total
+
+
+__all__ = ["DecodedRecording", "decode_tables", "feed"]

@@ -1,0 +1,198 @@
+"""Candidates in a stuffed packet that failed: what is between two end marks is unstuffed once, not once a candidate.
+
+1. `Segments` says word for word what `Framing.judge` says, of framings whose packets are stuffed as a whole and closed by
+   the one byte that stuffing keeps out of them (SLIP by C0, COBS by 00).
+2. The first candidate behind a mark goes straight through the framing: good streams cost nothing more. Only when it failed
+   is the segment looked at as a whole: which candidates can be unstuffed at all, and what they have in common.
+3. `work` counts the bytes and blocks that were unstuffed beside those of packets, `checked` the bytes that failed checks
+   have read: unstuffing a segment costs a few times its length, and a candidate that can be unstuffed its check.
+
+*Facts.* A candidate is a suffix of its segment. In SLIP a suffix can be unstuffed when it has no escape that is none, and
+its data are a suffix of the segment's. In COBS a suffix is a chain of blocks that must end at the mark; chains that meet go
+on together, so that their data end alike.
+"""
+
+from __future__ import annotations
+
+import re
+
+from ..declare.framing import Framing, Judgement, Verdict
+from ..declare.stuffing import Cobs, Slip
+
+_NO_ESCAPE = re.compile(rb"\xdb(?![\xdc\xdd])")
+#: Chains whose data are kept, of one segment; a chain of less than this part of it is followed again each time.
+CHAINS = 64
+
+
+def in_segments(framing: Framing) -> bool:
+    """Whether `Segments` can judge a framing's candidates."""
+    kind = type(framing.stuffing)
+    mark = b"\xc0" if kind is Slip else b"\0" if kind is Cobs else None
+    return not framing.sync and framing.end == mark
+
+
+class SlipSegment:
+    """The bytes between two marks, and the data of each of their suffixes."""
+
+    def __init__(self, wire: bytes) -> None:
+        self.wire = wire
+        #: Blocks that were followed.
+        self.work = 0
+        faults = [found.start() for found in _NO_ESCAPE.finditer(wire)]
+        #: Suffixes that begin before cannot be unstuffed.
+        self._valid = faults[-1] + 1 if faults else 0
+        tail = wire[self._valid :]
+        self._data = tail.replace(b"\xdb\xdc", b"\xc0").replace(b"\xdb\xdd", b"\xdb")
+        self._seen, self._escapes = self._valid, 0
+
+    reason = "SLIP escape"
+
+    def suffix(self, at: int) -> bytes | None:
+        """The data of the suffix from `at` on; None where there are none. Suffixes are asked in order, or cost more."""
+        if at < self._valid:
+            return None
+        if at < self._seen:
+            self._seen, self._escapes = self._valid, 0
+        self._escapes += self.wire.count(b"\xdb", self._seen, at)
+        self._seen = at
+        place = at - self._valid - self._escapes
+        # The second byte of an escape is data here: the escape before it belongs to no suffix that begins with it.
+        if at > self._valid and self.wire[at - 1] == 0xDB:
+            return self.wire[at : at + 1] + self._data[place + 1 :]
+        return self._data[place:]
+
+
+class CobsSegment:
+    """The same for COBS."""
+
+    reason = "COBS block"
+
+    def __init__(self, wire: bytes) -> None:
+        self.wire = wire
+        self.work, size = 0, len(wire)
+        valid = bytearray(size + 1)
+        valid[size] = 1
+        for at in range(size - 1, -1, -1):
+            code = wire[at]
+            then = at + code
+            if then <= size and valid[then]:
+                # A full block ends the data by itself: an empty one behind it is not how they are stuffed.
+                valid[at] = not (code == 255 and then == size - 1 and wire[then] == 1)
+        self._valid = valid
+        #: Where blocks of known chains begin: the chain's data, and the place in them.
+        self._known: dict[int, tuple[bytes, int]] = {}
+        self._chains = 0
+
+    def suffix(self, at: int) -> bytes | None:
+        """The data of the suffix from `at` on; None where there are none."""
+        if not self._valid[at]:
+            return None
+        wire, size, known = self.wire, len(self.wire), self._known
+        parts: list[bytes] = []
+        starts: list[int] = []
+        place = at
+        while place < size and place not in known:
+            starts.append(place)
+            code = wire[place]
+            then = place + code
+            parts.append(
+                wire[place + 1 : then] + b"\0" if code < 255 and then < size else wire[place + 1 : then]
+            )
+            place = then
+        if not parts:
+            data, offset = known[at]
+            return data[offset:]
+        self.work += len(starts)
+        if place < size:
+            data, offset = known[place]
+            parts.append(data[offset:])
+        data = b"".join(parts)
+        if self._chains < CHAINS and len(starts) * CHAINS > size:
+            self._chains += 1
+            offset = 0
+            for start, part in zip(starts, parts, strict=False):
+                known[start] = data, offset
+                offset += len(part)
+        return data
+
+
+class Segments:
+    """Judges the candidates of a framing, as the printed scanner asks: (verdict, end, reason)."""
+
+    def __init__(self, framing: Framing, extras: dict[int, bytes] | None) -> None:
+        self._framing, self._extras = framing, extras
+        self.reset()
+
+    def reset(self) -> None:
+        """As if nothing had been judged."""
+        self.work = self.checked = 0
+        self._data = b""
+        self._forget()
+
+    def _forget(self) -> None:
+        #: The buffer in which a candidate failed; empty while none did.
+        self._buffer = b""
+        self._first, self._end = -1, -1
+        self._segment: SlipSegment | CobsSegment | None = None
+
+    def __call__(self, buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
+        framing = self._framing
+        if self._buffer:
+            if buffer is not self._buffer or start >= self._end:
+                self._forget()
+            elif start > self._first and not self._has_not_next(buffer, start):
+                return self._judge(buffer, start)
+        judged = framing.judge(buffer, start, silent=silent, extras=self._extras)
+        verdict = judged.verdict
+        if verdict is Verdict.WHOLE:
+            self._data = judged.data
+            return "whole", start + judged.size, ""
+        if verdict is Verdict.MORE:
+            return "more", 0, ""
+        if verdict is Verdict.BAD and judged.reason not in ("no end", "length"):
+            # What begins behind it, up to the same mark, is judged together.
+            self._buffer, self._first = buffer, start
+            self._end = buffer.index(framing.end, start)
+            self._segment = None
+            self.work += self._end - start
+            self.checked += self._end - start
+        return _said(judged, start)
+
+    def _judge(self, buffer: bytes, start: int) -> tuple[str, int, str]:
+        """Judges a candidate inside the segment."""
+        framing = self._framing
+        if self._segment is None:
+            wire = buffer[start : self._end]
+            self._segment = SlipSegment(wire) if type(framing.stuffing) is Slip else CobsSegment(wire)
+            self._first = start - 1
+            self.work += len(wire)
+        segment, before = self._segment, self._segment.work
+        data = segment.suffix(start - self._first - 1)
+        self.work += segment.work - before
+        if data is None:
+            return "bad", 0, f"malformed: {segment.reason}"
+        judged = framing.judge_data(
+            data + framing.end, buffer[start : self._end + len(framing.end)], self._extras
+        )
+        if judged.verdict is Verdict.BAD and judged.reason != "length":
+            self.checked += len(data)
+        self._data = judged.data
+        return _said(judged, start)
+
+    def unstuff(self, packet: bytes) -> bytes:
+        """The data of `packet`, the whole one that was judged last."""
+        return self._data
+
+    def _has_not_next(self, buffer: bytes, start: int) -> bool:
+        return bool(self._framing.not_next) and buffer[start] in self._framing.not_next
+
+
+def _said(judged: Judgement, start: int) -> tuple[str, int, str]:
+    if judged.verdict is Verdict.WHOLE:
+        return "whole", start + judged.size, ""
+    if judged.verdict is Verdict.BAD:
+        return "bad", 0, f"malformed: {judged.reason}"
+    return ("more" if judged.verdict is Verdict.MORE else "dead"), 0, ""
+
+
+__all__ = ["Segments", "in_segments"]

@@ -1,0 +1,371 @@
+"""Whether two messages can be told apart (law 9), with a witness when they cannot.
+
+1. CAN is decided exactly over identifier × flags × length × constants; checks count as true. Where construct alone reads
+   a payload, a frame is shown only when both constructs accept it.
+2. Streams are first intersected without checks: no common packet is a proof. Otherwise a witness is looked for, and the
+   construct of both messages must confirm it; none found is `undecided`, which a spec settles with `overrides=`.
+3. What a spec says beside the bytes (direction, dialect, configuration, request) separates two messages only when no
+   situation has both.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+from construct import ConstructError
+
+from ...errors import AcesError, SpecError
+from .framing import Framing
+from .message import Message, Request
+from .packet import WrongCheckError, can_image
+from .pattern import IdPattern, meet
+from .stuffing import Insert, Stuffing
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """Two messages that accept the same packet. `witness` is one (identifier None on streams); None: undecided."""
+
+    one: Message
+    other: Message
+    witness: bytes | None
+    identifier: int | None = None
+
+    @property
+    def how(self) -> str:
+        if self.witness is None:
+            return "undecided: nothing in their templates tells them apart, and no packet was found that decides it"
+        if self.identifier is None:
+            return f"both accept {self.witness.hex(' ').upper()}"
+        return f"both accept {self.identifier:03X}#{self.witness.hex().upper()}"
+
+
+class Neighbours:
+    """The messages on CAN that are declared so far, by those bits of their identifiers that never vary: with whom a new
+    one may share an identifier is found without trying them all."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        #: By the bits that never vary in a message, and those of them that never vary in another one.
+        self._tables: dict[int, dict[int, dict[int, list[tuple[int, Message]]]]] = {}
+
+    def add(self, message: Message) -> None:
+        """Know one more message."""
+        mask, constant = message.identifier.fixed & _BITS, message.identifier.constant
+        numbered = (self._count, message)
+        self._count += 1
+        for shared, table in self._tables.setdefault(mask, {mask: {}}).items():
+            table.setdefault(constant & shared, []).append(numbered)
+
+    def of(self, pattern: IdPattern) -> list[Message]:
+        """The messages that a glance does not show to be apart from `pattern`, as declared."""
+        found: list[tuple[int, Message]] = []
+        for mask, tables in self._tables.items():
+            shared = mask & pattern.fixed
+            if shared not in tables:
+                table: dict[int, list[tuple[int, Message]]] = {}
+                for numbered in (one for some in tables[mask].values() for one in some):
+                    table.setdefault(numbered[1].identifier.constant & shared, []).append(numbered)
+                tables[shared] = table
+            found += tables[shared].get(pattern.constant & shared, ())
+        return [message for _, message in sorted(found, key=lambda one: one[0])]
+
+
+_BITS = 0x1FFF_FFFF
+
+
+def check_against(made: Message, declared: Iterable[Message]) -> None:
+    """Raise `SpecError` when a new message cannot be told from one declared before."""
+    for other in declared:
+        found = unresolved(made, other)
+        if found is not None:
+            raise SpecError(
+                f"{made.place}: message {made.name!r} is ambiguous with {other.name!r} ({other.place}): {found.how};"
+                " say what tells them apart (direction, dialect, when, reply_to, after)"
+                f" or order them with overrides={other.name!r}"
+            )
+
+
+def unresolved(one: Message, other: Message) -> Conflict | None:
+    """The conflict of two messages when neither the bytes nor the spec's other words settle it."""
+    from .protocol import may_coexist
+
+    if one.direction is not None and other.direction is not None and one.direction != other.direction:
+        return None
+    if not may_coexist(one, other) or ordered_by_spec(one, other) or contexts_exclude(one, other):
+        return None
+    return conflict(one, other)
+
+
+def ordered_by_spec(one: Message, other: Message) -> bool:
+    return other.name in one.overrides or one.name in other.overrides
+
+
+def contexts_exclude(one: Message, other: Message) -> bool:
+    """Whether no outstanding request, or no sticky mode, allows both."""
+    return _exclude(one.reply_to, other.reply_to) or _exclude(one.after, other.after)
+
+
+def _exclude(mine: Sequence[Request], theirs: Sequence[Request]) -> bool:
+    return bool(mine) and bool(theirs) and all(a.excludes(b) for a in mine for b in theirs)
+
+
+@lru_cache(maxsize=65536)
+def conflict(one: Message, other: Message) -> Conflict | None:
+    """The conflict of two messages by their bytes alone, or None when they are disjoint."""
+    if one.framing is None or other.framing is None:
+        return _can_conflict(one, other)
+    if one.framing is not other.framing:
+        return _framings_conflict(one, other)
+    return _stream_conflict(one, other)
+
+
+def opposite_conflict(messages: Iterable[Message]) -> tuple[Message, Message] | None:
+    """Two messages of opposite direction that bytes alone cannot tell apart."""
+    listed = [message for message in messages if message.direction is not None]
+    for index, one in enumerate(listed):
+        for other in listed[:index]:
+            if one.direction != other.direction and conflict(one, other) is not None:
+                return one, other
+    return None
+
+
+def needing_context(messages: Sequence[Message]) -> frozenset[str]:
+    """Names of the messages that can only be recognised with their request: bytes alone leave a choice, or the record
+    holds fields of the request."""
+    found = set()
+    for message in messages:
+        if not message.reply_to and not message.after:
+            continue
+        if message.request_fields or any(
+            conflict(message, other) for other in messages if other is not message
+        ):
+            found.add(message.name)
+    return frozenset(found)
+
+
+# ---------------------------------------------------------------------- CAN
+
+
+class _Choice(NamedTuple):
+    """The number in `bits` (lowest first) is one of `values`, or with `excluded` none of them."""
+
+    bits: tuple[int, ...]
+    values: Collection[int]
+    excluded: bool = False
+
+
+class Demands(NamedTuple):
+    """What a template demands of bytes: bits that are fixed, by their canonical number, and choices."""
+
+    fixed: dict[int, int]
+    choices: list[_Choice]
+
+
+def demands(message: Message, length: int | None) -> Demands | None:
+    """What a message demands of its bytes: bits that are fixed, and choices. None when it never has `length` bytes."""
+    from ..plan.flatten import flatten
+
+    plan = flatten(message)
+    fixed: dict[int, int] = {}
+    for constant in plan.constants:
+        if length is not None and constant.offset >= length:
+            return None
+        for bit in range(8):
+            if constant.mask >> bit & 1:
+                fixed[8 * constant.offset + bit] = constant.value >> bit & 1
+    choices = [
+        _Choice(one.number.bits, one.values if isinstance(one.values, range) else frozenset(one.values))
+        for one in plan.one_of
+    ]
+    if plan.lengths_by is not None and length is not None:
+        selector, table, other = plan.lengths_by
+        bits = selector.number.bits
+        known = {value & ((1 << len(bits)) - 1): size for value, size in table}
+        if other == length:
+            choices.append(
+                _Choice(bits, frozenset(v for v, size in known.items() if size != length), excluded=True)
+            )
+        else:
+            choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size == length)))
+    return Demands(fixed, choices)
+
+
+def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] | None:
+    """Bytes that satisfy both messages' templates (by offset), or None when there are none: exact.
+
+    `length` is that of a frame's data; None leaves it open.
+    """
+    mine, theirs = demands(one, length), demands(other, length)
+    if mine is None or theirs is None:
+        return None
+    if any(theirs[0].get(bit, value) != value for bit, value in mine[0].items()):
+        return None
+    choices = sorted([*mine[1], *theirs[1]], key=lambda c: (c.excluded, len(c.values)))
+    bits = solved({**mine[0], **theirs[0]}, choices)
+    if bits is None:
+        return None
+    found: dict[int, int] = {}
+    for bit, value in bits.items():
+        found[bit // 8] = found.get(bit // 8, 0) | value << bit % 8
+    return found
+
+
+def solved(fixed: dict[int, int], choices: Sequence[_Choice]) -> dict[int, int] | None:
+    """Bits that satisfy every choice, those in `fixed` being given; None when there are none."""
+    if not choices:
+        return fixed
+    first, rest = choices[0], choices[1:]
+    for number in _numbers(first, fixed):
+        found = solved({**fixed, **{bit: number >> i & 1 for i, bit in enumerate(first.bits)}}, rest)
+        if found is not None:
+            return found
+    return None
+
+
+def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
+    """The numbers that a choice allows and that agree with the bits already fixed."""
+    known = {i: fixed[bit] for i, bit in enumerate(choice.bits) if bit in fixed}
+    if len(known) == len(choice.bits):
+        number = sum(value << i for i, value in known.items())
+        if (number in choice.values) is not choice.excluded:
+            yield number
+        return
+    if not choice.excluded:
+        yield from (
+            n for n in sorted(choice.values) if all(n >> i & 1 == value for i, value in known.items())
+        )
+        return
+    base = sum(value << i for i, value in known.items())
+    free = [i for i in range(len(choice.bits)) if i not in known]
+    for count in range(1 << len(free)):
+        number = base | sum((count >> k & 1) << i for k, i in enumerate(free))
+        if number not in choice.values:
+            yield number
+
+
+def _can_conflict(one: Message, other: Message) -> Conflict | None:
+    if (one.extended, one.remote) != (other.extended, other.remote):
+        return None
+    if not set(one.formats) & set(other.formats):
+        return None
+    if one.identifier.is_apart(other.identifier):
+        return None
+    lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()), reverse=True)
+    identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None
+    if identifier is None:
+        return None
+    is_found = False
+    for size in lengths:
+        fixed = _merge(one, other, size)
+        if fixed is None:
+            continue
+        is_found = True
+        witness = _confirmed(one, other, identifier, fixed, size)
+        if witness is not None:
+            return Conflict(one, other, witness, identifier)
+    return Conflict(one, other, None) if is_found else None
+
+
+def _confirmed(
+    one: Message, other: Message, identifier: int, fixed: Mapping[int, int], size: int
+) -> bytes | None:
+    """A frame's data of this size that both messages accept, checks aside; None when none was found."""
+    from ..plan.flatten import flatten
+
+    opaque = [message for message in (one, other) if not flatten(message).is_flat]
+    rng = random.Random(0)
+    for fill in ("zero", "one", *("any",) * 10) if opaque else ("zero",):
+        data = bytes(
+            fixed.get(i, 0 if fill == "zero" else 1 if fill == "one" else rng.randrange(256))
+            for i in range(size)
+        )
+        image = can_image(identifier, data, extended=one.extended, remote=one.remote, fd=one.fd)
+        if all(_accepts(message, image) for message in opaque):
+            return data
+    return None
+
+
+# ---------------------------------------------------------------------- streams
+
+
+def _framings_conflict(one: Message, other: Message) -> Conflict | None:
+    a, b = one.framing, other.framing
+    assert isinstance(a, Framing)
+    assert isinstance(b, Framing)
+    # Stuffing of whole packets moves their bytes: then only what stands on the wire can be compared.
+    moved = any(isinstance(f.stuffing, Stuffing) and not isinstance(f.stuffing, Insert) for f in (a, b))
+    if not moved and _merge(one, other, None) is None:
+        return None
+    shared = min(len(a.sync), len(b.sync))
+    if a.sync[:shared] != b.sync[:shared]:
+        return None
+    for first, second in ((a, b), (b, a)):
+        if (
+            first.not_next
+            and len(second.sync) > len(first.sync)
+            and second.sync[len(first.sync)] in first.not_next
+        ):
+            return None
+    for message, against in ((one, other), (other, one)):
+        witness = _search(message, against)
+        if witness is not None:
+            return Conflict(one, other, witness)
+    return Conflict(one, other, None)
+
+
+def _stream_conflict(one: Message, other: Message) -> Conflict | None:
+    from ..plan.flatten import flatten
+
+    if _merge(one, other, None) is None:
+        return None
+    lengths, others = flatten(one).lengths, flatten(other).lengths
+    if lengths is not None and others is not None and not set(lengths) & set(others):
+        return None
+    for mine, theirs in ((lengths, flatten(other).least), (others, flatten(one).least)):
+        if mine is not None and max(mine) < theirs:
+            return None
+    witness = _search(one, other) or _search(other, one)
+    return Conflict(one, other, witness)
+
+
+def _search(one: Message, other: Message) -> bytes | None:
+    """A packet that both constructs accept, or of which `other` accepts a beginning."""
+    framing = one.framing
+    assert framing is not None
+    fixed = _merge(one, other, None) or {}
+    rng = random.Random(0)
+    for size in [*range(24), 32, 48, 64]:
+        for attempt in range(12):
+            head = bytes(
+                fixed.get(framing.head_end - sum(h.size for h in framing.heads) + i, 0)
+                for i in range(sum(h.size for h in framing.heads))
+            )
+            body = bytes(
+                fixed.get(
+                    framing.head_end + i, 0 if attempt == 0 else 0x2C if attempt == 1 else rng.randrange(256)
+                )
+                for i in range(size)
+            )
+            try:
+                packet = one.struct.framed(framing, head, body)
+            except AcesError:
+                continue
+            if _accepts(one, packet) and any(_accepts(other, packet[:n]) for n in (len(packet),)):
+                return packet
+    return None
+
+
+def _accepts(message: Message, packet: bytes) -> bool:
+    """Whether the message's construct accepts the packet, whatever its request."""
+    try:
+        message.struct.parse(packet, raw=True)
+    except WrongCheckError:
+        return message.framing is None  # on CAN checks count as true
+    except (ConstructError, AcesError):
+        return False
+    return True

@@ -1,0 +1,521 @@
+"""Fields beyond plain construct: quantities, sign-and-magnitude integers, enumerations, flags, text, reserved bytes.
+
+1. Each one is an ordinary construct, so `struct.parse` and `struct.build` give the scanner's answer.
+2. `struct.parse(data, raw=True)` and `struct.build(values, raw=True)` leave out units and names: the numbers on the wire.
+3. A value that the wire can carry is never rejected on the way in; ranges bind only what we send.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any, ClassVar
+
+from construct import (
+    Adapter,
+    Array,
+    Bytes,
+    BytesInteger,
+    Construct,
+    Default,
+    GreedyBytes,
+    IntegerError,
+    Renamed,
+    Struct,
+)
+
+from ...errors import FieldError, SpecError
+from .place import SourceLine, caller
+
+
+def is_raw(context: Any) -> bool:
+    """Whether the outermost call asked for raw values."""
+    return bool(context._params.get("raw", False))
+
+
+class Field(Adapter):
+    """An adapter that remembers its line and is transparent in raw mode."""
+
+    place: SourceLine
+
+    def __init__(self, subcon: Construct) -> None:
+        super().__init__(subcon)
+        self.place = caller()
+        self._check_subcon()
+
+    def _check_subcon(self) -> None:
+        """Raise `SpecError` where the field is given no number of the wire."""
+        mine = next((kind for kind in (*_OF_INTEGERS, Quantity) if isinstance(self, kind)), None)
+        if mine is None:
+            return
+        inner = self.subcon
+        while isinstance(inner, (Renamed, Default)):
+            inner = inner.subcon
+        for other in (
+            Quantity,
+            Enumeration,
+            Flags,
+            Text,
+            *((SignMagnitude,) if mine is SignMagnitude else ()),
+        ):
+            if isinstance(inner, other):
+                more = "; names of a quantity are its names={…}" if Quantity in (mine, other) else ""
+                raise SpecError(
+                    f"{self.place}: {mine.__name__} takes a number of the wire, not another {other.__name__}{more}"
+                )
+        inner = innermost(inner)
+        if isinstance(inner, (Bytes, GreedyBytes.__class__, Struct, Array, Text)):
+            raise SpecError(f"{self.place}: {mine.__name__} takes a number, not {type(inner).__name__}")
+        if mine is not Quantity and _is_float(inner):
+            raise SpecError(f"{self.place}: {mine.__name__} takes an integer, not a float")
+        signed = str(getattr(inner, "fmtstr", "")).endswith(("b", "h", "i", "l", "q"))
+        if mine is SignMagnitude and (signed or getattr(inner, "signed", False)):
+            raise SpecError(f"{self.place}: SignMagnitude has its sign itself: it takes an unsigned integer")
+
+    def _decode(self, obj: Any, context: Any, path: str) -> Any:
+        return obj if is_raw(context) else self.to_physical(obj)
+
+    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+        return obj if is_raw(context) else self.to_raw(obj, path)
+
+    def to_physical(self, raw: Any) -> Any:
+        """The value a record shows, from the number on the wire."""
+        raise NotImplementedError
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        """The number on the wire; raises `FieldError` when the value does not fit."""
+        raise NotImplementedError
+
+
+def plain_number(value: Any) -> Any:
+    """A number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
+    if isinstance(value, (int, float)):
+        return value
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    return float(value) if isinstance(value, numbers.Real) else None
+
+
+class Quantity(Field):
+    """A number with a unit: physical = raw × `scale` + `offset`.
+
+    `range` bounds the physical value and `raw_range` the raw one, both inclusive, when building. `unknown` lists raw
+    values that mean "not known": they decode to None. `names` names raw values that are no quantity: they decode to their
+    name. A number that would be sent as one of these is refused. `rounding` says how a physical value becomes an integer:
+    "nearest" (ties to even) or "truncate" (toward zero), as the device's sheet has it.
+    """
+
+    def __init__(
+        self,
+        subcon: Construct,
+        *,
+        unit: str = "",
+        scale: float = 1,
+        offset: float = 0,
+        range: tuple[float, float] | None = None,
+        raw_range: tuple[int, int] | None = None,
+        unknown: Collection[float] = (),
+        names: Mapping[str, int] | None = None,
+        rounding: str = "nearest",
+        doc: str = "",
+        source: str = "",
+    ) -> None:
+        super().__init__(subcon)
+        scale, offset = (self._number(value, what) for value, what in ((scale, "scale"), (offset, "offset")))
+        if scale == 0 or not math.isfinite(scale) or not math.isfinite(offset):
+            raise SpecError(f"{self.place}: a scale must be finite and not zero, and an offset finite")
+        if rounding not in ("nearest", "truncate"):
+            raise SpecError(f"{self.place}: rounding is 'nearest' or 'truncate', not {rounding!r}")
+        self.unit, self.scale, self.offset = unit, scale, offset
+        self.range, self.raw_range = self._bounds(range), self._bounds(raw_range)
+        if isinstance(unknown, (str, numbers.Real)):
+            raise SpecError(f"{self.place}: unknown lists raw values, as in ({unknown!r},)")
+        self.unknown = tuple(self._number(value, "value that is unknown") for value in unknown)
+        self._nan_is_unknown = any(value != value for value in self.unknown)
+        self.rounding = rounding
+        self.docs = doc
+        self.source = source
+        # The subcon tells whether the wire carries a float; found once, when the spec is read.
+        self.is_float = _is_float(subcon)
+        odd = next((value for value in self.unknown if value % 1 != 0), 0)
+        if odd != 0 and not self.is_float:
+            raise SpecError(f"{self.place}: unknown values are raw: an integer is never {odd}")
+        self.names = dict(names or {})
+        self.values = names_by_value(self.names, self.place)
+        if self.names and self.is_float:
+            raise SpecError(f"{self.place}: names are for integers, not for floats")
+        for name, value in self.names.items():
+            for beside in (value - 1, value + 1):
+                if (scale != 1 or offset) and beside * scale + offset == value * scale + offset:
+                    raise SpecError(
+                        f"{self.place}: {name!r} ({value}) cannot be told from {beside}:"
+                        " with this scale and offset both are the same number"
+                    )
+        #: How far from a bound a decoded edge may lie, as floats are not exact.
+        self._slack = 0.0
+        if self.range is not None and (scale != 1 or offset):
+            reach = max(map(abs, (offset, *(bound for bound in self.range if math.isfinite(bound)))))
+            self._slack = 8 * math.ulp(reach)
+
+    def _number(self, value: Any, what: str) -> Any:
+        found = plain_number(value)
+        if found is None:
+            raise SpecError(f"{self.place}: a {what} is a number, not {value!r}")
+        return found
+
+    def _bounds(self, bounds: Any) -> Any:
+        if bounds is None:
+            return None
+        if not isinstance(bounds, Collection) or len(bounds) != 2 or isinstance(bounds, str):
+            raise SpecError(f"{self.place}: a range is (least, greatest), not {bounds!r}")
+        low, high = (self._number(bound, "bound of a range") for bound in bounds)
+        if not low <= high:
+            raise SpecError(f"{self.place}: an empty range {bounds}")
+        return low, high
+
+    @classmethod
+    def span(cls, subcon: Construct, low: float, high: float, *, bits: int, **more: Any) -> Quantity:
+        """An unsigned `bits`-wide number that spans [`low`, `high`] in 2**bits − 1 steps (MIT motor frames)."""
+        return cls(subcon, scale=(high - low) / (2**bits - 1), offset=low, range=(low, high), **more)
+
+    def to_physical(self, raw: Any) -> Any:
+        if self.unknown and (raw in self.unknown or (self._nan_is_unknown and raw != raw)):
+            return None
+        if self.values and raw in self.values:
+            return self.values[raw]
+        physical = raw * self.scale if self.scale != 1 else raw
+        return physical + self.offset if self.offset else physical
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        if value is None:
+            if self.unknown:
+                return self.unknown[0]
+            raise FieldError(f"{path}: no value given")
+        if isinstance(value, str) and self.names:
+            return named_number(value, self.names, path)
+        given, value = value, plain_number(value)
+        if value is None:
+            raise FieldError(f"{path}: {given!r} is not a number")
+        if self.range is not None:
+            low, high = self.range
+            if not low - self._slack <= value <= high + self._slack:
+                raise FieldError(
+                    f"{path}: {value!r} {self.unit} is outside {low}…{high} {self.unit}".replace("  ", " ")
+                )
+        number: Any = value
+        try:
+            if self.scale != 1 or self.offset:
+                number = exact_ratio(value - self.offset, self.scale)
+            if not self.is_float and isinstance(number, float):
+                number = round(number) if self.rounding == "nearest" else int(number)
+        except (OverflowError, ValueError):  # infinite, NaN, or an integer that no float holds
+            raise FieldError(f"{path}: {value!r} cannot be sent with a scale of {self.scale}") from None
+        self._refuse_sentinel(number, value, path)
+        if self.raw_range is not None and not self.raw_range[0] <= number <= self.raw_range[1]:
+            low, high = (self.to_physical(edge) for edge in self.raw_range)
+            raise FieldError(
+                f"{path}: {value!r} {self.unit} is outside {low:g}…{high:g} {self.unit}".replace("  ", " ")
+            )
+        return number
+
+    def _refuse_sentinel(self, number: Any, value: Any, path: str) -> None:
+        """Raise `FieldError` when a number would be read as something else than a number."""
+        if self.values and number in self.values:
+            raise FieldError(
+                f"{path}: {value!r} {self.unit} would be sent as {number}, which means {self.values[number]!r};"
+                " give the name if that is meant"
+            )
+        if self.unknown and self.is_float:
+            # What the wire makes of it: a float of fewer bits may come out as the value that means unknown.
+            try:
+                number = self.subcon.parse(self.subcon.build(number))
+            except Exception:  # it does not fit, and building says so
+                return
+        if number in self.unknown:
+            raise FieldError(
+                f"{path}: {value!r} {self.unit} would be sent as {number}, which means unknown; give None if that is meant"
+            )
+
+
+def _is_float(subcon: Construct) -> bool:
+    inner = innermost(subcon)
+    fmt = getattr(inner, "fmtstr", "")
+    return fmt[-1:] in ("e", "f", "d") or bool(getattr(inner, "is_float", False))
+
+
+def exact_ratio(number: float, scale: float) -> float:
+    """number ÷ scale: an integer where both are and it goes without rest, so that 64 bits survive, else a float."""
+    if isinstance(number, int) and isinstance(scale, int) and not number % scale:
+        return number // scale
+    return number / scale
+
+
+def names_by_value(names: Mapping[str, int], place: SourceLine) -> dict[int, str]:
+    """The names by their numbers; raises `SpecError` where a number has two."""
+    values: dict[int, str] = {}
+    for name, value in names.items():
+        if not isinstance(name, str) or not isinstance(value, int):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise SpecError(
+                f"{place}: names are written name=number or {{name: number}}, not {{{name!r}: {value!r}}}"
+            )
+        if value in values:
+            raise SpecError(
+                f"{place}: enumeration value {value} has two names, {values[value]!r} and {name!r}"
+            )
+        values[value] = name
+    return values
+
+
+def named_number(name: str, names: Mapping[str, int], path: str) -> int:
+    """The number of a name; raises `FieldError` with the names that there are."""
+    if name not in names:
+        raise FieldError(f"{path}: no value named {name!r} (there are: {', '.join(names)})")
+    return names[name]
+
+
+def innermost(subcon: Construct) -> Construct:
+    """The construct that touches the bytes, below all names and adapters."""
+    while hasattr(subcon, "subcon"):
+        subcon = subcon.subcon
+    return subcon
+
+
+class SignMagnitude(Field):
+    """A sign-and-magnitude integer of `width` bits: the top bit is the sign, the others the magnitude.
+
+    `SignMagnitude(24, "little")` reads three bytes; `SignMagnitude(bits(5))` goes into a `BitLayout`. Negative zero reads
+    as 0 and is built as positive zero: the one bit pattern in 2**width that does not survive a round trip.
+    """
+
+    def __init__(self, subcon: Construct | int, order: str = "little") -> None:
+        if isinstance(subcon, int):
+            if subcon % 8:
+                raise SpecError(
+                    f"{caller()}: {subcon} bits are not whole bytes; put SignMagnitude(bits({subcon})) in a BitLayout"
+                )
+            self.width = subcon
+            subcon = BytesInteger(subcon // 8, swapped=order == "little")
+        else:
+            self.width = integer_width(subcon)
+        super().__init__(subcon)
+        self.limit = (1 << self.width - 1) - 1
+
+    def _decode(self, obj: Any, context: Any, path: str) -> Any:
+        return self.to_physical(obj)
+
+    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+        return self.to_raw(obj, path)
+
+    def to_physical(self, raw: Any) -> Any:
+        magnitude = raw & self.limit
+        return -magnitude if raw > self.limit else magnitude
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        value = plain_number(value)
+        if not isinstance(value, int):
+            raise IntegerError(f"{value!r} is not an integer", path=path)
+        if abs(value) > self.limit:
+            raise IntegerError(f"{value} is outside ±{self.limit}", path=path)
+        return value if value >= 0 else (self.limit + 1) | -value
+
+
+def integer_width(subcon: Construct) -> int:
+    """Width in bits of an integer construct."""
+    inner = innermost(subcon)
+    width = getattr(inner, "width", None)
+    if isinstance(width, int):
+        return width
+    return int(inner.sizeof()) * 8
+
+
+class Enumeration(Field):
+    """A number with names. A record shows the name, or the number itself when it has none."""
+
+    def __init__(self, subcon: Construct, names: Mapping[str, int] | None = None, /, **more: int) -> None:
+        super().__init__(subcon)
+        self.names: dict[str, int] = {**(names or {}), **more}
+        self.values = names_by_value(self.names, self.place)
+
+    def to_physical(self, raw: Any) -> Any:
+        return self.values.get(raw, raw)
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        return named_number(value, self.names, path) if isinstance(value, str) else value
+
+
+class FlagSet(int):
+    """The value of a `Flags` field: an int whose bits have names.
+
+    Iterating gives the names of the set bits; each name is a bool attribute; `unknown` are the set bits without a name.
+    """
+
+    bits: ClassVar[dict[str, int]] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name, bit in self.bits.items() if self >> bit & 1)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self.bits and bool(self >> self.bits[name] & 1)
+
+    def __getattr__(self, name: str) -> bool:
+        try:
+            return bool(self >> type(self).bits[name] & 1)
+        except KeyError:
+            raise AttributeError(f"no flag named {name!r} (there are: {', '.join(self.bits)})") from None
+
+    @property
+    def unknown(self) -> int:
+        """The set bits that have no name."""
+        named = 0
+        for bit in self.bits.values():
+            named |= 1 << bit
+        return int(self) & ~named
+
+    def __repr__(self) -> str:
+        names = list(self)
+        if self.unknown:
+            names.append(f"{self.unknown:#x}")
+        return "{" + ", ".join(names) + "}"
+
+
+class Flags(Field):
+    """Named bits, by bit number: `Flags(Byte, overheat=2, overload=5)`. Bits without a name are kept."""
+
+    def __init__(self, subcon: Construct, names: Mapping[str, int] | None = None, /, **more: int) -> None:
+        super().__init__(subcon)
+        self.names: dict[str, int] = {**(names or {}), **more}
+        seen: dict[int, str] = {}
+        width = integer_width(subcon)
+        for name, bit in self.names.items():
+            if not isinstance(name, str) or not isinstance(bit, int):  # pyright: ignore[reportUnnecessaryIsInstance]
+                raise SpecError(
+                    f"{self.place}: flags are written name=bit or {{name: bit}}, not {{{name!r}: {bit!r}}}"
+                )
+            if bit in seen:
+                raise SpecError(f"{self.place}: flags {seen[bit]!r} and {name!r} share bit {bit}")
+            if not 0 <= bit < width:
+                raise SpecError(f"{self.place}: flag {name!r} is bit {bit} of a {width}-bit field")
+            if hasattr(int, name) or name in ("bits", "unknown"):
+                raise SpecError(
+                    f"{self.place}: flag {name!r} hides a method of the value; choose another name"
+                )
+            seen[bit] = name
+        self.type: type[FlagSet] = type("FlagSet", (FlagSet,), {"bits": self.names, "__slots__": ()})
+
+    def to_physical(self, raw: Any) -> Any:
+        return self.type(raw)
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        if isinstance(value, int):
+            return int(value)
+        if isinstance(value, str):
+            value = [value] if value else []
+        number = 0
+        for name in value:
+            if name not in self.names:
+                raise FieldError(f"{path}: no flag named {name!r} (there are: {', '.join(self.names)})")
+            number |= 1 << self.names[name]
+        return number
+
+
+class Counter(Field):
+    """A rolling counter: each packet of a device is `modulo` arithmetic one more than the last.
+
+    Scanners count what it says was missed (`counts.missed`); a stateful encoder fills it in, a plain one takes 0.
+    """
+
+    def __init__(self, subcon: Construct, modulo: int | None = None) -> None:
+        super().__init__(subcon)
+        self.modulo = modulo if modulo is not None else 1 << integer_width(subcon)
+        self.flagbuildnone = True
+
+    def _encode(self, obj: Any, context: Any, path: str) -> Any:
+        return self.to_raw(obj, path)
+
+    def to_physical(self, raw: Any) -> Any:
+        return raw
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        return 0 if value is None else value
+
+
+class Text(Field):
+    """A text of `size` bytes, or of what is left, padded with NUL. Each byte is one character (Latin-1), so all survive."""
+
+    def __init__(self, size: int | None = None) -> None:
+        super().__init__(GreedyBytes if size is None else Bytes(size))
+        self.size = size
+
+    def to_physical(self, raw: Any) -> Any:
+        text = raw.decode("latin-1")
+        return text.rstrip("\0") if self.size is not None else text
+
+    def to_raw(self, value: Any, path: str = "") -> Any:
+        try:
+            data = value.encode("latin-1")
+        except (AttributeError, UnicodeEncodeError):
+            raise FieldError(f"{path}: {value!r} is not Latin-1 text") from None
+        if self.size is None:
+            return data
+        if len(data) > self.size:
+            raise FieldError(f"{path}: {value!r} is longer than {self.size} bytes")
+        return data.ljust(self.size, b"\0")
+
+
+#: The fields that take integers, an outer one of a pair first.
+_OF_INTEGERS = (SignMagnitude, Enumeration, Flags, Counter)
+
+
+def Reserved(size: int) -> Construct:
+    """`size` bytes that mean nothing: zero when we send, kept as they are when we receive."""
+    return Default(Bytes(size), bytes(size))
+
+
+def number_runs(values: Collection[int]) -> str:
+    """Numbers as their runs, shortest form: `0…15, 32`."""
+    runs: list[list[int]] = []
+    for value in sorted(values):
+        if runs and value == runs[-1][1] + 1:
+            runs[-1][1] = value
+        else:
+            runs.append([value, value])
+    texts = []
+    for low, high in runs[:12]:
+        texts += [f"{low}…{high}"] if high - low > 1 else [str(low)] if low == high else [f"{low}, {high}"]
+    return ", ".join(texts) + (f", … ({len(values)} values)" if len(runs) > 12 else "")
+
+
+class Multiplexed(Construct):
+    """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes.
+
+    The selector may be multiplexed itself: while it is not there, neither is this field.
+    """
+
+    def __init__(self, selector: str, when: int | Collection[int], subcon: Construct) -> None:
+        super().__init__()
+        self.selector = selector
+        self.when = frozenset((when,) if isinstance(when, int) else when)
+        self.body = subcon
+        self.place = caller()
+        self.flagbuildnone = True
+        self.enumeration: Enumeration | None = None
+
+    def is_present(self, context: Any) -> bool:
+        value = context[self.selector]
+        if isinstance(value, str) and self.enumeration is not None:
+            value = self.enumeration.names.get(value)
+        return value in self.when
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        return self.body._parsereport(stream, context, path) if self.is_present(context) else None
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        if self.is_present(context):
+            return self.body._build(obj, stream, context, path)
+        if obj is not None:
+            raise FieldError(f"{path}: only there while {self.selector} is {number_runs(self.when)}")
+        return None
+
+    def _sizeof(self, context: Any, path: str) -> Any:
+        return self.body._sizeof(context, path) if self.is_present(context) else 0

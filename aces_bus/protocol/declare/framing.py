@@ -1,0 +1,310 @@
+"""How packets stand in a byte stream.
+
+A packet on the wire is  sync | header | payload | check | end,  and one of three things says where it ends:
+
+* `size`: its size in bytes, a number or an expression of header fields (`this.length + 4`);
+* `end`: bytes that close it (`b"\\r\\n"`), with `stuffing` to keep them out of the data;
+* `end="silence"`: a pause on the line longer than `gap`.
+
+1. A framing knows nothing of messages.
+2. `judge` is the slow, obvious truth about one candidate; generated scanners must agree with it on every input.
+3. Every framing has a `max_size`: memory is bounded whatever the wire says.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from construct import Container, Struct
+
+from ...errors import SpecError
+from .checks import Check
+from .head import Head, heads_of
+from .place import SourceLine, caller
+from .stuffing import Insert, Stuffing
+
+if TYPE_CHECKING:
+    from .message import Message
+    from .protocol import Protocol
+
+
+class Verdict(enum.Enum):
+    """What one candidate is, as far as the bytes tell."""
+
+    DEAD = "dead"
+    MORE = "more bytes needed"
+    BAD = "check or length failed"
+    WHOLE = "whole"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict with the packet's size on the wire, or with the reason of a failure.
+
+    `data` is what the check of a whole packet is taken of: the packet, unstuffed where it is stuffed as a whole.
+    """
+
+    verdict: Verdict
+    size: int = 0
+    reason: str = ""
+    data: bytes = b""
+
+
+DEAD = Judgement(Verdict.DEAD)
+MORE = Judgement(Verdict.MORE)
+
+
+def BAD(reason: str) -> Judgement:
+    return Judgement(Verdict.BAD, 0, reason)
+
+
+@dataclass(frozen=True)
+class Affine:
+    """size = factor × length + constant, read off a size expression so that building can invert it."""
+
+    length: Head
+    factor: int
+    constant: int
+
+    def invert(self, size: int) -> int | None:
+        """The length field of a packet of `size` bytes; None when it has no number for that."""
+        number, rest = divmod(size - self.constant, self.factor)
+        return number if not rest and 0 <= number < 1 << 8 * self.length.size else None
+
+
+class Framing:
+    """A way of packing messages into a byte stream; made by `Protocol.framing`, called to declare messages."""
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        *,
+        sync: bytes = b"",
+        not_next: bytes = b"",
+        not_inside: bytes = b"",
+        header: Struct | None = None,
+        size: int | Callable[[Any], Any] | None = None,
+        end: bytes | str | None = None,
+        stuffing: Stuffing | None = None,
+        check: Check | None = None,
+        max_size: int | None = None,
+        gap: float | None = None,
+        name: str = "",
+    ) -> None:
+        self.place: SourceLine = caller()
+        self.protocol = protocol
+        self.name = name or protocol.name
+        for what, given in (("sync", sync), ("not_next", not_next), ("not_inside", not_inside)):
+            if not isinstance(given, bytes):  # pyright: ignore[reportUnnecessaryIsInstance]
+                raise SpecError(f"{self.place}: {what} is bytes, as in b'\\xaa', not {given!r}")
+        self.sync = sync
+        self.not_next = frozenset(not_next)
+        #: Bytes that no packet has between sync and end.
+        self.not_inside = bytes(sorted(set(not_inside)))
+        if isinstance(check, type) or isinstance(stuffing, type):
+            raise SpecError(f"{self.place}: check and stuffing are made by calling: Sum(), Crc('…'), Slip()")
+        self.check = check
+        self.stuffing = stuffing
+        self.gap = gap
+        self.heads = heads_of(header, len(sync), self.place, "header")
+        self.head_end = len(sync) + sum(h.size for h in self.heads)
+        self.check_size = check.size if check is not None else 0
+        self.is_silent = end == "silence"
+        if isinstance(end, str) and not self.is_silent:
+            raise SpecError(f"{self.place}: end is bytes or 'silence', not {end!r}")
+        self.end: bytes = end if isinstance(end, bytes) else b""
+        if (size is not None) + bool(self.end) + self.is_silent != 1:
+            raise SpecError(f"{self.place}: a framing ends by one of size=…, end=b'…', end='silence'")
+        if not_inside and (not self.end or stuffing is not None):
+            raise SpecError(
+                f"{self.place}: not_inside is for packets that an end=b'…' closes, without stuffing"
+            )
+        if set(not_inside) & set(self.end[:-1]):
+            raise SpecError(f"{self.place}: not_inside has a byte with which the end {self.end!r} may begin")
+        self.fixed_size = size if isinstance(size, int) else None
+        self.affine = self._affine(size) if callable(size) else None
+        self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
+        self.min_size = self.head_end + self.check_size + len(self.end)
+        if self.max_size < max(1, self.min_size):
+            raise SpecError(
+                f"{self.place}: max_size says how long a packet may be; {self.max_size} is less than its head and check"
+            )
+        if self.is_silent and not gap:
+            raise SpecError(f"{self.place}: a packet that ends by silence needs gap=seconds")
+        if self.affine is None and self.fixed_size is None and isinstance(stuffing, Insert):
+            raise SpecError(f"{self.place}: inserted bytes need a size; delimited framings take Slip or Cobs")
+
+    def _affine(self, size: Callable[[Any], Any]) -> Affine:
+        """Read off which header field the size depends on, and how: by asking the expression."""
+
+        def ask(values: dict[str, int]) -> int:
+            return int(size(Container(values)))
+
+        zeros = {h.name: 0 for h in self.heads if h.name}
+        try:
+            base = ask(zeros)
+            used = [h for h in self.heads if h.name and ask({**zeros, h.name: 1}) != base]
+        except Exception as error:
+            raise SpecError(
+                f"{self.place}: size must be an expression of header fields, not of {error}"
+                f" (there are: {', '.join(zeros) or 'none'})"
+            ) from None
+        if len(used) != 1:
+            raise SpecError(
+                f"{self.place}: size must depend on one header field, not on {[h.name for h in used]}"
+            )
+        length = used[0]
+        assert length.name is not None
+        factor = ask({**zeros, length.name: 1}) - base
+        probes = (2, 3, 7, (1 << 8 * length.size) - 1)
+        if factor < 1 or any(ask({**zeros, length.name: n}) != factor * n + base for n in probes):
+            raise SpecError(
+                f"{self.place}: size must be a whole multiple of {length.name!r} plus a constant, so that it can be inverted"
+            )
+        return Affine(length, factor, base)
+
+    # ------------------------------------------------------------------ declaring messages
+
+    def __call__(self, name: str, **declared: Any) -> Message:
+        """Declare a message in this framing; the keywords are those of `Protocol.message`."""
+        self.protocol.check_keywords(name, declared, {head.name for head in self.heads})
+        return self.protocol.message(name, framing=self, **declared)
+
+    def family(self, prefix: Struct, **shared: Any) -> Any:
+        """Messages that share the fields of `prefix` at the start of their payload; see `Protocol.family`."""
+        return self.protocol.family(prefix=prefix, framing=self, **shared)
+
+    # ------------------------------------------------------------------ the truth about one candidate
+
+    def judge(
+        self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None
+    ) -> Judgement:
+        """What stands at `start` of `data`.
+
+        `silent` says that the line fell silent at the end of `data`. `extras` are the `check_extra` bytes by the number
+        that selects them (see `Message.extra_key`).
+        """
+        left = len(data) - start
+        seen = data[start : start + len(self.sync)]
+        if seen != self.sync[: len(seen)]:
+            return DEAD
+        if len(seen) < len(self.sync):
+            return MORE
+        if self.not_next:
+            if left == len(self.sync):
+                return MORE
+            if data[start + len(self.sync)] in self.not_next:
+                return DEAD
+        if self.is_silent:
+            if left > self.max_size:
+                return BAD("length")
+            return self._checked(data[start:], extras) if silent else MORE
+        if self.end:
+            at = data.find(self.end, start + len(self.sync), start + self.max_size)
+            if self.not_inside:
+                stop = at if at >= 0 else start + self.max_size
+                if self.strays(data, start + len(self.sync), stop):
+                    return BAD("a byte that no packet has")
+            if at < 0:
+                return MORE if left < self.max_size else BAD("no end")
+            packet = data[start : at + len(self.end)]
+            if len(packet) == len(self.sync) + len(self.end):
+                return DEAD
+            return self._checked(packet, extras)
+        if self.affine is not None:
+            head = self.affine.length
+            if left < head.offset + head.size:
+                return MORE
+            size = (
+                self.affine.factor * head.number(data[start : start + head.offset + head.size])
+                + self.affine.constant
+            )
+        else:
+            assert self.fixed_size is not None
+            size = self.fixed_size
+        if not self.min_size <= size <= self.max_size:
+            return BAD("length")
+        if left < size:
+            return MORE
+        return self._checked(data[start : start + size], extras)
+
+    def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
+        # The check covers what stands on the wire, except where the whole packet is stuffed.
+        inserted = isinstance(self.stuffing, Insert)
+        try:
+            covered = packet if inserted else self.logical(packet)
+        except ValueError as error:
+            return BAD(str(error))
+        judged = self.judge_data(covered, packet, extras)
+        if inserted and judged.verdict is Verdict.WHOLE:
+            try:
+                self.logical(packet)
+            except ValueError as error:
+                return BAD(str(error))
+        return judged
+
+    def judge_data(self, covered: bytes, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
+        """What a packet is by its length and its check, which covers `covered`: the packet, or its unstuffed form."""
+        if len(covered) < self.min_size:
+            return BAD("length")
+        if self.check is not None:
+            end = len(covered) - len(self.end) - self.check_size
+            extra = b""
+            if extras is not None:
+                key = self.extra_number(packet)
+                if key not in extras:
+                    return BAD(f"no message {key} to check by")
+                extra = extras[key]
+            want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
+            stored = covered[end : end + self.check_size]
+            if stored != want and not self.check.same(stored, want):
+                return BAD("checksum")
+        return Judgement(Verdict.WHOLE, len(packet), "", covered)
+
+    def strays(self, data: bytes, start: int, stop: int) -> bool:
+        """Whether a byte of `not_inside` stands in [start, stop)."""
+        return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
+
+    def logical(self, packet: bytes) -> bytes:
+        """The packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""
+        if self.stuffing is None:
+            return packet
+        if isinstance(self.stuffing, Insert):
+            end = len(packet) - self.check_size
+            return packet[: self.head_end] + self.stuffing.unstuff(packet[self.head_end : end]) + packet[end:]
+        inner = packet[len(self.sync) : len(packet) - len(self.end)]
+        return self.sync + self.stuffing.unstuff(inner) + self.end
+
+    @property
+    def extra_head(self) -> Head | None:
+        """The header field that picks a message's `check_extra`: the last one."""
+        named = [
+            h for h in self.heads if h.name and (self.affine is None or h.name != self.affine.length.name)
+        ]
+        return named[-1] if named else None
+
+    def extra_number(self, packet: bytes) -> int:
+        head = self.extra_head
+        return head.number(packet) if head is not None else 0
+
+    @property
+    def describe(self) -> list[str]:
+        """Where its packets begin and end, in words for people."""
+        parts = [f"begin with {self.sync.hex(' ').upper()}"] if self.sync else []
+        if self.fixed_size is not None:
+            parts.append(f"{self.fixed_size} bytes")
+        elif self.affine is not None:
+            parts.append(f"size by {self.affine.length.name}, at most {self.max_size} bytes")
+        elif self.end:
+            parts.append(f"end with {self.end.hex(' ').upper()}, at most {self.max_size} bytes")
+        else:
+            parts.append(f"end by silence, at most {self.max_size} bytes")
+        if self.stuffing is not None:
+            parts.append(f"stuffed ({type(self.stuffing).__name__})")
+        return parts
+
+    def __repr__(self) -> str:
+        return f"<framing {self.name} of {self.protocol.name}>"

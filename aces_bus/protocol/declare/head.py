@@ -1,0 +1,124 @@
+"""The fixed integers at the head of a packet: a framing's header, a family's prefix.
+
+1. A head field is a whole number of bytes at a fixed offset; it is what templates match on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from construct import Bytes, BytesInteger, Const, Construct, FormatField, Renamed, Struct
+
+from ...errors import SpecError
+from .fields import Enumeration, Field, innermost
+from .pattern import IdPattern, as_pattern
+from .place import SourceLine
+
+
+@dataclass(frozen=True)
+class Head:
+    """One field of a head: `offset` from the packet's first byte (from the data's, on CAN)."""
+
+    name: str | None
+    field: Construct
+    offset: int
+    size: int
+    order: str
+    signed: bool
+    is_text: bool
+    pattern: IdPattern | None = None
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the template fixes its value, so that records need not carry it."""
+        return self.pattern is not None and not self.pattern.captures
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the record shows the field under its own name (not only captures inside it)."""
+        return self.name is not None and (
+            self.pattern is None or [c.name for c in self.pattern.captures] == [self.name]
+        )
+
+    def number(self, packet: bytes) -> int:
+        """The unsigned number in these bytes."""
+        return int.from_bytes(
+            packet[self.offset : self.offset + self.size], "big" if self.order == "big" else "little"
+        )
+
+    def bytes(self, number: int) -> bytes:
+        return number.to_bytes(self.size, "big" if self.order == "big" else "little")
+
+    @property
+    def wanted(self) -> str:
+        """What the template wants of it, as the sheet would write it: `0x20 + channel`, `'GGA'`."""
+        assert self.pattern is not None
+        if self.is_text and self.is_constant:
+            data = self.bytes(self.pattern.constant)
+            if data.isascii() and data.decode("ascii").isprintable():
+                return repr(data.decode("ascii"))
+        return self.pattern.describe(2 * self.size)
+
+    def matched(self, value: Any, place: SourceLine) -> Head:
+        """The same field, bound to what a spec's `match` says of it."""
+        if isinstance(value, bytes):
+            if len(value) != self.size:
+                raise SpecError(f"{place}: {self.name} is {self.size} bytes, matched with {value!r}")
+            value = int.from_bytes(value, "big" if self.order == "big" else "little")
+        names = enumeration_of(self.field)
+        if isinstance(value, str):
+            if names is None or value not in names.names:
+                raise SpecError(f"{place}: {self.name} has no value named {value!r}")
+            value = names.names[value]
+        pattern = as_pattern(value, self.name or "")
+        if pattern.largest >= 1 << 8 * self.size:
+            raise SpecError(
+                f"{place}: {self.name} is {8 * self.size} bits wide, matched with {pattern.describe(2)}"
+            )
+        return replace(self, pattern=pattern)
+
+
+def enumeration_of(field: Construct) -> Enumeration | None:
+    """The enumeration among a field's adapters."""
+    while True:
+        if isinstance(field, Enumeration):
+            return field
+        if not hasattr(field, "subcon"):
+            return None
+        field = field.subcon
+
+
+def heads_of(struct: Struct | None, offset: int, place: SourceLine, what: str) -> tuple[Head, ...]:
+    """The head fields that a struct declares, from `offset`; raises `SpecError` when one is not a fixed integer."""
+    found: list[Head] = []
+    for item in struct.subcons if struct is not None else ():
+        name = item.name if isinstance(item, Renamed) else None
+        body = item.subcon if isinstance(item, Renamed) else item
+        shown = f"field {name!r}" if name else f"{body!r}"
+        inner = innermost(body)
+        pattern = None
+        if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "BbHhLlQq":
+            size = inner.length
+            order = "little" if inner.fmtstr.startswith("<") else "big"
+            signed = inner.fmtstr[-1:].islower()
+        elif isinstance(inner, BytesInteger) and isinstance(inner.length, int):
+            size, order, signed = inner.length, "little" if inner.swapped else "big", inner.signed
+        elif isinstance(inner, Bytes) and isinstance(inner.length, int):
+            size, order, signed = inner.length, "big", False
+        else:
+            raise SpecError(
+                f"{place.of_field(name or '')}: {what} {shown} must be an integer or bytes of fixed size"
+            )
+        is_text = isinstance(inner, Bytes)
+        if isinstance(body, Const):
+            number = body.build(None)
+            pattern = IdPattern(int.from_bytes(number, "big" if order == "big" else "little"))
+        elif is_text and not isinstance(body, Field) and name is None:
+            raise SpecError(f"{place}: {what} bytes need a name")
+        found.append(Head(name, body, offset, size, order, signed, is_text, pattern))
+        offset += size
+    return tuple(found)
+
+
+__all__ = ["Head", "enumeration_of", "heads_of"]

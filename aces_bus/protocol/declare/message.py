@@ -1,0 +1,579 @@
+"""One message: a template (which words are it) and a payload (what they mean).
+
+1. A message is complete and checked when its declaration returns; nothing about it changes afterwards.
+2. `narrowed` gives the same message over fewer identifiers (a dialect, a configuration); it never widens.
+"""
+
+from __future__ import annotations
+
+import copy
+import keyword
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import construct as c
+
+from ...errors import SpecError, UnknownNameError
+from ...frames import FD_LENGTHS
+from .bits import BitLayout
+from .checks import Check, Extra
+from .delimited import Delimited
+from .examples import Example
+from .fields import Counter, Enumeration, Multiplexed, innermost
+from .framing import Framing
+from .head import Head, enumeration_of, heads_of
+from .normalise import check_name, normalised, sizes
+from .packet import PacketStruct
+from .pattern import IdPattern, describe_values
+from .place import SourceLine
+from .selectors import check_selectors
+
+if TYPE_CHECKING:
+    from .protocol import Protocol
+
+Direction = Literal["to device", "from device"]
+DIRECTIONS: tuple[Direction, ...] = ("to device", "from device")
+
+
+@dataclass(frozen=True)
+class ConfigurationCondition:
+    """`when=`: holds for the values of the field `capture` whose entry in the configuration table `key` is in `values`."""
+
+    key: str
+    capture: str
+    values: frozenset[Any]
+
+    def allowed(self, table: Mapping[int, Any]) -> frozenset[int]:
+        return frozenset(number for number, entry in table.items() if entry in self.values)
+
+    def excludes(self, other: ConfigurationCondition) -> bool:
+        """Whether no configuration can make both true for one device."""
+        return (self.key, self.capture) == (other.key, other.capture) and not self.values & other.values
+
+
+@dataclass(frozen=True)
+class Request:
+    """A message, perhaps with values that its fields must have: what `reply_to` and `after` refer to."""
+
+    message: Message
+    values: tuple[tuple[str, frozenset[int]], ...] = ()
+
+    def accepts(self, raw: Mapping[str, Any]) -> bool:
+        return all(raw.get(name) in wanted for name, wanted in self.values)
+
+    def excludes(self, other: Request) -> bool:
+        """Whether no request satisfies both."""
+        if self.message.name != other.message.name:
+            return True
+        mine = dict(self.values)
+        return any(name in mine and not mine[name] & wanted for name, wanted in other.values)
+
+    def __str__(self) -> str:
+        if not self.values:
+            return self.message.name
+        return f"{self.message.name}({', '.join(f'{n}={describe_values(v)}' for n, v in self.values)})"
+
+
+class Message:
+    """A declared message; made by `Protocol.message`, by a framing or by a family."""
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        name: str,
+        *,
+        place: SourceLine,
+        identifier: IdPattern | None,
+        framing: Framing | None,
+        prefix: c.Struct | None,
+        payload: c.Construct | None,
+        match: Mapping[str, Any],
+        length: int | Collection[int] | None,
+        extended: bool,
+        remote: bool,
+        fd: bool,
+        any_format: bool,
+        direction: Direction | None,
+        dialects: frozenset[str] | None,
+        when: tuple[ConfigurationCondition, ...],
+        reply_to: tuple[Request, ...],
+        after: tuple[Request, ...],
+        within: float | None,
+        overrides: tuple[str, ...],
+        check: Check | None,
+        check_extra: bytes,
+        doc: str,
+        source: str,
+        examples: tuple[Example, ...] = (),
+    ) -> None:
+        self.protocol = protocol
+        self.name = name
+        self.place = place
+        self.framing = framing
+        self.identifier = identifier if identifier is not None else IdPattern(0)
+        self.extended, self.remote, self.fd = extended, remote, fd
+        #: Whether frames of up to 8 bytes are it in both formats, classic and CAN FD; `fd` is then how it is sent.
+        self.any_format = any_format
+        self.direction: Direction | None = direction
+        self.dialects = dialects
+        self.when = when
+        self.reply_to, self.after, self.within, self.overrides = reply_to, after, within, overrides
+        self.check, self.check_extra = check, check_extra
+        self.doc, self.source = doc, source
+        self.examples = examples
+        if not isinstance(name, str):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise SpecError(f"{place}: a message has a name, not {name!r}")
+        if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
+            raise SpecError(f"{place}: message name {name!r} is not a plain Python name")
+        start = 0
+        heads: list[Head] = []
+        if framing is not None:
+            heads += framing.heads
+            start = framing.head_end
+        own = heads_of(prefix, start, place, "prefix")
+        self.heads_written = self._matched([*heads, *own], dict(match))
+        self.payload_start = start + sum(h.size for h in own)
+        derived = framing.affine.length.name if framing is not None and framing.affine is not None else None
+        self.heads = tuple(h for h in self.heads_written if h.name is None or h.name != derived)
+        length_head = next((h for h in self.heads_written if derived is not None and h.name == derived), None)
+        #: What `match` says of the framing's length field, which records do not have.
+        self.length_pattern = length_head.pattern if length_head is not None else None
+        if length_head is not None and not length_head.is_own and not length_head.is_constant:
+            raise SpecError(
+                f"{place}: {derived} of {name} is the length of the packet; match it with numbers, not with captures"
+            )
+        self.request_fields = self._request_fields()
+        self.payload = normalised(payload, place, self._enumerations())
+        check_selectors(self.payload, place)
+        self.lengths = self._lengths(length)
+        self._check_fields()
+        self._check_branches()
+        if self.extras is not None and not check_extra:
+            raise SpecError(
+                f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra"
+            )
+
+    # ------------------------------------------------------------------ declaration checks
+
+    def _matched(self, heads: list[Head], match: dict[str, Any]) -> tuple[Head, ...]:
+        found = []
+        for head in heads:
+            if head.name is not None and head.name in match:
+                head = head.matched(match.pop(head.name), self.place)
+            found.append(head)
+        if match:
+            names = ", ".join(h.name for h in heads if h.name) or "none"
+            raise SpecError(
+                f"{self.place}: match names {next(iter(match))!r}, which is not a head field (there are: {names})"
+            )
+        return tuple(found)
+
+    def _enumerations(self) -> dict[tuple[str, ...], Enumeration]:
+        """The enumerations outside the payload that it may choose by, as `this._.name`."""
+        found: dict[str, Any] = {}
+        for request in (*self.reply_to, *self.after):
+            for name, _ in request.values:
+                for field in request.message._field_constructs(name):
+                    found[name] = enumeration_of(field)
+        for head in self.heads_written:
+            if head.name is not None:
+                found[head.name] = enumeration_of(head.field)
+        for pattern in (self.identifier, *(h.pattern for h in self.heads_written if h.pattern is not None)):
+            for capture in pattern.captures:
+                found[capture.name] = capture.quantity or found.get(capture.name)
+        return {(name,): field for name, field in found.items() if isinstance(field, Enumeration)}
+
+    def _request_fields(self) -> tuple[str, ...]:
+        """The request's constrained fields that the message does not carry itself: its record has them too."""
+        own = {capture.name for capture in self.identifier.captures}
+        for head in self.heads:
+            own |= (
+                {head.name or ""}
+                if head.pattern is None
+                else {capture.name for capture in head.pattern.captures}
+            )
+        names: dict[str, None] = {}
+        for request in (*self.reply_to, *self.after):
+            for name, _ in request.values:
+                if name not in own:
+                    names[name] = None
+        return tuple(names)
+
+    def _lengths(self, length: int | Collection[int] | None) -> Collection[int] | None:
+        low, high = sizes(self.payload)
+        low += self.payload_start
+        if self.framing is not None:
+            if length is not None:
+                raise SpecError(
+                    f"{self.place}: length is for CAN; a stream's packets end as their framing says"
+                )
+            return None
+        top = 64 if self.fd else 8
+        high = top if high is None else high + self.payload_start
+        if self.remote and high:
+            raise SpecError(
+                f"{self.place}: a remote frame carries no data, so {self.name} can have no fields in it"
+            )
+        if low > top:
+            raise SpecError(
+                f"{self.place}: {self.name} has {low} bytes of fields;"
+                f" a {'CAN FD' if self.fd else 'classic CAN'} frame has {top}"
+            )
+        possible = [n for n in (FD_LENGTHS if self.fd else range(9)) if low <= n <= high]
+        if length is None:
+            if not possible:
+                raise SpecError(
+                    f"{self.place}: {self.name} has {low} bytes of fields, which no CAN FD frame has; add Reserved bytes"
+                )
+            return (
+                range(possible[0], possible[-1] + 1) if not self.fd and len(possible) > 1 else tuple(possible)
+            )
+        wanted = (length,) if isinstance(length, int) else tuple(sorted(length))
+        for one in wanted:
+            if not low <= one <= high:
+                raise SpecError(
+                    f"{self.place}: length {one} does not go with the fields of {self.name}, which take {low}"
+                    + (f"…{high}" if high > low else "")
+                    + " bytes"
+                )
+            if one not in (FD_LENGTHS if self.fd else range(9)):
+                raise SpecError(
+                    f"{self.place}: no {'CAN FD' if self.fd else 'classic CAN'} frame has {one} bytes"
+                )
+        return wanted
+
+    def _check_fields(self) -> None:
+        places: dict[str, str] = {}
+
+        def claim(name: str, what: str) -> None:
+            check_name(name, self.place)
+            if name in places:
+                raise SpecError(
+                    f"{self.place.of_field(name)}: field {name!r} of {self.name} is there twice:"
+                    f" in its {what} and in its {places[name]}"
+                )
+            places[name] = what
+
+        for capture in self.identifier.captures:
+            claim(capture.name, "identifier")
+        for head in self.heads:
+            if head.pattern is not None:
+                for capture in head.pattern.captures:
+                    claim(capture.name, "head")
+            elif head.name is not None:
+                claim(head.name, "head")
+        for name in self.request_fields:
+            claim(name, "request")
+        for name in self._payload_names():
+            claim(name, "payload")
+        self.identifier.check()
+        if self.any_format and (self.remote or self.framing is not None or self.identifier.captures):
+            raise SpecError(
+                f"{self.place}: any_format is for data frames of one identifier, which {self.name} has not"
+            )
+        limit = 0x1FFF_FFFF if self.extended else 0x7FF
+        if self.identifier.largest > limit:
+            raise SpecError(
+                f"{self.place}: {self.name} reaches identifier {self.identifier.largest:#x}, past {limit:#x}"
+                + ("" if self.extended else "; is it extended=True?")
+            )
+        if self.check is not None and self.check.field is None:
+            raise SpecError(
+                f"{self.place}: a message's own check names its field; the check of all packets belongs to the framing"
+            )
+        if self.check is not None and self.check.field not in places:
+            raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
+
+    def _check_branches(self) -> None:
+        """Raise `SpecError` where no packet would be read, or a multiplexed field has no room in any frame."""
+        framing = self.framing
+        if framing is not None and framing.end and self.payload_start == len(framing.sync):
+            if not framing.check_size and sizes(self.payload)[1] == 0:
+                raise SpecError(f"{self.place}: with nothing before its end a packet of {self.name} is none")
+        if self.lengths is None or not isinstance(self.payload, c.Struct):
+            return
+        most = max(self.lengths)
+        items = [(i.name, i.subcon if isinstance(i, c.Renamed) else i) for i in self.payload.subcons]
+        always = self.payload_start + sum(sizes(body)[0] for _, body in items)
+        for name, body in items:
+            if not isinstance(body, Multiplexed):
+                continue
+            beside = [o for _, o in items if isinstance(o, Multiplexed) and o.selector == body.selector]
+            least = min(
+                (
+                    always + sum(sizes(one.body)[0] for one in beside if value in one.when)
+                    for value in body.when
+                ),
+                default=always,
+            )
+            if least > most:
+                raise SpecError(
+                    f"{self.place.of_field(name or '')}: with field {name!r} {self.name} has {least} bytes of data,"
+                    f" and its frames have {most} at most: the field would never be there"
+                )
+
+    @cached_property
+    def payload_names(self) -> tuple[str, ...]:
+        """The names of the payload's own fields, in order."""
+        return tuple(self._payload_names())
+
+    def _payload_names(self) -> list[str]:
+        payload = self.payload
+        if isinstance(payload, c.Struct):
+            return [item.name for item in payload.subcons if item.name]
+        if isinstance(payload, Delimited):
+            return [f.name for f in payload.fields] + (["more"] if payload.more else [])
+        assert isinstance(payload, BitLayout)
+        more = [payload.trailing] if payload.trailing else []
+        return [*payload.names, *(["reserved"] if payload.has_reserved else []), *more]
+
+    # ------------------------------------------------------------------ the whole packet
+
+    @cached_property
+    def struct(self) -> PacketStruct:
+        """The whole packet as one construct (see `packet`): parse and build agree with scanner and encoder."""
+        return PacketStruct(self)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of a record's fields, in order."""
+        names = [capture.name for capture in self.identifier.captures]
+        names += self.request_fields
+        for head in self.heads:
+            if head.pattern is not None and not head.is_own:
+                names += [capture.name for capture in head.pattern.captures]
+            elif head.name is not None and not head.is_constant:
+                names.append(head.name)
+        check = self.check.field if self.check is not None else None
+        return (*names, *(n for n in self._payload_names() if n != check))
+
+    @cached_property
+    def counters(self) -> dict[str, int]:
+        """Rolling counters of the payload, with their modulus."""
+        payload = self.payload
+        if isinstance(payload, BitLayout):
+            return {s.name: s.field.modulo for s in payload.slots if isinstance(s.field, Counter)}
+        if isinstance(payload, c.Struct):
+            return {
+                i.name: i.subcon.modulo for i in payload.subcons if i.name and isinstance(i.subcon, Counter)
+            }
+        return {}
+
+    @cached_property
+    def constants(self) -> tuple[tuple[int, bytes], ...]:
+        """The payload's own constants that have a fixed place: (offset, bytes)."""
+        found: list[tuple[int, bytes]] = []
+        offset = self.payload_start
+        for item in self.payload.subcons if isinstance(self.payload, c.Struct) else ():
+            body = item.subcon if isinstance(item, c.Renamed) else item
+            least, most = sizes(body)
+            if least != most:
+                break
+            if isinstance(body, c.Const):
+                found.append((offset, bytes(body.build(None))))
+            offset += least
+        return tuple(found)
+
+    @property
+    def extras(self) -> dict[int, bytes] | None:
+        """`check_extra` by the number that selects it, for framings whose check is seeded per message."""
+        framing = self.framing
+        if (
+            framing is None
+            or framing.check is None
+            or not any(isinstance(p, Extra) for p in framing.check.over or ())
+        ):
+            return None
+        head = framing.extra_head
+        for own in self.heads_written:
+            if head is not None and own.name == head.name and own.pattern is not None:
+                return dict.fromkeys(own.pattern, self.check_extra)
+        raise SpecError(
+            f"{self.place}: the check of {framing.name} is seeded by {head.name if head else '?'}; match it"
+        )
+
+    @cached_property
+    def check_span(self) -> tuple[int, int, Literal["little", "big"]]:
+        """Offset, size and byte order of the field that holds this message's own check."""
+        assert self.check is not None
+        assert self.check.field is not None
+        name, size = self.check.field, self.check.bytes
+        payload = self.payload
+        if isinstance(payload, BitLayout):
+            slot = next(s for s in payload.slots if s.name == name)
+            low = min(slot.positions)
+            for order in ("little", "big"):
+                run = range(low, low + 8 * size)
+                want = (
+                    tuple(run)
+                    if order == "little"
+                    else tuple(
+                        p
+                        for byte in range(low // 8 + size - 1, low // 8 - 1, -1)
+                        for p in range(8 * byte, 8 * byte + 8)
+                    )
+                )
+                if low % 8 == 0 and slot.positions == want:
+                    return self.payload_start + low // 8, size, "little" if order == "little" else "big"
+            raise SpecError(f"{self.place.of_field(name)}: check field {name!r} is not {size} whole bytes")
+        offset = self.payload_start
+        assert isinstance(payload, c.Struct)
+        for item in payload.subcons:
+            least, most = sizes(item)
+            if item.name == name:
+                inner = innermost(item)
+                if least != size:
+                    raise SpecError(
+                        f"{self.place.of_field(name)}: check field {name!r} has {least} bytes, its check {size}"
+                    )
+                little = str(getattr(inner, "fmtstr", "")).startswith("<") or bool(
+                    getattr(inner, "swapped", False)
+                )
+                return offset, size, "little" if little else "big"
+            if least != most:
+                raise SpecError(f"{self.place.of_field(name)}: check field {name!r} has no fixed place")
+            offset += least
+        raise SpecError(f"{self.place}: check field {name!r} is not in the payload itself")
+
+    def covered(self, data: bytes, identifier: int) -> bytes:
+        """The bytes that this message's own check covers."""
+        assert self.check is not None
+        start, size, _ = self.check_span
+        if self.check.over is None:
+            return data[:start] + data[start + size :]
+        return self.check.covered(data, 0, len(data), identifier=identifier, extra=self.check_extra)
+
+    def outer(self, data: bytes, identifier: int) -> dict[str, int] | None:
+        """The raw captures and head fields of a packet, its payload unread; None when they are not this message's."""
+        found = self.identifier.match(identifier) if self.framing is None else {}
+        if found is None or len(data) < self.payload_start:
+            return None
+        for head in self.heads:
+            number = head.number(data)
+            captures = head.pattern.match(number) if head.pattern is not None else {}
+            if captures is None:
+                return None
+            found.update(captures)
+            if head.name is not None and head.is_own:
+                found[head.name] = number
+        return found
+
+    # ------------------------------------------------------------------ relations
+
+    @property
+    def formats(self) -> tuple[bool, ...]:
+        """The formats of its frames, as `is_fd` has them; first that in which it is sent."""
+        return (self.fd, not self.fd) if self.any_format else (self.fd,)
+
+    def where(self, **values: Any) -> Request:
+        """This message with these field values, for `reply_to` and `after`: numbers, sets of numbers or names."""
+        found = []
+        for name, value in values.items():
+            if name not in self.fields and not any(h.name == name for h in self.heads_written):
+                raise UnknownNameError(f"field of {self.name}", name, self.fields)
+            wanted = value if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
+            found.append((name, frozenset(self._raw_of(name, v) for v in wanted)))
+        return Request(self, tuple(found))
+
+    def _raw_of(self, name: str, value: Any) -> int:
+        if not isinstance(value, str):
+            return int(value)
+        for field in self._field_constructs(name):
+            names = enumeration_of(field)
+            if names is not None and value in names.names:
+                return names.names[value]
+        raise SpecError(f"{self.place}: field {name!r} of {self.name} has no value named {value!r}")
+
+    def _field_constructs(self, name: str) -> list[c.Construct]:
+        found = [h.field for h in self.heads_written if h.name == name]
+        if isinstance(self.payload, BitLayout):
+            found += [s.field for s in self.payload.slots if s.name == name]
+        elif isinstance(self.payload, c.Struct):
+            found += [s.subcon for s in self.payload.subcons if s.name == name]
+        return found
+
+    def narrowed(self, allowed: Mapping[str, Collection[int]]) -> Message | None:
+        """This message with captures limited to `allowed`; None when nothing is left."""
+        made = copy.copy(self)
+        made.__dict__.pop("struct", None)
+        for name, values in allowed.items():
+            if any(capture.name == name for capture in made.identifier.captures):
+                pattern = made.identifier.only(name, values)
+                if pattern is None:
+                    return None
+                made.identifier = pattern
+                continue
+            heads = []
+            for head in made.heads_written:
+                if head.pattern is not None and any(
+                    capture.name == name for capture in head.pattern.captures
+                ):
+                    narrow = head.pattern.only(name, values)
+                    if narrow is None:
+                        return None
+                    head = _with_pattern(head, narrow)
+                elif head.name == name:
+                    if not values:
+                        return None
+                    head = head.matched(sorted(values), self.place)
+                heads.append(head)
+            kept = {h.name for h in self.heads}
+            made.heads_written = tuple(heads)
+            made.heads = tuple(h for h in heads if h.name in kept)
+        return made
+
+    @property
+    def describe_lengths(self) -> str:
+        if self.lengths is None:
+            return ""
+        return f"{describe_values(self.lengths)} bytes"
+
+    @property
+    def outer_names(self) -> frozenset[str]:
+        """The fields outside the payload, captures and head fields: what a reply and its request may share."""
+        names = {capture.name for capture in self.identifier.captures}
+        for head in self.heads:
+            if head.name is not None and head.is_own:
+                names.add(head.name)
+            elif head.pattern is not None:
+                names |= {capture.name for capture in head.pattern.captures}
+        return frozenset(names)
+
+    def __repr__(self) -> str:
+        return f"<message {self.protocol.name}.{self.name}>"
+
+
+def _with_pattern(head: Head, pattern: IdPattern) -> Head:
+    from dataclasses import replace
+
+    return replace(head, pattern=pattern)
+
+
+def as_requests(given: Any, protocol: Protocol, place: SourceLine) -> tuple[Request, ...]:
+    """What a spec may write for `reply_to` and `after`: a message, a request, a name, or several of them."""
+    if given is None:
+        return ()
+    if isinstance(given, (Message, Request, str)):
+        given = (given,)
+    if not isinstance(given, Sequence):
+        raise SpecError(
+            f"{place}: a request is a message, message.where(…) or a message's name, not {given!r}"
+        )
+    found = []
+    for one in given:
+        if isinstance(one, str):
+            if one not in protocol.messages:
+                raise SpecError(
+                    f"{place}: no message named {one!r} before this line (there are: {', '.join(protocol.messages)})"
+                )
+            one = protocol.messages[one]
+        if isinstance(one, Message):
+            one = Request(one)
+        if not isinstance(one, Request):
+            raise SpecError(
+                f"{place}: a request is a message, message.where(…) or a message's name, not {one!r}"
+            )
+        found.append(one)
+    return tuple(found)

@@ -1,0 +1,417 @@
+"""What a spec wrote, brought into the few shapes that everything else handles.
+
+1. construct's own `Enum`, `FlagsEnum` and `Flag` become ours, which know raw mode; choices by an enumeration come out the
+   same in both modes (`choices`). Nothing else changes meaning.
+2. Whatever would lose bytes (unnamed padding, seeking, ignored tails) or hide them is refused here, with its line, however
+   deep it stands (`vocabulary`). What has content takes all of its bytes.
+3. What repeats moves on: an item that can have no bytes is refused, one that has none just now ends the reading.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import keyword
+import unicodedata
+from typing import Any
+
+import construct as c
+
+from ...errors import FieldError, SpecError
+from .bits import BitLayout
+from .choices import Known, enumerations_around, enumerations_of, equal_in_both, switch_by_both
+from .delimited import Delimited
+from .fields import Enumeration, Flags, Multiplexed
+from .head import enumeration_of
+from .place import SourceLine
+from .vocabulary import TRANSFORMS, refusal_of
+
+#: Names that records use themselves.
+TAKEN = frozenset({"meta"})
+#: How many items without a byte a counted array may have.
+MOST_EMPTY = 4096
+
+
+def normalised(payload: c.Construct | None, place: SourceLine, around: Known | None = None) -> c.Construct:
+    """The payload as `Struct`, `BitLayout` or `Delimited`, ready to be flattened.
+
+    `around` are the enumerations that it may ask for outside itself, as `this._.name`.
+    """
+    if payload is None:
+        return c.Struct()
+    if isinstance(payload, c.Renamed):
+        payload = payload.subcon
+    if not isinstance(payload, (c.Struct, BitLayout, Delimited)):
+        raise SpecError(
+            f"{place}: a payload is a Struct, a BitLayout or a Delimited, not {payload!r}; one field goes into a Struct, too"
+        )
+    try:
+        return _Walk(place).of(payload, "payload", {("_", *path): e for path, e in (around or {}).items()})
+    except RecursionError:
+        raise SpecError(f"{place}: payload: its LazyBound gives another construct at each look") from None
+
+
+def check_name(name: str, place: SourceLine) -> None:
+    """Raise `SpecError` when `name` cannot be an attribute of a record."""
+    if not name.isidentifier() or keyword.iskeyword(name) or (keyword.issoftkeyword(name) and name != "type"):
+        raise SpecError(
+            f"{place.of_field(name)}: {name!r} cannot be a field name: it is not a plain Python name"
+        )
+    if unicodedata.normalize("NFKC", name) != name:
+        raise SpecError(
+            f"{place.of_field(name)}: Python reads {name!r} as {unicodedata.normalize('NFKC', name)!r}: write it so"
+        )
+    if name.startswith("_") or name in TAKEN:
+        raise SpecError(f"{place.of_field(name)}: field name {name!r} is taken by the record itself")
+
+
+class _Walk:
+    """One walk over a payload. `known` are the enumerations that an expression at the place may ask for."""
+
+    def __init__(self, place: SourceLine, *, in_bits: bool = False) -> None:
+        self.place = place
+        #: Whether the bytes are bits, as inside `Bitwise`.
+        self.in_bits = in_bits
+        #: Whether what is walked strips the zeros that its `FixedSized` gives back.
+        self.may_strip = False
+        #: What is bound late may contain itself: by its construct, what it has become.
+        self.bound: dict[int, c.LazyBound] = {}
+
+    def of(self, con: c.Construct, path: str, known: Known) -> Any:
+        """What stands for `con`; raises `SpecError` for what cannot be in a payload."""
+        place = self.place
+        if isinstance(con, c.Renamed):
+            if con.name is None:
+                return self.of(con.subcon, path, known)
+            check_name(con.name, place)
+            inner = self.of(con.subcon, f"{path}.{con.name}", known)
+            return c.Renamed(inner, newname=con.name, newdocs=con.docs)
+        if isinstance(con, c.Enum):
+            names = {str(k): int(v) for k, v in con.encmapping.items()}
+            return Enumeration(self.of(con.subcon, path, known), names)
+        if isinstance(con, c.FlagsEnum):
+            masks = {str(k): int(v) for k, v in con.flags.items()}
+            wide = [k for k, v in masks.items() if v.bit_count() != 1]
+            if wide:
+                raise SpecError(f"{place}: {path}: flag {wide[0]!r} is not a single bit")
+            inner = self.of(con.subcon, path, known)
+            return Flags(inner, {k: v.bit_length() - 1 for k, v in masks.items()})
+        if con is c.Flag and not self.in_bits:
+            raise SpecError(
+                f"{place}: {path}: Flag loses bits 1…7; use BitLayout(1, … bits(1)) or Enumeration(Byte, off=0, on=1)"
+            )
+        reason = refusal_of(con)
+        if not reason and isinstance(con, c.BitsInteger) and not self.in_bits:
+            reason = "BitsInteger reads bits, which are in BitStruct and Bitwise alone; use BytesInteger, or a BitLayout"
+        if reason:
+            raise SpecError(f"{place}: {path}: {reason}")
+        if isinstance(con, c.Struct):
+            return self._struct(con, path, known)
+        if isinstance(con, (c.Sequence, c.FocusedSeq)):
+            return self._sequence(con, path, known)
+        if isinstance(con, BitLayout):
+            self._layout(con)
+            return con
+        if isinstance(con, Multiplexed):
+            made = Multiplexed(con.selector, con.when, self.of(con.body, path, known))
+            made.place = con.place
+            return made
+        if isinstance(con, (c.Array, c.GreedyRange, c.RepeatUntil)):
+            return self._repeated(con, path, known)
+        if isinstance(con, c.Prefixed):
+            return Prefixed(con.lengthfield, self.of(con.subcon, path, known), con.includelength)
+        if isinstance(con, c.FixedSized):
+            self.may_strip = _strips(con.subcon)
+            return FixedSized(equal_in_both(con.length, known), self.of(con.subcon, path, known))
+        if isinstance(con, c.NullTerminated):
+            return NullTerminated(self.of(con.subcon, path, known), con.term)
+        if isinstance(con, c.NullStripped):
+            if self.may_strip:
+                self.may_strip = False
+                return con
+            raise SpecError(
+                f"{place}: {path}: NullStripped loses what it strips; put it in a FixedSized, or use Text(n)"
+            )
+        if isinstance(con, c.Transformed):
+            return self._transformed(con, path)
+        if isinstance(con, c.LazyBound):
+            return self._late(con, path, known)
+        if isinstance(con, c.IfThenElse):
+            then, otherwise = (self.of(one, path, known) for one in (con.thensubcon, con.elsesubcon))
+            return c.IfThenElse(equal_in_both(con.condfunc, known), then, otherwise)
+        if isinstance(con, c.Switch):
+            con = switch_by_both(con, known)
+            walked: dict[int, Any] = {}  # a case under several keys stays one
+            for case in (*con.cases.values(), con.default):
+                walked.setdefault(id(case), self.of(case, path, known))
+            cases = {key: walked[id(case)] for key, case in con.cases.items()}
+            return c.Switch(con.keyfunc, cases, walked[id(con.default)])
+        if isinstance(con, (c.Bytes, c.BytesInteger)):
+            if isinstance(con.length, int) and con.length < 0:
+                raise SpecError(f"{place}: {path}: {con.length} bytes")
+            return _changed(con, "length", equal_in_both(con.length, known))
+        for name in ("condfunc", "func"):  # of StopIf, Check and Rebuild
+            if name in vars(con) and isinstance(con, (c.StopIf, c.Check, c.Rebuild)):
+                con = _changed(con, name, equal_in_both(getattr(con, name), known))
+        subcon = getattr(con, "subcon", None)
+        if isinstance(subcon, c.Construct) and not isinstance(con, c.Const):
+            return _changed(con, "subcon", self.of(subcon, path, known))
+        return con
+
+    def _struct(self, con: c.Struct, path: str, known: Known) -> c.Struct:
+        place = self.place
+        items = []
+        seen: set[str] = set()
+        own = {**enumerations_around(known)} if path != "payload" else {**known}
+        for item in con.subcons:
+            name = item.name
+            inner = item.subcon if isinstance(item, c.Renamed) else item
+            if name is None and not isinstance(inner, (c.Const, c.Terminated.__class__)):
+                raise SpecError(
+                    f"{place}: {path}: {inner!r} has no name, so its bytes would be lost;"
+                    ' name it (bytes that mean nothing: "reserved" / Reserved(n)); only a Const may go without'
+                )
+            if name is not None and name in seen:
+                raise SpecError(f"{place.of_field(name)}: field {name!r} is there twice")
+            made = self.of(item, path, own)
+            body = made.subcon if isinstance(made, c.Renamed) else made
+            if isinstance(body, Multiplexed):
+                if body.selector not in seen:
+                    raise SpecError(
+                        f"{place.of_field(name or '')}: field {name!r} is multiplexed by {body.selector!r},"
+                        " which is not before it"
+                    )
+                body.enumeration = own.get((body.selector,))
+            if name is not None:
+                seen.add(name)
+                own |= enumerations_of(name, body)
+            items.append(made)
+        return c.Struct(*items)
+
+    def _sequence(self, con: c.Sequence | c.FocusedSeq, path: str, known: Known) -> c.Construct:
+        items = []
+        own = enumerations_around(known)
+        for item in con.subcons:
+            inner = item.subcon if isinstance(item, c.Renamed) else item
+            if isinstance(con, c.FocusedSeq) and item.name != con.parsebuildfrom:
+                if not isinstance(inner, (c.Const, c.Rebuild, c.Terminated.__class__)):
+                    raise SpecError(
+                        f"{self.place}: {path}: FocusedSeq drops {item.name or inner!r}; use a Struct"
+                    )
+            made = self.of(item, path, own)
+            own |= enumerations_of(item.name, made.subcon if isinstance(made, c.Renamed) else made)
+            items.append(made)
+        return (
+            c.FocusedSeq(con.parsebuildfrom, *items) if isinstance(con, c.FocusedSeq) else c.Sequence(*items)
+        )
+
+    def _layout(self, con: BitLayout) -> None:
+        place = self.place
+        names: dict[str, Enumeration] = {}
+        known: set[str] = set()
+        if con.trailing:
+            check_name(con.trailing, place)
+        for slot in con.slots:
+            check_name(slot.name, place)
+            found = enumeration_of(slot.field)
+            if found is not None:
+                names[slot.name] = found
+            if slot.mux is not None:
+                if slot.mux.selector not in known:
+                    raise SpecError(
+                        f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r},"
+                        " which is not before it"
+                    )
+                if slot.mux.selector in con.many:
+                    raise SpecError(
+                        f"{place.of_field(slot.name)}: field {slot.name!r} is multiplexed by {slot.mux.selector!r},"
+                        " which is several numbers"
+                    )
+                slot.mux.enumeration = names.get(slot.mux.selector)
+            known.add(slot.name)
+
+    def _repeated(self, con: Any, path: str, known: Known) -> c.Construct:
+        inner = self.of(con.subcon, path, known)
+        least, most = sizes(inner)
+        if isinstance(con, c.Array) and isinstance(con.count, int):
+            if con.count < 0:
+                raise SpecError(f"{self.place}: {path}: an array of {con.count}")
+            return c.Array(con.count, inner)
+        if most == 0:
+            raise SpecError(
+                f"{self.place}: {path}: the items of {type(con).__name__} have no bytes, so nothing bounds them"
+            )
+        if not least:
+            inner = _Moving(inner, 0 if not isinstance(con, c.Array) else MOST_EMPTY)
+        if isinstance(con, c.Array):
+            return c.Array(equal_in_both(con.count, known), inner)
+        return c.RepeatUntil(con.predicate, inner) if isinstance(con, c.RepeatUntil) else c.GreedyRange(inner)
+
+    def _transformed(self, con: c.Transformed, path: str) -> c.Transformed:
+        factor = TRANSFORMS[con.decodefunc]
+        before, self.in_bits = self.in_bits, factor == 8 or self.in_bits
+        inner = self.of(con.subcon, path, {})
+        self.in_bits = before
+        size = sizes(inner)
+        if size != (con.decodeamount * factor,) * 2:
+            what = "bits" if factor == 8 else "bytes"
+            raise SpecError(
+                f"{self.place}: {path}: {size[0]} {what} are read of {con.decodeamount} bytes; read them all,"
+                " or use a BitLayout"
+            )
+        return _changed(con, "subcon", inner)
+
+    def _late(self, con: c.LazyBound, path: str, known: Known) -> c.LazyBound:
+        if id(con) not in self.bound:
+            found: list[Any] = []
+            self.bound[id(con)] = c.LazyBound(lambda: found[0])
+            found.append(self.of(con.subconfunc(), path, known))
+        return self.bound[id(con)]
+
+
+def _changed(con: Any, name: str, value: Any) -> Any:
+    """The same construct with another value of an attribute; itself, where that is the same."""
+    if value is getattr(con, name):
+        return con
+    made = copy.copy(con)
+    made.__dict__[name] = value
+    return made
+
+
+class _Moving(c.Subconstruct):
+    """An item of what repeats: reading ends with an error when so many items have had no bytes."""
+
+    def __init__(self, subcon: c.Construct, empty: int) -> None:
+        super().__init__(subcon)
+        self.empty = empty
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        start = stream.tell()
+        value = self.subcon._parsereport(stream, context, path)
+        if stream.tell() == start and context._index >= self.empty:
+            # What repeats passes on this kind of error alone.
+            raise c.ExplicitError("an item without a byte repeats for ever", path=path)
+        return value
+
+
+class Prefixed(c.Prefixed):
+    """construct's own, whose content takes all of its bytes; what it would leave over were lost."""
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        length = self.lengthfield._parsereport(stream, context, path)
+        if self.includelength:
+            length -= self.lengthfield._sizeof(context, path)
+        inside = io.BytesIO(c.stream_read(stream, length, path))
+        value = self.subcon._parsereport(inside, context, path)
+        if inside.read(1):
+            raise c.ValidationError(f"its length says {length} bytes, its content has fewer", path=path)
+        return value
+
+
+class FixedSized(c.FixedSized):
+    """construct's own, whose content has all of its bytes; only what strips zeros may have fewer."""
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        length = c.evaluate(self.length, context)
+        inside = io.BytesIO(c.stream_read(stream, length, path))
+        value = self.subcon._parsereport(inside, context, path)
+        if inside.read(1):
+            raise c.ValidationError(f"it has {length} bytes, its content fewer", path=path)
+        return value
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        length = c.evaluate(self.length, context)
+        inside = io.BytesIO()
+        built = self.subcon._build(obj, inside, context, path)
+        data = inside.getvalue()
+        if len(data) > length or (len(data) < length and not _strips(self.subcon)):
+            raise FieldError(f"{path}: {len(data)} bytes, where there is room for {length}")
+        stream.write(data.ljust(length, b"\0"))
+        return built
+
+
+class NullTerminated(c.NullTerminated):
+    """construct's own, whose content takes all of its bytes and has no end inside."""
+
+    def __init__(self, subcon: c.Construct, term: bytes) -> None:
+        super().__init__(_Whole(subcon), term)
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        inside = io.BytesIO()
+        built = self.subcon._build(obj, inside, context, path)
+        data, unit = inside.getvalue(), len(self.term)
+        if len(data) % unit or any(data[at : at + unit] == self.term for at in range(0, len(data), unit)):
+            raise FieldError(f"{path}: {obj!r} has inside what ends it")
+        stream.write(data + self.term)
+        return built
+
+
+class _Whole(c.Subconstruct):
+    """Content that takes all bytes that there are."""
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        value = self.subcon._parsereport(stream, context, path)
+        if stream.read(1):
+            raise c.ValidationError("bytes are left over before the end", path=path)
+        return value
+
+
+def _strips(con: c.Construct) -> bool:
+    """Whether a construct takes off the zeros behind its content."""
+    while isinstance(con, (c.Renamed, c.Adapter)):
+        con = con.subcon
+    return isinstance(con, c.NullStripped) and con.subcon is c.GreedyBytes and not con.pad.strip(b"\0")
+
+
+def sizes(con: c.Construct) -> tuple[int, int | None]:
+    """The least and the greatest number of bytes of a construct; None for no bound."""
+    while isinstance(con, c.Renamed):
+        con = con.subcon
+    if isinstance(con, (c.Struct, c.Sequence, c.FocusedSeq)):
+        low = 0
+        high: int | None = 0
+        stops = False
+        for item in con.subcons:
+            one, most = sizes(item)
+            stops = stops or isinstance(item.subcon if isinstance(item, c.Renamed) else item, c.StopIf)
+            low += 0 if stops else one
+            high = None if high is None or most is None else high + most
+        # Fields that exclude each other overlay; what the selector allows is decided when parsing.
+        return low, high
+    if isinstance(con, Multiplexed):
+        return 0, sizes(con.body)[1]
+    if isinstance(con, c.Array):
+        low, most = sizes(con.subcon)
+        if isinstance(con.count, int):
+            return low * con.count, None if most is None else most * con.count
+        return 0, None
+    if isinstance(con, c.IfThenElse):
+        return _either([con.thensubcon, con.elsesubcon])
+    if isinstance(con, c.Switch):
+        return _either([*con.cases.values(), con.default])
+    if isinstance(con, BitLayout):
+        return con.size, None if con.trailing else con.size
+    if isinstance(con, Delimited):
+        return con.least_size, None
+    if isinstance(con, (c.Default, c.Rebuild, c.Adapter, _Moving)):
+        return sizes(con.subcon)
+    if isinstance(con, c.Prefixed):
+        return sizes(con.lengthfield)[0], None
+    if isinstance(con, c.NullTerminated):
+        return len(con.term), None
+    if isinstance(con, c.RepeatUntil):
+        return sizes(con.subcon)[0], None
+    if con is c.VarInt or con is c.ZigZag:
+        return 1, None
+    try:
+        size = int(con.sizeof())
+    except Exception:  # it depends on a field, by whatever program
+        return 0, None
+    return size, size
+
+
+def _either(cases: list[c.Construct]) -> tuple[int, int | None]:
+    """The sizes of what is one of several constructs."""
+    found = [sizes(case) for case in cases]
+    tops = [high for _, high in found if high is not None]
+    return min(low for low, _ in found), max(tops) if len(tops) == len(found) else None

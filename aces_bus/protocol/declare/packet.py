@@ -1,0 +1,321 @@
+"""A whole packet as one construct: what `message.struct` is.
+
+1. `parse` accepts a packet only when everything the template says holds, and then consumes it to the last byte.
+2. `build` writes what is derived (identifier, length, check, stuffing) itself; a caller gives fields.
+3. The result is flat: captures, head fields and payload fields are siblings, as in records.
+
+On CAN a packet's image is the identifier as 4 bytes, big-endian, with the flags of SocketCAN's `can_id` (bit 31 extended,
+bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for CAN FD), then the data.
+"""
+
+from __future__ import annotations
+
+import io
+from operator import index
+from typing import TYPE_CHECKING, Any
+
+from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
+
+from ...errors import FieldError
+from .checks import Check
+from .fields import is_raw
+from .framing import Framing, Verdict
+from .head import Head
+from .pattern import IdPattern, describe_values
+
+if TYPE_CHECKING:
+    from .message import Message
+
+EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
+FD_FLAG = 0x04
+
+
+class NotThisError(ConstructError):
+    """The packet is another message: identifier, flags or a constant differ."""
+
+
+class LengthError(ConstructError):
+    """The packet is this message by its constants, but too short or too long."""
+
+
+class WrongCheckError(ConstructError):
+    """The packet is this message, but its check does not hold."""
+
+
+class ContentError(ConstructError):
+    """The packet is this message by its template, but a field cannot be read.
+
+    `what` says which and why, without values; it is empty where a constant in the payload is another one.
+    """
+
+    def __init__(self, message: Message, error: Exception, path: str) -> None:
+        where = (getattr(error, "path", "") or "").partition(" -> ")[2].replace(" -> ", ".")
+        super().__init__(str(error) or type(error).__name__, path=path)
+        name = f"{message.name}.{where}" if where else message.name
+        self.what = "" if isinstance(error, ConstError) else f"{name} cannot be read ({type(error).__name__})"
+
+
+def can_image(
+    identifier: int, data: bytes, *, extended: bool = False, remote: bool = False, fd: bool = False
+) -> bytes:
+    """The image of a CAN frame that `message.struct` parses."""
+    word = identifier | (EXTENDED if extended else 0) | (REMOTE if remote else 0)
+    return word.to_bytes(4, "big") + (bytes([FD_FLAG]) if fd else b"\0") + data
+
+
+class PacketStruct(Construct):
+    """The construct of one message's packet."""
+
+    def __init__(self, message: Message) -> None:
+        super().__init__()
+        self.message = message
+
+    # ------------------------------------------------------------------ parsing
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Container:
+        try:
+            return self._read(stream, context, path)
+        except (NotThisError, LengthError, WrongCheckError, ContentError):
+            raise
+        except Exception as error:  # whatever a construct raises, its own or somebody else's
+            raise ContentError(self.message, error, path) from error
+
+    def _read(self, stream: Any, context: Any, path: str) -> Container:
+        packet: bytes = stream_read_entire(stream, path)
+        message = self.message
+        values = Container()
+        request = context._params.get("request")
+        identifier = 0
+        if message.framing is None:
+            if len(packet) < 5:
+                raise NotThisError("an image of a frame begins with 5 bytes", path=path)
+            identifier = int.from_bytes(packet[:4], "big") & 0x1FFF_FFFF
+            flags = (bool(packet[0] & 0x80), bool(packet[0] & 0x40), bool(packet[4] & FD_FLAG))
+            captures = message.identifier.match(identifier)
+            is_kind = flags[:2] == (message.extended, message.remote) and flags[2] in message.formats
+            if captures is None or not is_kind:
+                raise NotThisError("another identifier", path=path)
+            for capture in message.identifier.captures:
+                raw = captures[capture.name]
+                values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+            data, end = packet[5:], len(packet) - 5
+        else:
+            judged = message.framing.judge(packet, 0, silent=True, extras=message.extras)
+            if judged.verdict is not Verdict.WHOLE or judged.size != len(packet):
+                raise NotThisError(judged.reason or "not a packet of this framing", path=path)
+            data = message.framing.logical(packet)
+            end = len(data) - message.framing.check_size - len(message.framing.end)
+        for name in message.request_fields:
+            values[name] = (request or {}).get(name)
+        heads = message.heads
+        short = heads[-1].offset + heads[-1].size > end if heads else False
+        for head in message.heads_written:
+            if (
+                head.offset + head.size <= end
+                and head.pattern is not None
+                and head.pattern.match(head.number(data)) is None
+            ):
+                raise NotThisError(f"{head.name} is another", path=path)
+        for offset, wanted in message.constants:
+            if data[offset : min(offset + len(wanted), end)] != wanted[: max(0, end - offset)]:
+                raise NotThisError("a constant is another", path=path)
+        if short or (message.lengths is not None and len(data) not in message.lengths):
+            raise LengthError(f"length {len(data)}", path=path)
+        inner = Container(
+            _=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False
+        )
+        for head in heads:
+            self._read_head(head, data, context, values, f"{path} -> {head.name}")
+        inner.update(values)
+        for head in message.heads_written:
+            if head.name and (
+                head.is_constant or (message.framing and head.offset < message.framing.head_end)
+            ):
+                inner[head.name] = head.number(data)
+        body = io.BytesIO(data[message.payload_start : end])
+        try:
+            payload = message.payload._parsereport(body, inner, path)
+        except StreamError as error:
+            raise LengthError(str(error), path=path) from None
+        if body.read(1):
+            raise LengthError("bytes left over", path=path)
+        for name in message.payload_names:
+            values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
+        check = message.check
+        if check is not None and check.field is not None:
+            found = values.pop(check.field)
+            if found != check.compute(message.covered(data, identifier)):
+                raise WrongCheckError("checksum", path=path)
+        return values
+
+    @staticmethod
+    def _read_head(head: Head, data: bytes, context: Any, values: Container, path: str) -> None:
+        if head.pattern is not None and not head.is_own:
+            captures = head.pattern.match(head.number(data)) or {}
+            for capture in head.pattern.captures:
+                raw = captures[capture.name]
+                values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+        elif head.name is not None and not head.is_constant:
+            values[head.name] = head.field._parsereport(
+                io.BytesIO(data[head.offset : head.offset + head.size]), context, path
+            )
+
+    # ------------------------------------------------------------------ building
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        message = self.message
+        raw = is_raw(context)
+        inner = Container(
+            _=context, _params=context._params, _root=None, _parsing=False, _building=True, _sizing=False
+        )
+        inner.update(
+            {
+                h.name: h.pattern.constant
+                for h in message.heads_written
+                if h.name and h.pattern and h.is_constant
+            }
+        )
+        inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
+        head = b"".join(
+            self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written
+        )
+        values: Any = obj
+        check = message.check
+        if check is not None and check.field is not None:
+            values = {**obj, check.field: 0}
+        body = io.BytesIO()
+        message.payload._build(Container(values), body, inner, path)
+        if message.framing is not None:
+            stream.write(self.framed(message.framing, head, body.getvalue()))
+            return obj
+        data = head + body.getvalue()
+        captures = {}
+        for capture in message.identifier.captures:
+            given = _given(obj, capture.name, path)
+            captures[capture.name] = (
+                index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+            )
+        identifier = message.identifier.number(captures)
+        if message.identifier.match(identifier) is None:
+            raise FieldError(f"{path}: no identifier for {captures}")
+        if message.lengths is not None and len(data) not in message.lengths:
+            raise FieldError(
+                f"{path}: {len(data)} bytes of data; {message.name} has {message.describe_lengths}"
+            )
+        if check is not None:
+            data = self._with_check(check, data, identifier)
+        stream.write(
+            can_image(identifier, data, extended=message.extended, remote=message.remote, fd=message.fd)
+        )
+        return obj
+
+    def _head_bytes(self, head: Head, obj: Any, context: Any, raw: bool, path: str) -> bytes:
+        framing = self.message.framing
+        if framing is not None and framing.affine is not None and head.name == framing.affine.length.name:
+            return bytes(head.size)
+        if head.pattern is not None and not head.is_own:
+            captures = {}
+            for capture in head.pattern.captures:
+                given = _given(obj, capture.name, path)
+                captures[capture.name] = (
+                    index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
+                )
+            return head.bytes(head.pattern.number(captures))
+        if head.name is None:
+            return bytes(head.field.build(None))
+        out = io.BytesIO()
+        value = obj.get(head.name) if head.field.flagbuildnone else _given(obj, head.name, path)
+        head.field._build(value, out, context, path)
+        written = out.getvalue()
+        if (
+            head.pattern is not None
+            and head.pattern.match(int.from_bytes(written, "big" if head.order == "big" else "little"))
+            is None
+        ):
+            wanted = _described(head.pattern)
+            raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
+        return written
+
+    def framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
+        packet = framing.sync + head
+        if framing.stuffing is not None and framing.affine is not None:
+            packet = packet[: framing.head_end] + framing.stuffing.stuff(packet[framing.head_end :] + body)
+        else:
+            packet += body
+        size = len(packet) + framing.check_size
+        if framing.affine is not None:
+            length = framing.affine.length
+            if size > framing.max_size:
+                raise FieldError(
+                    f"{self.message.name}: a packet of {size} bytes is longer than {framing.max_size}"
+                )
+            number = framing.affine.invert(size)
+            if number is None:
+                raise FieldError(f"{self.message.name}: no {length.name} gives a packet of {size} bytes")
+            wanted = self.message.length_pattern
+            if wanted is not None and wanted.match(number) is None:
+                raise FieldError(
+                    f"{self.message.name}: a packet of {size} bytes has {length.name} {number};"
+                    f" this message has {_described(wanted)}"
+                )
+            packet = packet[: length.offset] + length.bytes(number) + packet[length.offset + length.size :]
+        elif framing.fixed_size is not None and size != framing.fixed_size:
+            raise FieldError(
+                f"{self.message.name}: a packet of {size} bytes; its framing has {framing.fixed_size}"
+            )
+        if framing.check is not None:
+            # Slices of the check count from the whole packet's end, so its room must be there.
+            whole = packet + bytes(framing.check_size) + framing.end
+            covered = framing.check.covered(
+                whole, len(framing.sync), len(packet), extra=self.message.check_extra
+            )
+            packet += framing.check.encode(covered)
+        if framing.end:
+            if len(packet) == len(framing.sync):
+                raise FieldError(
+                    f"{self.message.name}: with nothing before its end a packet would not be read as one"
+                )
+            if framing.stuffing is not None:
+                packet = framing.sync + framing.stuffing.stuff(packet[len(framing.sync) :])
+            if framing.end in packet[len(framing.sync) :]:
+                raise FieldError(f"{self.message.name}: the bytes that end a packet occur inside it")
+            if framing.strays(packet, len(framing.sync), len(packet)):
+                never = framing.not_inside.hex(" ").upper()
+                raise FieldError(
+                    f"{self.message.name}: no packet may have one of the bytes {never} inside it"
+                )
+            packet += framing.end
+        if framing.not_next and packet[len(framing.sync)] in framing.not_next:
+            followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"
+            raise FieldError(
+                f"{self.message.name}: {followed} would not be read as a packet; choose other values"
+            )
+        if len(packet) > framing.max_size:
+            raise FieldError(
+                f"{self.message.name}: a packet of {len(packet)} bytes is longer than {framing.max_size}"
+            )
+        return packet
+
+    def _with_check(self, check: Check, data: bytes, identifier: int) -> bytes:
+        message = self.message
+        number = check.compute(message.covered(data, identifier))
+        start, size, order = message.check_span
+        return data[:start] + number.to_bytes(size, order) + data[start + size :]
+
+    def _sizeof(self, context: Any, path: str) -> int:
+        from construct import SizeofError
+
+        raise SizeofError("a packet's size depends on its message", path=path)
+
+
+def _described(pattern: IdPattern) -> str:
+    """The numbers of a pattern where they are a plain set, else as the sheet would write it."""
+    if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
+        return describe_values(pattern.captures[0].values)
+    return pattern.describe(2)
+
+
+def _given(obj: Any, name: str, path: str) -> Any:
+    if name not in obj:
+        raise FieldError(f"{path}: no value given for {name!r}")
+    return obj[name]

@@ -1,0 +1,218 @@
+"""Encoders: fields in, frames or packets out.
+
+1. What is derived (identifier, length, check, stuffing) is written by the packet, never given.
+2. A value that does not fit raises, naming the message, the field, the value and what would fit.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from construct import Construct, ConstructError, Default, Renamed
+from construct import Struct as Payload
+
+from ..errors import AcesError, FieldError, UnknownNameError
+from ..frames import Frame
+from .declare.bits import BitLayout
+from .declare.message import Message
+from .declare.packet import EXTENDED, FD_FLAG, REMOTE
+from .declare.protocol import Variant
+from .generate.encode import CALLED, NoEncoder, print_encoder
+from .generate.load import load_source
+from .generate.names import NameScope
+from .generate.source import comment_line
+from .plan.flatten import flatten
+
+
+class UnusualValue(Exception):
+    """A value that a printed encoder leaves to construct."""
+
+
+class Encoder:
+    """Builds the messages of a variant. `encode` is stateless; `next` fills in rolling counters, device by device."""
+
+    def __init__(self, variant: Variant) -> None:
+        self.variant = variant
+        self._counters: dict[tuple[Any, ...], int] = {}
+        self._quick, self.source, self.through_construct = quick_encoders(variant)
+        #: By message, what its fields are when they are not given: what construct would take, too.
+        self._unsaid = {name: found for name in self._quick if (found := unsaid(variant[name].payload))}
+
+    def encode(self, message: str, /, **fields: Any) -> Any:
+        """A python-can message (CAN) or the packet's bytes, from values in the sheet's units.
+
+        Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that does not fit
+        or is missing.
+        """
+        return self.build(self.variant[message], fields)
+
+    def next(self, message: str, /, **fields: Any) -> Any:
+        """Like `encode`, with rolling counters one more than in the last message of the same device."""
+        found = self.variant[message]
+        who = tuple(fields.get(capture.name) for capture in found.identifier.captures)
+        for name, modulo in found.counters.items():
+            if name not in fields:
+                key = (message, name, who)
+                self._counters[key] = (self._counters.get(key, -1) + 1) % modulo
+                fields[name] = self._counters[key]
+        return self.build(found, fields)
+
+    def build(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> Any:
+        """The frame or packet of `message`."""
+        quick = self._quick.get(message.name) if not raw else None
+        if quick is not None:
+            more = self._unsaid.get(message.name)
+            try:
+                identifier, head, body = quick(fields if more is None else {**more, **fields})
+                if message.framing is not None:
+                    return message.struct.framed(message.framing, head, body)
+                return new_can(identifier, head + body, message)
+            except USUAL_FAILURES:
+                pass  # construct decides, and explains
+        image = self.image(message, fields, raw=raw)
+        return image if message.framing is not None else to_can(image)
+
+    def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
+        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`."""
+        quick = self._quick.get(message.name)
+        if quick is not None:
+            more = self._unsaid.get(message.name)
+            try:
+                identifier, head, body = quick(fields if more is None else {**more, **fields})
+                if message.framing is not None:
+                    return bytes(message.struct.framed(message.framing, head, body))
+                return Frame(
+                    identifier,
+                    head + body,
+                    is_extended_id=message.extended,
+                    is_remote_frame=message.remote,
+                    is_fd=message.fd,
+                )
+            except USUAL_FAILURES:
+                pass  # construct decides, and explains
+        image = self.image(message, fields)
+        if message.framing is not None:
+            return image
+        word = int.from_bytes(image[:4], "big")
+        return Frame(
+            word & 0x1FFF_FFFF,
+            image[5:],
+            is_extended_id=bool(word & EXTENDED),
+            is_remote_frame=bool(word & REMOTE),
+            is_fd=bool(image[4] & FD_FLAG),
+        )
+
+    def image(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> bytes:
+        """The packet's bytes; on CAN, the image that `message.struct` parses."""
+        known = set(message.fields)
+        for name in fields:
+            if name not in known:
+                raise UnknownNameError(f"field of {message.name}", name, message.fields)
+        try:
+            return bytes(message.struct.build(fields, raw=raw))
+        except FieldError as error:
+            raise FieldError(
+                f"{message.name}: {_short(str(error)).removeprefix(f'{message.name}: ')}"
+            ) from None
+        except Exception as error:  # whatever a construct raises: the value does not fit it
+            raise FieldError(f"{message.name}: {_explain(error, message, fields)}") from None
+
+
+def _short(text: str) -> str:
+    """`(building) -> speed: …` as `speed: …`."""
+    return text.replace("(building) -> ", "").replace("(building): ", "")
+
+
+def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
+    missing = [name for name in message.fields if name not in fields and name not in message.request_fields]
+    if isinstance(error, KeyError) and missing:
+        return f"no value given for {', '.join(missing)}"
+    text = _short(str(error)).replace("Error in path ", "").strip()
+    return " ".join(text.split()) or type(error).__name__
+
+
+def unsaid(payload: Construct) -> dict[str, Any]:
+    """What the fields of a payload are when nobody gives them: constants of `Default`, no reserved bits, nothing behind."""
+    found: dict[str, Any] = {}
+    if isinstance(payload, BitLayout):
+        fields = [(slot.name, slot.field) for slot in payload.slots]
+        if payload.has_reserved:
+            found["reserved"] = 0
+        if payload.trailing:
+            found[payload.trailing] = b""
+    elif isinstance(payload, Payload):
+        fields = [(item.name, item.subcon if isinstance(item, Renamed) else item) for item in payload.subcons]
+    else:
+        return {}
+    for name, field in fields:
+        while isinstance(field, Renamed):
+            field = field.subcon
+        if name and isinstance(field, Default) and not callable(field.value):
+            found[name] = field.value
+    return found
+
+
+#: What printed encoders raise for a value that they leave to construct.
+USUAL_FAILURES = (
+    UnusualValue,
+    struct.error,
+    AcesError,
+    ConstructError,
+    KeyError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+)
+
+
+def quick_encoders(
+    variant: Variant,
+) -> tuple[dict[str, Callable[[dict[str, Any]], Any]], str, dict[str, str]]:
+    """The printed encoders of a variant, their source, and why the other messages go through construct."""
+    lines = [f'"""Encoders of {comment_line(variant.label)}: generated from its spec."""', ""]
+    names = NameScope(CALLED)
+    functions: dict[str, str] = {}
+    others: dict[str, str] = {}
+    for message in variant.messages.values():
+        try:
+            functions[message.name], printed = print_encoder(message, flatten(message), names)
+        except NoEncoder as reason:
+            others[message.name] = str(reason)
+            continue
+        lines += ["", *printed, ""]
+    source = "\n".join(lines) + "\n"
+    called = {"Struct": struct.Struct, "Unusual": UnusualValue, **names.bound}
+    space = load_source(source, f"aces {variant.label} encoders", called)
+    return {name: space[function] for name, function in functions.items()}, source, others
+
+
+def new_can(identifier: int, data: bytes, message: Message) -> Any:
+    """The python-can message of a frame."""
+    import can
+
+    return can.Message(
+        arbitration_id=identifier,
+        is_extended_id=message.extended,
+        is_remote_frame=message.remote,
+        is_fd=message.fd,
+        data=data,
+        dlc=len(data),
+    )
+
+
+def to_can(image: bytes) -> Any:
+    """The python-can message of a frame's image."""
+    import can
+
+    word = int.from_bytes(image[:4], "big")
+    return can.Message(
+        arbitration_id=word & 0x1FFF_FFFF,
+        is_extended_id=bool(word & EXTENDED),
+        is_remote_frame=bool(word & REMOTE),
+        is_fd=bool(image[4] & FD_FLAG),
+        data=image[5:],
+        dlc=len(image) - 5,
+    )

@@ -1,0 +1,328 @@
+"""A variant as a page in Markdown: overview, map of identifiers, each message with its picture, fields and values.
+
+1. It reads on GitHub: tables, fences and links of its flavour, nothing else.
+2. Text of the spec is escaped: it is text, never a link, a tag or the end of a cell.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+
+import construct as c
+
+from .. import draw
+from ..declare.bits import BitLayout
+from ..declare.fields import Quantity
+from ..declare.framing import Framing
+from ..declare.message import Message
+from ..declare.pattern import describe_values
+from ..declare.protocol import Variant
+from ..plan import nodes as p
+from ..plan.flatten import flatten
+from .leaves import PlanLeaf, flags_of, plan_leaves, scale_of, value_names
+from .problems import clean_text
+
+_LINKS = {"can": "CAN", "serial": "serial line", "datagram": "datagrams"}
+_WAYS = {None: "", "to device": "→ to device", "from device": "← from device"}
+#: Rows of a table of values.
+MOST_VALUES = 200
+
+
+def print_markdown(variant: Variant) -> str:
+    """The page of a variant: Markdown in GitHub's flavour, UTF-8."""
+    return _Page(variant).text()
+
+
+class _Page:
+    def __init__(self, variant: Variant) -> None:
+        self.variant = variant
+        self.messages = list(variant.messages.values())
+        self.is_can = variant.link == "can"
+        self.map_title = "Identifiers" if self.is_can else "Messages"
+        headings = [variant.name, self.map_title, *(message.name for message in self.messages)]
+        self.anchors = dict(zip([None, "", *variant.messages], _anchors(headings), strict=True))
+
+    def text(self) -> str:
+        lines = [f"# {_escaped(self.variant.name)}", ""]
+        lines += [*self._overview(), "", f"## {self.map_title}", ""]
+        lines += self._map()
+        for message in self.messages:
+            lines += ["", f"## {_escaped(message.name)}", "", *self._message(message)]
+        if self.variant.protocol.register_map is not None:
+            lines += ["", "## Registers", "", *self._registers()]
+        return "\n".join(lines) + "\n"
+
+    def _overview(self) -> list[str]:
+        variant, protocol = self.variant, self.variant.protocol
+        lines = [_escaped(protocol.doc), ""] if protocol.doc else []
+        facts = [("Link", _LINKS[variant.link])]
+        if protocol.bitrate is not None:
+            facts.append(("Bit rate", f"{protocol.bitrate / 1000:g} kbit/s"))
+        if protocol.baud is not None:
+            facts.append(("Speed", f"{protocol.baud} baud"))
+        if variant.dialect is not None:
+            others = ", ".join(name for name in protocol.dialects if name != variant.dialect)
+            text = f"`{variant.dialect}`: {_escaped(protocol.dialects[variant.dialect])}"
+            facts.append(("Dialect", text + (f" (others: {_escaped(others)})" if others else "")))
+        if variant.configuration is not None:
+            facts.append(("Configuration", f"`{variant.configuration}`"))
+        facts += [("Packets", _escaped(_framing(framing))) for framing in protocol.framings]
+        if protocol.source:
+            facts.append(("Source", _escaped(protocol.source)))
+        return lines + _table(("", ""), facts)
+
+    def _map(self) -> list[str]:
+        rows: list[Sequence[str]] = []
+        if self.is_can:
+            for message in sorted(self.messages, key=lambda m: m.identifier.constant):
+                kinds = [
+                    kind
+                    for kind, given in (
+                        ("remote", message.remote),
+                        ("FD", message.fd and not message.any_format),
+                    )
+                    if given
+                ]
+                name = self._link(message)
+                rows.append(
+                    (
+                        " ".join([_code(self._identifier(message), is_cell=True), *kinds]),
+                        name,
+                        _code(_told_by(message), is_cell=True),
+                        _WAYS[message.direction],
+                        _lengths(message),
+                        _escaped(_first_line(message.doc)),
+                    )
+                )
+            return _table(("identifier", "message", "told by", "direction", "bytes", "what"), rows)
+        for message in self.messages:
+            rows.append(
+                (
+                    self._link(message),
+                    _code(_told_by(message), is_cell=True),
+                    _WAYS[message.direction],
+                    _lengths(message),
+                    _escaped(_first_line(message.doc)),
+                )
+            )
+        return _table(("message", "told by", "direction", "bytes", "what"), rows)
+
+    @staticmethod
+    def _identifier(message: Message) -> str:
+        return message.identifier.describe(8 if message.extended else 3)
+
+    def _link(self, message: Message) -> str:
+        return f"[{_escaped(message.name)}](#{self.anchors[message.name]})"
+
+    # ------------------------------------------------------------------ one message
+
+    def _message(self, message: Message) -> list[str]:
+        plan = flatten(message)
+        lines = [_escaped(message.doc), ""] if message.doc else []
+        lines += [f"- {fact}" for fact in self._facts(message, plan)]
+        picture = draw.picture(message)
+        fence = "`" * max([3, *(len(run) + 1 for run in re.findall(r"`+", "\n".join(picture)))])
+        lines += ["", f"{fence}text", *picture, fence]
+        sources = _sources(message)
+        rows = [
+            (
+                f"`{row.name}`",
+                _escaped(row.place),
+                _escaped(row.type),
+                _escaped(row.unit),
+                row.scale,
+                row.offset,
+                _escaped(row.range),
+                _escaped(_joined(row.doc, sources.get(row.name.partition(".")[0], ""))),
+            )
+            for row in draw.field_table(plan, draw.captured_values(message))
+        ]
+        if rows:
+            lines += [
+                "",
+                *_table(("field", "place", "type", "unit", "scale", "offset", "range", "meaning"), rows),
+            ]
+        for names, values in _values(plan_leaves(plan)):
+            shown = ", ".join(f"`{name}`" for name in names)
+            lines += ["", f"Values of {shown}:", "", *_table(("value", "name"), values)]
+        return lines
+
+    def _facts(self, message: Message, plan: p.MessagePlan) -> list[str]:
+        facts: list[str] = []
+        if self.is_can:
+            values = draw.captured_values(message)
+            ranges = [f"`{c.name}` {values[c.name]}" for c in message.identifier.captures]
+            kinds = [
+                kind
+                for kind, given in (
+                    ("29 bits", message.extended),
+                    ("remote", message.remote),
+                    ("CAN FD", message.fd),
+                )
+                if given
+            ]
+            facts.append(", ".join([f"identifier `{self._identifier(message)}`", *ranges, *kinds]))
+        if told := _told_by(message):
+            facts.append(f"told by {_code(told)}")
+        facts.append(f"{_lengths(message)} bytes")
+        if message.direction is not None:
+            facts.append(message.direction)
+        for condition in message.when:
+            entries = ", ".join(map(str, sorted(condition.values, key=str)))
+            facts.append(f"only where {_code(condition.key)} of `{condition.capture}` is {_escaped(entries)}")
+        for what, requests in (("answers", message.reply_to), ("after", message.after)):
+            if requests:
+                linked = [
+                    f"[{_escaped(str(one))}](#{self.anchors[one.message.name]})"
+                    if one.message.name in self.anchors
+                    else _escaped(str(one))
+                    for one in requests
+                ]
+                facts.append(f"{what} {', '.join(linked)}")
+        if message.check is not None:
+            facts.append(f"check `{message.check.field}`: {_escaped(message.check.describe)}")
+        if plan.opaque:
+            facts.append(f"fields without fixed places: {_escaped(plan.opaque)}")
+        if message.source:
+            facts.append(f"source: {_escaped(message.source)}")
+        return facts
+
+    def _registers(self) -> list[str]:
+        table = self.variant.protocol.register_map
+        assert table is not None
+        rows = [
+            (
+                f"`{one.address:#04x}`",
+                f"`{one.name}`",
+                str(one.size),
+                one.access,
+                _escaped(one.unit),
+                _escaped(one.doc),
+            )
+            for one in sorted(table.values(), key=lambda register: register.address)
+        ]
+        return _table(("address", "register", "bytes", "access", "unit", "meaning"), rows)
+
+
+# ---------------------------------------------------------------------- facts
+
+
+def _told_by(message: Message) -> str:
+    """What tells a message from others beside its identifier: matched head fields, constants of its payload."""
+    parts: list[str] = []
+    covered: set[int] = set()
+    for head in message.heads_written:
+        if head.pattern is None:
+            continue
+        covered |= set(range(head.offset, head.offset + head.size))
+        shown = head.wanted
+        if head.is_own and not head.is_constant:
+            shown = describe_values(head.pattern.captures[0].values)
+        parts.append(f"{head.name}={shown}" if head.name else shown)
+    start = len(message.framing.sync) if message.framing is not None else 0
+    for constant in flatten(message).constants:
+        if constant.offset >= start and constant.offset not in covered:
+            mask = "" if constant.mask == 0xFF else f" & {constant.mask:#04x}"
+            parts.append(f"byte {constant.offset}{mask}={constant.value:#04x}")
+    return ", ".join(parts)
+
+
+def _lengths(message: Message) -> str:
+    if message.lengths is not None:
+        return message.describe_lengths.removesuffix(" bytes")
+    plan = flatten(message)
+    return f"{plan.least}…" if plan.lengths is None else ", ".join(map(str, plan.lengths))
+
+
+def _framing(framing: Framing) -> str:
+    check = f"check: {framing.check.describe}" if framing.check is not None else "no check"
+    return ", ".join([*framing.describe, check])
+
+
+def _sources(message: Message) -> dict[str, str]:
+    """Where the facts of single fields come from, by the field's name."""
+    payload = message.payload
+    items = [(slot.name, slot.field) for slot in payload.slots] if isinstance(payload, BitLayout) else []
+    if isinstance(payload, c.Struct):
+        items = [(str(item.name), item) for item in payload.subcons if item.name]
+    found: dict[str, str] = {}
+    for name, field in items:
+        while field is not None:
+            if isinstance(field, Quantity) and field.source:
+                found[name] = field.source
+            field = getattr(field, "subcon", None)
+    return found
+
+
+def _joined(doc: str, source: str) -> str:
+    return " ".join(filter(None, [*doc.split(), f"(source: {source})" if source else ""]))
+
+
+def _values(found: Iterable[PlanLeaf]) -> list[tuple[list[str], list[tuple[str, str]]]]:
+    """The named values of fields; fields that have the same share a table."""
+    tables: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for leaf in found:
+        rows: list[tuple[str, str]] = []
+        if isinstance(leaf.node, (p.Scalar, p.FromIdentifier)):
+            names = value_names(leaf.node)
+            rows += [(str(value), _escaped(name)) for value, name in sorted(names.items())[:MOST_VALUES]]
+            if len(names) > MOST_VALUES:
+                rows.append(("…", f"{len(names) - MOST_VALUES} more"))
+            scale = scale_of(leaf.node)
+            rows += [(f"{value:g}", "*not known*") for value in (scale.unknown if scale is not None else ())]
+        if isinstance(leaf.node, p.Scalar):
+            rows += [(f"bit {bit}", _escaped(name)) for bit, name in flags_of(leaf.node).items()]
+        if isinstance(leaf.node, p.DelimitedField):
+            rows += [(_code(text, is_cell=True), _escaped(name)) for text, name in leaf.node.names]
+        if rows:
+            tables.setdefault(tuple(rows), []).append(leaf.path)
+    return [(names, list(rows)) for rows, names in tables.items()]
+
+
+# ---------------------------------------------------------------------- Markdown
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table without the columns that are empty in every row."""
+    body = [list(row) for row in rows]
+    used = [i for i in range(len(head)) if not body or any(row[i] for row in body)]
+    lines = [head, ["---"] * len(head), *body]
+    return ["| " + " | ".join(row[i] for i in used) + " |" for row in lines]
+
+
+def _escaped(text: str) -> str:
+    """Text as Markdown that shows it, on one line."""
+    flat = " ".join(clean_text(text).split())
+    flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    # What a spec's author writes as `code` stays that.
+    parts = re.split(r"(`[\w.:@-]+`)", flat)
+    parts[::2] = [re.sub(r"([\\`*_\[\]|~$#])", r"\\\1", part) for part in parts[::2]]
+    flat = "".join(parts)
+    return re.sub(r"(?<=\w):(?=//)|(?<=www)\.|@(?=\w)", lambda m: f"&#{ord(m[0])};", flat)
+
+
+def _code(text: str, *, is_cell: bool = False) -> str:
+    """Text as code; in a cell of a table a bar is escaped even there."""
+    flat = " ".join(clean_text(text).split()).replace("`", "'")
+    flat = flat.replace("|", "\\|") if is_cell else flat
+    return f"`{flat}`" if flat else ""
+
+
+def _first_line(text: str) -> str:
+    return text.strip().partition("\n")[0]
+
+
+def _anchors(headings: Iterable[str]) -> list[str]:
+    """The anchors that GitHub gives to headings, in their order on the page."""
+    seen: dict[str, int] = {}
+    found: list[str] = []
+    for heading in headings:
+        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        count = seen.get(anchor, 0)
+        seen[anchor] = count + 1
+        found.append(f"{anchor}-{count}" if count else anchor)
+    return found
+
+
+__all__ = ["print_markdown"]

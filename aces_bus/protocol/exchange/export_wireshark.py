@@ -1,0 +1,486 @@
+"""A Wireshark dissector in Lua, printed from the plans of a variant: one file to drop into the plug-in folder.
+
+1. The printed file is data, a table `P`, and behind it the same program for every protocol (`dissector*.lua`), which walks
+   the table. What is decided is decided here.
+2. It tells messages as the scanner does: constants, lengths, checks, requests and their replies, in the same order.
+3. A field is `protocol.message.field`. One with scale or offset shows the quantity, with the raw number below it as
+   `….raw`; all others show the raw number, with the names of its values.
+
+*Facts*: Wireshark's Lua reference (Proto, ProtoField, DissectorTable), versions 3.6 and later: Lua 5.2 and 5.4 both read it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from importlib.resources import files
+from typing import Any, Literal
+
+from ..declare.ambiguity import needing_context
+from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
+from ..declare.framing import Framing
+from ..declare.message import Direction, Message
+from ..declare.order import ordered
+from ..declare.pattern import IdPattern
+from ..declare.protocol import Variant
+from ..declare.stuffing import Cobs, Insert, Slip
+from ..live.context import Context
+from ..plan import nodes as p
+from ..plan.flatten import flatten
+from .import_names import unused
+from .leaves import (
+    Loss,
+    PlanLeaf,
+    bits_of,
+    fixed_leaves,
+    flags_of,
+    is_magnitude,
+    one_line,
+    runs,
+    scale_of,
+    snake,
+    value_names,
+)
+from .lua import lua_literal
+
+#: Who may speak, as the dissector's preference has it.
+Way = Direction | Literal["both", "by port"]
+PREFERENCES: dict[Way, int] = {"by port": 0, "to device": 1, "from device": 2, "both": 3}
+#: Bits of numbers that Wireshark shows as numbers, and of CRCs that the dissector computes.
+WIDEST, WIDEST_CRC = 64, 32
+#: Values that are listed one by one.
+MOST_LISTED = 65536
+
+
+def print_dissector(variant: Variant, *, direction: Way = "by port", port: int = 0) -> tuple[str, list[Loss]]:
+    """The dissector's source, and what it does not show as the scanner does.
+
+    `direction` and `port` (TCP and UDP, 0: none) are what the preferences begin with; both are for streams.
+    """
+    return _Printer(variant).print(direction, port)
+
+
+class _Printer:
+    def __init__(self, variant: Variant) -> None:
+        self.variant = variant
+        self.losses: list[Loss] = []
+        self.fields: list[list[Any]] = []
+        self.taken: set[str] = {"message", "problem", "skipped"}
+        self.is_can = variant.link == "can"
+        modes: dict[str, Any] = {"both": None if self.is_can else "both"}
+        if not self.is_can:
+            modes |= {"to device": "to device", "from device": "from device"}
+        #: By mode: the messages, those that need their request, what is asked and what answers.
+        self.modes: dict[str, tuple[list[Message], frozenset[str], Context]] = {}
+        for mode, messages_for in modes.items():
+            messages = ordered(variant.messages_for(messages_for))
+            contextual = needing_context(messages)
+            context = Context(messages, contextual, variant.protocol.broadcast)
+            self.modes[mode] = (messages, contextual, context)
+        self.framings = list(dict.fromkeys(m.framing for m in self.modes["both"][0] if m.framing is not None))
+
+    def print(self, direction: Way, port: int) -> tuple[str, list[Loss]]:
+        variant = self.variant
+        messages = [self._message(message) for message in self.modes["both"][0]]
+        table: dict[str, Any] = {
+            "name": snake(variant.name),
+            "title": one_line(
+                f"{variant.label}: {variant.protocol.doc}" if variant.protocol.doc else variant.label
+            ),
+            "broadcast": dict(variant.protocol.broadcast),
+        }
+        if not self.is_can:
+            table["direction"], table["port"] = PREFERENCES[direction], port
+            table["framings"] = [self._framing(framing) for framing in self.framings]
+            table["extras"] = {
+                number: list(extra)
+                for message in self.modes["both"][0]
+                for number, extra in (message.extras or {}).items()
+            }
+        table["fields"] = self.fields
+        table["messages"] = messages
+        head = [
+            f"-- {one_line(variant.label)} as a Wireshark dissector, printed by aces-bus from the spec: change that instead."
+        ]
+        head += ["-- Put it into the folder of personal Lua plug-ins (Help, About Wireshark, Folders)."]
+        if self.losses:
+            head += ["--", "-- Not as the scanner has it:"]
+            head += [f"--   {one_line(str(loss))}" for loss in self.losses]
+        text = "\n".join([*head, "", f"local P = {lua_literal(table)}", ""])
+        rest = "dissector_can.lua" if self.is_can else "dissector_stream.lua"
+        return text + _program("dissector.lua") + _program(rest), self.losses
+
+    def _lose(self, message: str, field: str, reason: str) -> None:
+        self.losses.append(Loss(message, field, reason))
+
+    # ------------------------------------------------------------------ messages
+
+    def _message(self, message: Message) -> dict[str, Any]:
+        plan = flatten(message)
+        own = unused(snake(message.name), self.taken)
+        table: dict[str, Any] = {"name": message.name}
+        if self.is_can:
+            table["id"] = _pattern(message.identifier)
+            table |= {"extended": message.extended, "remote": message.remote, "fd": message.fd}
+            if message.any_format:
+                table["any_format"] = True
+        else:
+            assert message.framing is not None
+            table["framing"] = self.framings.index(message.framing) + 1
+        if plan.lengths is not None:
+            table["lengths"] = _values(plan.lengths)
+        table["least"] = plan.least
+        if plan.lengths_by is not None:
+            selector, sizes, otherwise = plan.lengths_by
+            table["by"] = {"selector": selector.name, "sizes": dict(sizes), "otherwise": otherwise}
+        if plan.split is not None:
+            one = plan.split
+            table["split"] = {
+                "start": one.start,
+                "stop": one.end,
+                "separator": one.separator,
+                "lead": one.lead,
+                "least": one.least,
+                "most": one.most,
+            }
+        table["constants"] = [[one.offset, one.mask, one.value] for one in plan.constants]
+        table["one_of"] = [self._one_of(one) for one in plan.one_of]
+        if message.check is not None:
+            table["check"] = self._own_check(message)
+        self._requests(message, table)
+        table["fields"] = self._fields(message, plan, own)
+        return table
+
+    def _one_of(self, one: p.OneOf) -> dict[str, Any]:
+        bits = bits_of(one.number)
+        return {"pieces": _pieces(bits), "last": max(bits) // 8, "values": _values(one.values)}
+
+    def _requests(self, message: Message, table: dict[str, Any]) -> None:
+        """What a message answers, and what answers it."""
+        table["bound"] = {
+            mode: message.name in contextual
+            for mode, (messages, contextual, _) in self.modes.items()
+            if message in messages
+        }
+        table["answers"] = {mode: True for mode, (_, _, c) in self.modes.items() if message.name in c.answers}
+        if any(table["bound"].values()) or table["answers"]:
+            links = [(one, False) for one in message.reply_to] + [(one, True) for one in message.after]
+            if not any(table["bound"].values()):
+                links = [link for link in links if not link[1]]
+            table["links"] = [
+                {
+                    "request": request.message.name,
+                    "shared": sorted(message.outer_names & request.message.outer_names),
+                    "sticky": is_sticky,
+                    "values": {name: _values(sorted(values)) for name, values in request.values},
+                }
+                for request, is_sticky in links
+            ]
+            table["within"] = message.within
+        if any(message.name in context.requests for _, _, context in self.modes.values()):
+            kinds = {
+                tuple(sorted(other.outer_names & request.message.outer_names))
+                for other in self.modes["both"][0]
+                for request in (*other.reply_to, *other.after)
+                if request.message.name == message.name
+            }
+            table["noted"] = [{"shared": list(kind)} for kind in sorted(kinds)]
+
+    # ------------------------------------------------------------------ checks and framings
+
+    def _own_check(self, message: Message) -> dict[str, Any] | None:
+        assert message.check is not None
+        offset, size, order = message.check_span
+        check = self._check(message.check, message.name, message.check_extra)
+        if "kind" not in check:
+            return None
+        number = p.Scalar("uint", offset, size, order)
+        return {**check, "at": offset, "pieces": _pieces(bits_of(number))}
+
+    def _check(self, check: Check, where: str, extra: bytes = b"") -> dict[str, Any]:
+        table: dict[str, Any] = {"size": check.size, "is_big": check.order == "big"}
+        if check.over is not None:
+            table["over"] = [_covered(part) for part in check.over]
+        table["extra"] = list(extra)
+        table["is_seeded"] = not extra and any(isinstance(part, Extra) for part in check.over or ())
+        if check.text is not None:
+            if check.bytes != 1:
+                self._lose(where, "", f"the check ({check.describe}, as text) is not verified")
+                return table
+            texts = [check.text.format(number) for number in range(256)]
+            if check.digits is not None:
+                # Hexadecimal digits are compared in upper case.
+                at, to = check.digits.start, check.digits.stop
+                texts = [text[:at] + text[at:to].upper() + text[to:] for text in texts]
+                table["digits"] = _values(range(at + 1, to + 1))
+            table["texts"] = texts
+        if isinstance(check, Crc):
+            width, poly, init, refin, refout, xorout = check.parameters
+            if not poly:  # a name of the catalogue
+                width, poly, init, refin, refout, xorout = _catalogue(check.name)
+            if width > WIDEST_CRC:
+                self._lose(where, "", f"the check ({check.describe}) is not verified: {width} bits")
+                return table
+            table |= {"kind": "crc", "width": width, "poly": poly, "init": init}
+            table |= {"refin": refin, "refout": refout, "xorout": xorout}
+        elif check.kind in ("sum", "xor", "fletcher"):
+            table["kind"] = check.kind
+            table["inverted"] = isinstance(check, Sum) and check.inverted
+        else:
+            self._lose(where, "", f"the check ({check.describe}) is not verified: a kind of its own")
+        return table
+
+    def _framing(self, framing: Framing) -> dict[str, Any]:
+        table: dict[str, Any] = {"name": framing.name, "sync": list(framing.sync)}
+        if framing.not_next:
+            table["not_next"] = _values(sorted(framing.not_next))
+        if framing.not_inside:
+            table["not_inside"] = _values(framing.not_inside)
+        if framing.affine is not None:
+            head = framing.affine.length
+            bits = bits_of(
+                p.Scalar("uint", head.offset, head.size, "big" if head.order == "big" else "little")
+            )
+            table["length"] = {
+                "pieces": _pieces(bits),
+                "last": head.offset + head.size - 1,
+                "factor": framing.affine.factor,
+                "constant": framing.affine.constant,
+            }
+        table["size"] = framing.fixed_size
+        table["stop"] = list(framing.end)
+        table["is_silent"] = framing.is_silent
+        table |= {"min_size": framing.min_size, "max_size": framing.max_size, "head_end": framing.head_end}
+        if framing.check is not None:
+            table["check"] = self._check(framing.check, "")
+        extra = framing.extra_head
+        if extra is not None:
+            order: Literal["little", "big"] = "big" if extra.order == "big" else "little"
+            table["extra"] = _pieces(bits_of(p.Scalar("uint", extra.offset, extra.size, order)))
+        stuffing = framing.stuffing
+        if isinstance(stuffing, Insert):
+            table["stuffing"] = {
+                "kind": "insert",
+                "pattern": list(stuffing.pattern),
+                "bytes": list(stuffing.byte),
+            }
+        elif isinstance(stuffing, (Slip, Cobs)):
+            table["stuffing"] = {"kind": "slip" if isinstance(stuffing, Slip) else "cobs"}
+        return table
+
+    # ------------------------------------------------------------------ fields
+
+    def _fields(self, message: Message, plan: p.MessagePlan, own: str) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = []
+        taken: set[str] = set()
+        if plan.opaque:
+            reason = f"told by its head and constants alone, not all of it taken apart: {plan.opaque}"
+            self._lose(message.name, "", reason)
+        outer = message.outer_names
+        listed, rest = fixed_leaves(message)
+        for leaf in listed:
+            if isinstance(leaf.node, p.Opaque):
+                self._lose(message.name, leaf.path, "part of payload, which is shown as bytes")
+                continue
+            table = self._leaf(leaf, message, plan, f"{own}.{unused(leaf.identifier, taken)}")
+            table["is_outer"] = leaf.path in outer or None
+            if leaf.whens:
+                selector, values = leaf.whens[-1]
+                table["when"] = [selector, dict.fromkeys(values, True)]
+            found.append(table)
+        if plan.opaque:
+            payload = p.Scalar("bytes", rest, None)
+            leaf = PlanLeaf("payload", payload, (), f"not taken apart: {plan.opaque}")
+            found.append(self._leaf(leaf, message, plan, f"{own}.{unused('payload', taken)}"))
+        return found
+
+    def _field(self, abbr: str, label: str, kind: str, base: str | None, names: Any, doc: str) -> int:
+        self.fields.append([abbr, label, kind, base, names, one_line(doc) or None])
+        return len(self.fields)
+
+    def _leaf(self, leaf: PlanLeaf, message: Message, plan: p.MessagePlan, abbr: str) -> dict[str, Any]:
+        node, table = leaf.node, {"path": leaf.path}
+        more: dict[str, Any] = {}
+        if isinstance(node, p.FromIdentifier):
+            if node.number is None:
+                more = {"kind": "identifier"}
+            else:
+                bits = bits_of(node.number)
+                part: dict[str, Any] = {"constant": node.constant, "shift": node.shift}
+                # Alone in its number it is (number − constant) ÷ 2^shift, which the program takes where there is no width.
+                part["width"] = None if node.is_alone else node.width
+                more = {"kind": "uint", "pattern": part, **_placed(bits)}
+            width = node.width
+            more["width"] = width
+            more |= self._number(leaf, node, abbr, f"uint{_size(width)}", width)
+        elif isinstance(node, p.FromRequest):
+            more = {"kind": "request", "field": self._field(abbr, leaf.path, "uint32", "DEC", None, leaf.doc)}
+        elif isinstance(node, p.Rest):
+            more = self._rest(leaf, node, message, abbr)
+        elif isinstance(node, (p.DelimitedField, p.MoreCells)):
+            index = node.index if isinstance(node, p.DelimitedField) else node.start
+            kind = "cell" if isinstance(node, p.DelimitedField) else "cells"
+            number = self._field(abbr, leaf.path, "string", None, None, leaf.doc)
+            more = {"kind": kind, "index": index + 1, "field": number}
+        else:
+            assert isinstance(node, p.Scalar)
+            more = self._scalar(leaf, node, plan, message, abbr)
+        return {**table, **more}
+
+    def _rest(self, leaf: PlanLeaf, node: p.Rest, message: Message, abbr: str) -> dict[str, Any]:
+        if node.size > 8:
+            self._lose(
+                message.name, leaf.path, "bits without a field are not shown in layouts of more than 8 bytes"
+            )
+            return {"kind": "request"}
+
+        def masks(mask: int) -> list[int]:
+            return list(mask.to_bytes(node.size, "little"))
+
+        always = next((mask for value, mask in node.claimed if value is None), 0)
+        more: list[Any] = []
+        # The selectors of a layout stand beside its bits without a field.
+        inside = leaf.path.removesuffix("reserved")
+        if node.selector is not None:
+            sets = {value: masks(mask) for value, mask in node.claimed if value is not None}
+            more.append([inside + node.selector.name, sets])
+        for selector, by_value in node.more:
+            more.append([inside + selector.name, {value: masks(mask) for value, mask in by_value}])
+        return {
+            "kind": "rest",
+            "field": self._field(abbr, leaf.path, "uint64", "HEX", None, leaf.doc),
+            "start": node.offset,
+            "size": node.size,
+            "always": masks(always),
+            "more": more,
+        }
+
+    def _scalar(
+        self, leaf: PlanLeaf, node: p.Scalar, plan: p.MessagePlan, message: Message, abbr: str
+    ) -> dict[str, Any]:
+        if node.kind in ("bytes", "text"):
+            kind = "bytes" if node.kind == "bytes" else "string"
+            number = self._field(abbr, leaf.path, kind, None, None, leaf.doc)
+            return {
+                "kind": node.kind,
+                "field": number,
+                "start": node.offset,
+                "size": node.size,
+                "tail": plan.tail,
+            }
+        bits = bits_of(node)
+        width = len(bits)
+        if width > WIDEST:
+            self._lose(message.name, leaf.path, f"a number of {width} bits is shown as bytes")
+            number = self._field(abbr, leaf.path, "bytes", None, None, leaf.doc)
+            first, last = min(bits) // 8, max(bits) // 8
+            return {"kind": "bytes", "field": number, "start": first, "size": last - first + 1, "tail": 0}
+        more: dict[str, Any] = {"kind": node.kind, "width": width, **_placed(bits)}
+        if node.kind == "float":
+            return more | self._number(leaf, node, abbr, "double", width)
+        is_signed = node.kind == "int" or is_magnitude(node)
+        if is_magnitude(node):
+            more["magnitude"] = True
+        kind = f"{'int' if is_signed else 'uint'}{_size(width)}"
+        more |= self._number(leaf, node, abbr, kind, width)
+        more["is_signed"] = is_signed or None
+        if flags := flags_of(node):
+            more["flags"] = [
+                [bit, self._field(f"{abbr}.{name}", name, "boolean", None, None, "")]
+                for bit, name in flags.items()
+            ]
+        return more
+
+    def _number(
+        self, leaf: PlanLeaf, node: p.Scalar | p.FromIdentifier, abbr: str, kind: str, width: int
+    ) -> dict[str, Any]:
+        """The fields of a number: the quantity with the raw number below it, or the raw number alone."""
+        scale, names = scale_of(node), value_names(node)
+        more: dict[str, Any] = {"unit": one_line(node.unit)}
+        if kind != "double" and width > 32:
+            more["is_wide"] = True
+        is_table = kind != "double" and width <= 32 and all(0 <= value < 1 << 31 for value in names)
+        table = {value: one_line(name) or "?" for value, name in names.items()} if names else None
+        base = None if kind == "double" else "DEC"
+        if scale is not None and (scale.scale != 1 or scale.offset):
+            more["field"] = self._field(abbr, leaf.path, "double", None, None, leaf.doc)
+            more["raw"] = self._field(f"{abbr}.raw", "raw", kind, base, None, "the number on the wire")
+            more |= {"scale": float(scale.scale), "offset": float(scale.offset), "names": table}
+        else:
+            more["field"] = self._field(abbr, leaf.path, kind, base, table if is_table else None, leaf.doc)
+            if table is not None and not is_table:
+                more |= {"names": table, "is_told": True}
+        if scale is not None and scale.unknown:
+            more["unknown"] = {value: True for value in scale.unknown if value == value}
+        return more
+
+
+# ---------------------------------------------------------------------- data
+
+
+def _program(name: str) -> str:
+    return files(__name__.rpartition(".")[0]).joinpath(name).read_text(encoding="utf-8")
+
+
+def _catalogue(name: str) -> tuple[int, int, int, bool, bool, int]:
+    import anycrc
+
+    model = anycrc.models[name]
+    return model.width, model.poly, model.init, model.refin, model.refout, model.xorout
+
+
+def _covered(part: Any) -> dict[str, Any]:
+    if isinstance(part, slice):
+        return {"slice": True, "from": part.start, "to": part.stop}
+    if isinstance(part, IdBytes):
+        return {"id": part.size, "is_big": part.order == "big", "mask": part.mask}
+    return {"bytes": list(part)} if isinstance(part, bytes) else {"extra": True}
+
+
+def _pieces(bits: Sequence[int]) -> list[list[int]]:
+    """Bits as the program reads them: {byte, shift, width, place in the number}."""
+    found: list[list[int]] = []
+    at = 0
+    for first, width in runs(bits):
+        while width:
+            part = min(width, 8 - first % 8)
+            found.append([first // 8, first % 8, part, at])
+            first, width, at = first + part, width - part, at + part
+    return found
+
+
+def _placed(bits: Sequence[int]) -> dict[str, Any]:
+    return {"pieces": _pieces(bits), "first": min(bits) // 8, "last": max(bits) // 8}
+
+
+def _size(width: int) -> int:
+    """The size of Wireshark's number for one of so many bits."""
+    return next(size for size in (8, 16, 24, 32, 64) if width <= size)
+
+
+def _pattern(pattern: IdPattern) -> dict[str, Any]:
+    return {
+        "constant": pattern.constant,
+        "parts": [
+            {
+                "name": capture.name,
+                "shift": capture.shift,
+                "width": capture.width,
+                "values": _values(capture.values),
+            }
+            for capture in pattern.captures
+        ],
+    }
+
+
+def _values(values: Collection[int]) -> dict[Any, Any]:
+    """Numbers as {low, high, step} where they are that, else as a set."""
+    if isinstance(values, range) and values.step > 0:
+        return {"low": values[0], "high": values[-1], "step": values.step}
+    listed: Iterable[int] = sorted(values)
+    low, high = min(listed, default=0), max(listed, default=-1)
+    if values and high - low == len(values) - 1:
+        return {"low": low, "high": high, "step": 1}
+    return dict.fromkeys(listed, True)
+
+
+__all__ = ["PREFERENCES", "Way", "print_dissector"]

@@ -1,0 +1,537 @@
+"""From a cantools database to a `Protocol`.
+
+1. A signal's value is what cantools' `decode` gives: same arithmetic, so that floats agree to the last bit, and integers
+   where factor and offset are whole numbers.
+2. What our language does not hold is left out and listed, one problem each; the rest of the message stays.
+3. Ranges (minimum, maximum) bind only what is sent. `0|0` means none.
+
+How a message is told: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
+`trailing`. A message of up to 8 bytes is it in both formats, classic and CAN FD: most databases do not say which it is.
+
+J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and `destination`
+where the group is addressed (PDU format below 240). Where a group has several messages, each has its declared identifier's
+source address (and destination, and priority, where that does not tell them apart). Frames of other sources are the first
+message where all are laid out alike, else unknown. A message that is no parameter group goes before one that is.
+
+Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools
+raises; names that a value table has twice are told apart by their number; signals that share bits all decode.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from sys import float_info
+from typing import Any
+
+import construct as c
+
+from ...errors import AcesError
+from ...frames import FD_LENGTHS
+from ...plain_text import without_controls
+from ..declare.bits import BitLayout, bits, float_bits
+from ..declare.fields import Enumeration, Multiplexed, Quantity
+from ..declare.message import Message
+from ..declare.pattern import IdField, IdPattern
+from ..declare.place import SourceLine
+from ..declare.protocol import Protocol
+from .import_names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .problems import ImportProblem, clean_text
+
+#: The field of the bytes behind the declared ones.
+TRAILING = "trailing"
+#: The attribute of messages whose frames have several lengths (see `printers.dbc`): these, by blanks.
+LENGTHS = "AcesLengths"
+#: A selector of so many bits is searched for the raw values that mean an identifier; a wider one is solved for them.
+SEARCHED = 12
+
+#: (message, signal or None) to the line it was declared on; 0 where unknown.
+Lines = Callable[[Any, Any], int]
+
+
+def build(database: Any, name: str, path: str, lines: Lines) -> tuple[Protocol, list[ImportProblem]]:
+    """The protocol of a loaded database, and what could not be taken over."""
+    return _Builder(database, name, path, lines).build()
+
+
+class _LeftOut(Exception):
+    """This signal or message cannot be taken over; the argument says why."""
+
+
+@dataclass
+class _Taken:
+    """A message that is taken over: where it was declared, and what is decided about it."""
+
+    message: Any
+    line: int
+    name: str
+    identifier: IdPattern
+    is_j1939: bool
+    fd: bool
+    any_format: bool = False
+    overrides: tuple[str, ...] = ()
+
+
+class _Builder:
+    def __init__(self, database: Any, name: str, path: str, lines: Lines) -> None:
+        self.database, self.path, self.lines = database, path, lines
+        self.problems: list[ImportProblem] = []
+        self.taken = set(TAKEN_BY_CODE)
+        buses = [bus for bus in database.buses if bus.baudrate]
+        version = f"version {clean_text(database.version)}" if database.version else ""
+        self.protocol = Protocol(
+            name,
+            link="can",
+            bitrate=int(buses[0].baudrate) if buses else None,
+            doc=version,
+            source=path,
+        )
+        self.protocol.place = SourceLine(path, 1)
+        self.is_j1939 = self._is_j1939()
+
+    def _is_j1939(self) -> bool:
+        """Whether the database as a whole says so, and has no attribute by which each message does."""
+        attributes = getattr(self.database.dbc, "attributes", None) or {}
+        definitions = getattr(self.database.dbc, "attribute_definitions", None) or {}
+        kind = attributes.get("ProtocolType")
+        return kind is not None and str(kind.value).upper() == "J1939" and "VFrameFormat" not in definitions
+
+    def build(self) -> tuple[Protocol, list[ImportProblem]]:
+        # Of several messages with the same identifier and length cantools takes the last.
+        last = {_key(message): message for message in self.database.messages}
+        found: list[_Taken] = []
+        for message in self.database.messages:
+            line = self.lines(message, None)
+            same = last[_key(message)]
+            if same is not message:
+                text = f"message {clean_text(message.name)} has the identifier of {clean_text(same.name)} further down"
+                self.problems.append(ImportProblem(line, f"{text}: left out"))
+                continue
+            try:
+                found.append(self._taken(message, line))
+            except _LeftOut as left:
+                self._leave_out(message, line, str(left))
+        self._tell_apart(found)
+        for one in found:
+            message, line = one.message, one.line
+            try:
+                self._message(one)
+            except _LeftOut as left:
+                self._leave_out(message, line, str(left))
+            except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+                # A database that contradicts itself in a way that cantools lets pass.
+                said = f"message {clean_text(str(message.name))}: it cannot be used ({clean_text(str(error))}): left out"
+                self.problems.append(ImportProblem(line, said))
+        return self.protocol, self.problems
+
+    def _leave_out(self, message: Any, line: int, reason: str) -> None:
+        self.problems.append(ImportProblem(line, f"message {clean_text(message.name)}: {reason}: left out"))
+
+    def _note(self, line: int, text: str) -> None:
+        self.problems.append(ImportProblem(line, text, is_note=True))
+
+    # ------------------------------------------------------------------ messages
+
+    def _taken(self, message: Any, line: int) -> _Taken:
+        """What a message is called and of what kind its frames are."""
+        if message.is_container:
+            raise _LeftOut("a container of other messages")
+        size = message.length
+        is_j1939 = message.is_extended_frame and (
+            message.protocol == "j1939" or (self.is_j1939 and not message.is_fd)
+        )
+        if size > (8 if is_j1939 else 64):
+            more = ", sent in several frames" if is_j1939 else ""
+            raise _LeftOut(f"{size} bytes are more than a frame has{more}")
+        name = unused(message.name, self.taken)
+        fd = bool(message.is_fd) or size > 8
+        return _Taken(message, line, name, IdPattern(message.frame_id), is_j1939=is_j1939, fd=fd)
+
+    def _tell_apart(self, found: Sequence[_Taken]) -> None:
+        """Decide identifiers, formats and order of trial, each message seen beside the others."""
+        alike: dict[tuple[int, bool], list[_Taken]] = {}
+        groups: dict[int, list[_Taken]] = {}
+        for one in found:
+            if one.is_j1939:
+                groups.setdefault(_group(one.message.frame_id), []).append(one)
+            else:
+                alike.setdefault((one.message.frame_id, one.message.is_extended_frame), []).append(one)
+        for (identifier, is_extended), some in alike.items():
+            some[0].any_format = len(some) == 1 and some[0].message.length <= 8
+            for one in some if is_extended else ():
+                one.overrides = tuple(other.name for other in groups.get(_group(identifier), ()))
+        for group, some in groups.items():
+            for one, pattern in zip(some, _patterns_of([one.message for one in some]), strict=True):
+                one.identifier = pattern
+            if len(some) > 1:
+                names = ", ".join(clean_text(one.message.name) for one in some)
+                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: told by their source addresses"
+                self._note(some[0].line, text)
+
+    def _message(self, taken: _Taken) -> None:
+        message, name = taken.message, taken.name
+        self._declare(taken, name, message.signals, message.length)
+        if name != message.name:
+            self._note(taken.line, f"message {clean_text(message.name)} is called {name} here")
+        shorter = [n for n in _lengths_of(message) if n < message.length]
+        for size in shorter:
+            known = len(self.problems)
+            short = unused(f"{message.name}_{size}", self.taken)
+            self._declare(taken, short, _fitting(message.signals, size), size)
+            del self.problems[known:]  # said of the whole message
+        if shorter:
+            text = f"message {clean_text(message.name)} has shorter frames, too, which are messages of their own here"
+            self._note(taken.line, f"{text} ({', '.join(f'{name}_{size}' for size in shorter)})")
+
+    def _declare(self, taken: _Taken, name: str, signals: Sequence[Any], size: int) -> None:
+        message, fd = taken.message, taken.fd
+        known = len(self.problems)
+        lengths: list[int] | None = [size] if size < message.length else None
+        if lengths is None and fd:
+            lengths = [n for n in FD_LENGTHS if n >= size]
+        most = (64 if fd else 8) if lengths is None or len(lengths) > 1 else size
+        captured = (capture.name for capture in taken.identifier.captures)
+        names = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured}
+        layout = self._layout(message, signals, size, most, names)
+        try:
+            made = self.protocol.message(
+                name,
+                id=taken.identifier,
+                payload=layout,
+                extended=bool(message.is_extended_frame),
+                fd=fd,
+                any_format=taken.any_format,
+                length=lengths,
+                overrides=taken.overrides,
+                doc=_doc_of(message),
+            )
+        except AcesError as error:
+            del self.problems[known:]
+            raise _LeftOut(_without_place(error)) from None
+        made.place = SourceLine(self.path, taken.line or 1)
+
+    def _layout(
+        self, message: Any, signals: Sequence[Any], size: int, most: int, taken: set[str]
+    ) -> BitLayout:
+        names: dict[str, str] = {}
+        fields: list[c.Construct] = []
+        masks = 0
+        overlapping = False
+        by_name: dict[str, Any] = {}
+        for signal in signals:
+            by_name.setdefault(signal.name, signal)
+        raws: dict[str, list[int]] = {}
+        for signal in _selectors_first(signals, by_name):
+            line = self.lines(message, signal)
+            try:
+                at = _place(signal, size)
+                field = _value(signal, at)
+                if signal.multiplexer_signal is not None:
+                    field = self._multiplexed(signal, field, by_name, names, raws)
+            except (_LeftOut, AcesError) as reason:
+                shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
+                self.problems.append(ImportProblem(line, f"{shown}: {_without_place(reason)}: left out"))
+                continue
+            name = unused(signal.name, taken)
+            if by_name[signal.name] is signal:
+                names[signal.name] = name
+            if name != signal.name:
+                shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
+                self._note(line, f"{shown} is called {name} here")
+            mask = _mask(signal, at)
+            overlapping = overlapping or bool(mask & masks)
+            masks |= mask
+            fields.append(c.Renamed(field, newname=name, newdocs=clean_text(signal.comment or "")))
+        trailing = TRAILING if size < most else ""
+        if overlapping:
+            # Most share bits only with what excludes them.
+            try:
+                return BitLayout(size, *fields, trailing=trailing)
+            except AcesError as error:
+                text = re.sub(r" \([^()]*:\d+\)", "", _without_place(error).partition("; if that")[0])
+                text = f"message {clean_text(message.name)}: {text}: all are decoded, and what is sent must agree"
+                self._note(self.lines(message, None), text)
+        return BitLayout(size, *fields, overlapping=overlapping, trailing=trailing)
+
+    def _multiplexed(
+        self,
+        signal: Any,
+        field: c.Construct,
+        by_name: Mapping[str, Any],
+        names: Mapping[str, str],
+        raws: dict[str, list[int]],
+    ) -> Multiplexed:
+        selector = by_name.get(signal.multiplexer_signal)
+        if selector is None or signal.multiplexer_signal not in names:
+            raise _LeftOut(f"its multiplexer {clean_text(signal.multiplexer_signal)} is not there")
+        if not selector.is_multiplexer:
+            raise _LeftOut(f"its multiplexer {clean_text(selector.name)} is not declared as one")
+        if not signal.multiplexer_ids:
+            raise _LeftOut(f"no value of its multiplexer {clean_text(selector.name)} is given")
+        when = _raw_values(selector, signal.multiplexer_ids)
+        if not when:
+            raise _LeftOut(f"its multiplexer {clean_text(selector.name)} never has the value it wants")
+        return Multiplexed(names[selector.name], when, field)
+
+
+def _key(message: Any) -> tuple[int, bool, int, bool]:
+    return message.frame_id, bool(message.is_extended_frame), message.length, bool(message.is_fd)
+
+
+def _without_place(error: Exception) -> str:
+    """A complaint without the `file:line: ` of the program that declared it."""
+    text = str(error)
+    head, separator, rest = text.partition(": ")
+    return rest if separator and head.rpartition(":")[2].isdigit() else text
+
+
+def _group(identifier: int) -> int:
+    """The bits of an identifier that say its parameter group (SAE J1939-21)."""
+    return identifier & (0x3FF_0000 if identifier >> 16 & 0xFF < 240 else 0x3FF_FF00)
+
+
+def _patterns_of(messages: Sequence[Any]) -> list[IdPattern]:
+    """The identifiers of the messages of one parameter group: alone any priority, source and destination."""
+    identifiers = [message.frame_id for message in messages]
+    group = _group(identifiers[0])
+    is_addressed = identifiers[0] >> 16 & 0xFF < 240
+    parts = {"source": (0, 8), "destination": (8, 8), "priority": (26, 3)}
+    if not is_addressed:
+        del parts["destination"]
+    masks = {name: ((1 << width) - 1) << shift for name, (shift, width) in parts.items()}
+    # As few parts as tell all of them apart: the rest may be anything.
+    telling: list[str] = []
+    for name in parts:
+        mask = sum(masks[one] for one in telling)
+        if len({identifier & mask for identifier in identifiers}) == len(identifiers):
+            break
+        telling.append(name)
+    is_for_others = telling == ["source"] and len({_shape(message) for message in messages}) == 1
+    sources = {identifier & 0xFF for identifier in identifiers}
+    found = []
+    for number, identifier in enumerate(identifiers):
+        pattern: IdPattern | int = group
+        for name in reversed(parts):
+            shift, width = parts[name]
+            values: Collection[int] = range(1 << width)
+            if name in telling:
+                own = identifier >> shift & ((1 << width) - 1)
+                values = (own,)
+                if is_for_others and number == 0:
+                    values = tuple(n for n in range(256) if n == own or n not in sources)
+            pattern = IdField(name, values) << shift | pattern
+        assert isinstance(pattern, IdPattern)
+        found.append(pattern)
+    return found
+
+
+def _shape(message: Any) -> tuple[Any, ...]:
+    """How a message is laid out: equal for messages that give the same values of the same bytes."""
+    return message.length, *(
+        (
+            *(one.name, one.start, one.length, one.byte_order, one.is_signed, one.unit),
+            *(one.conversion.is_float, one.conversion.scale, one.conversion.offset),
+            *(one.multiplexer_signal, str(one.multiplexer_ids), str(one.conversion.choices)),
+        )
+        for one in message.signals
+    )
+
+
+def _doc_of(message: Any) -> str:
+    facts = []
+    senders = [str(sender) for sender in message.senders or () if sender]
+    if senders:
+        facts.append(f"sent by {', '.join(senders)}")
+    receivers = sorted({str(one) for signal in message.signals for one in signal.receivers or () if one})
+    if receivers:
+        facts.append(f"to {', '.join(receivers)}")
+    if message.cycle_time:
+        facts.append(f"every {message.cycle_time} ms")
+    said = clean_text(message.comment or "")
+    return clean_text("\n".join(filter(None, [said, "; ".join(facts)])))
+
+
+# ---------------------------------------------------------------------- signals
+
+
+def _lengths_of(message: Any) -> list[int]:
+    """The lengths that the attribute `LENGTHS` gives a message; none where it has none or none that can be read."""
+    attributes = getattr(message.dbc, "attributes", None) or {}
+    words = str(attributes[LENGTHS].value).split() if LENGTHS in attributes else []
+    return sorted({int(word) for word in words if re.fullmatch(r"\d{1,2}", word, re.ASCII)})
+
+
+def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
+    """The signals of frames of `size` bytes: of those that a multiplexer value has, all or none."""
+
+    def fits(signal: Any) -> bool:
+        try:
+            _place(signal, size)
+        except _LeftOut:
+            return False
+        return True
+
+    gone = {
+        (signal.multiplexer_signal, value)
+        for signal in signals
+        if signal.multiplexer_ids and not fits(signal)
+        for value in signal.multiplexer_ids
+    }
+    found: list[Any] = []
+    for signal in signals:
+        if not fits(signal):
+            continue
+        if signal.multiplexer_ids:
+            left = [n for n in signal.multiplexer_ids if (signal.multiplexer_signal, n) not in gone]
+            if not left:
+                continue
+            signal = copy.copy(signal)
+            signal.multiplexer_ids = left
+        found.append(signal)
+    return found
+
+
+def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list[Any]:
+    """The signals in their order, but each behind its multiplexer."""
+    done: dict[int, Any] = {}
+
+    for signal in signals:
+        way: list[Any] = []
+        one = signal
+        # A chain of multiplexers that ends in itself stops where it comes round; it is found wrong later.
+        while one is not None and id(one) not in done and not any(one is seen for seen in way):
+            way.append(one)
+            one = by_name.get(one.multiplexer_signal) if one.multiplexer_signal is not None else None
+        for one in reversed(way):
+            done.setdefault(id(one), one)
+    return list(done.values())
+
+
+def _place(signal: Any, size: int) -> int:
+    """The number of the signal's first bit in its own bit order; raises where it ends past the message."""
+    at, width = int(signal.start), int(signal.length)
+    if signal.byte_order == "big_endian":
+        at = 8 * (at // 8) + 7 - at % 8
+    if width < 1:
+        raise _LeftOut(f"{width} bits")
+    if at < 0 or at + width > 8 * size:
+        raise _LeftOut(f"it ends at bit {at + width - 1}, past the {size} bytes of its message")
+    return at
+
+
+def _mask(signal: Any, at: int) -> int:
+    """The bits of a signal in the little-endian word of its message."""
+    if signal.byte_order != "big_endian":
+        return ((1 << int(signal.length)) - 1) << at
+    mask = 0
+    for position in range(at, at + signal.length):
+        mask |= 1 << (position ^ 7)
+    return mask
+
+
+def _value(signal: Any, at: int) -> c.Construct:
+    """The field of a signal: its bits, what they mean, and how."""
+    conversion = signal.conversion
+    order = "msb" if signal.byte_order == "big_endian" else "lsb"
+    choices = _names(signal)
+    if conversion.is_float:
+        if signal.length not in (16, 32, 64):
+            raise _LeftOut(f"a float of {signal.length} bits")
+        if choices:
+            raise _LeftOut("a float with a value table")
+        place: c.Construct = float_bits(signal.length, at, order=order)
+    else:
+        place = bits(signal.length, at, signed=bool(signal.is_signed), order=order)
+    scale, offset = conversion.scale, conversion.offset
+    if scale == 0:
+        raise _LeftOut("a factor of 0")
+    if not math.isfinite(scale) or not math.isfinite(offset):
+        raise _LeftOut(f"the factor {scale}, the offset {offset}")
+    if float(scale).is_integer() and float(offset).is_integer():
+        if not conversion.is_float or (scale == 1 and offset == 0):
+            scale, offset = int(scale), int(offset)
+    unit = clean_text(signal.unit or "")
+    if choices and scale == 1 and not offset and not unit:
+        return Enumeration(place, choices)
+    span = _range(signal)
+    if scale == 1 and not offset and not unit and span is None:
+        return place
+    if choices and not _are_distinct(choices, signal, scale, offset):
+        raise _LeftOut("its value table names numbers that its factor makes equal")
+    return Quantity(place, unit=unit, scale=scale, offset=offset, range=span, names=choices)
+
+
+def _names(signal: Any) -> dict[str, int]:
+    """The value table, without numbers that the signal cannot have; a name that is there twice gets its number."""
+    low, high = _limits(signal)
+    names: dict[str, int] = {}
+    for value, text in (signal.conversion.choices or {}).items():
+        if low <= value <= high:
+            name = without_controls(str(text))
+            names[name if name not in names else f"{name}_{value}"] = int(value)
+    return names
+
+
+def _limits(signal: Any) -> tuple[int, int]:
+    low = -(1 << signal.length - 1) if signal.is_signed else 0
+    return low, low + (1 << signal.length) - 1
+
+
+def _are_distinct(names: Mapping[str, int], signal: Any, scale: float, offset: float) -> bool:
+    """Whether each named number is, scaled, unlike its neighbours: then the scaled number tells whether it is named."""
+    low, high = _limits(signal)
+    for raw in names.values():
+        for other in (raw - 1, raw + 1):
+            if low <= other <= high and raw * scale + offset == other * scale + offset:
+                return False
+    return True
+
+
+def _range(signal: Any) -> tuple[float, float] | None:
+    low, high = signal.minimum, signal.maximum
+    if low is None and high is None:
+        return None
+    if signal.conversion.is_float:
+        ends = [-float_info.max, float_info.max]
+    else:
+        ends = sorted(raw * signal.conversion.scale + signal.conversion.offset for raw in _limits(signal))
+    low = ends[0] if low is None else _plain(low)
+    high = ends[1] if high is None else _plain(high)
+    is_span = math.isfinite(low) and math.isfinite(high) and low <= high and not low == high == 0
+    return (low, high) if is_span else None
+
+
+def _plain(number: Any) -> float:
+    return number if isinstance(number, (int, float)) else float(number)
+
+
+def _raw_values(selector: Any, wanted: Any) -> frozenset[int]:
+    """The raw values of a multiplexer that mean one of `wanted`.
+
+    cantools compares the scaled number, cut off to a whole one, or the number of the name; factors are rare here.
+    """
+    low, high = _limits(selector)
+    conversion = selector.conversion
+    if conversion.is_float:
+        return frozenset()
+    if conversion.scale == 1 and conversion.offset == 0:
+        return frozenset(value for value in wanted if low <= value <= high)
+    among = range(low, high + 1)
+    if selector.length > SEARCHED:
+        near = {round((value - conversion.offset) / conversion.scale) for value in wanted}
+        among_near = {n + step for n in near for step in (-1, 0, 1)} | set(conversion.choices or ())
+        return frozenset(n for n in among_near if n in among and _number(conversion, n) in set(wanted))
+    ids = set(wanted)
+    return frozenset(raw for raw in among if _number(conversion, raw) in ids)
+
+
+def _number(conversion: Any, raw: int) -> int:
+    if conversion.choices and raw in conversion.choices:
+        return raw
+    return int(raw * conversion.scale + conversion.offset)
+
+
+__all__ = ["Message", "build"]

@@ -1,0 +1,82 @@
+"""What of a foreign file could not be taken over: never silently, always with its line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ..declare.protocol import Protocol
+
+#: Characters of an excerpt.
+EXCERPT = 80
+
+
+@dataclass(frozen=True, order=True)
+class ImportProblem:
+    """Something that was left out, or (`is_note`) taken over differently: another name, shared bits.
+
+    `line` counts from 1; 0 where no line can be named. `column` counts from 1 within it; 0 where only the line is known.
+    """
+
+    line: int
+    reason: str
+    excerpt: str = ""
+    is_note: bool = False
+    column: int = 0
+
+    def __str__(self) -> str:
+        where = f"line {self.line}: " if self.line else ""
+        return f"{where}{self._said}"
+
+    def of(self, path: str) -> str:
+        """As compilers say it: `file:line:column: …`."""
+        place = ":".join(str(number) for number in (self.line, self.column) if number)
+        return f"{path}:{place}: {self._said}" if self.line else f"{path}: {self._said}"
+
+    @property
+    def _said(self) -> str:
+        return self.reason + (f" ({self.excerpt})" if self.excerpt else "")
+
+
+@dataclass(frozen=True)
+class ImportedProtocol:
+    """A foreign file as a protocol. `statements` counts what the file consists of: of a DBC statements and signals, of
+    an EDS sections, of the others messages."""
+
+    protocol: Protocol
+    problems: tuple[ImportProblem, ...]
+    statements: int
+    path: str = field(default="", compare=False)
+
+    @property
+    def losses(self) -> list[ImportProblem]:
+        """What was left out."""
+        return [one for one in self.problems if not one.is_note]
+
+    @property
+    def summary(self) -> str:
+        """One line for people; empty when everything was taken over as it is."""
+        lost, noted = self.losses, len(self.problems) - len(self.losses)
+        if not self.problems:
+            return ""
+        parts = []
+        if lost:
+            verb = "was" if len(lost) == 1 else "were"
+            parts.append(f"{len(lost):,} of {self.statements:,} statements {verb} left out")
+        if noted:
+            parts.append(f"{noted:,} {'is' if noted == 1 else 'are'} taken over differently")
+        first = (lost or list(self.problems))[0]
+        return f"{self.path}: {', '.join(parts)}; first: {first}"
+
+
+def excerpt(text: str) -> str:
+    """The beginning of a statement, on one line."""
+    flat = " ".join(clean_text(text).split())
+    return flat if len(flat) <= EXCERPT else flat[: EXCERPT - 1] + "…"
+
+
+def clean_text(text: str) -> str:
+    """A text of somebody else's without characters that do not print; lines stay lines."""
+    return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
+
+
+__all__ = ["ImportProblem", "ImportedProtocol", "clean_text", "excerpt"]

@@ -1,0 +1,582 @@
+"""Prints decoders: one function a message, from data bytes to a record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..declare.pattern import bounds
+from ..plan import nodes as p
+from .names import NameScope, is_plain, literal
+from .runs import FORMATS, clusters, compact, in_one_byte, is_balanced, run_order, runs_of, struct_format
+from .source import SourceText, comment_line
+
+TRANSPORT = "time, channel, key, raw, rx"
+#: What decoders call, given to every module of them.
+CALLED = ("Struct", "from_bytes", "re", "degrees", "flags")
+#: The arguments of a decode function, and what its expressions use in passing.
+LOCAL = ("data", "key", "time", "channel", "raw", "rx", "request", "cells", "cell", "count", "q", "n", "sm")
+
+
+@dataclass(frozen=True)
+class FetchedBytes:
+    """Bytes [start, end) fetched under a local name: as one unsigned integer, or (not `is_unsigned`) as the value itself."""
+
+    name: str
+    start: int
+    end: int
+    order: str
+    is_unsigned: bool = True
+
+
+class Decoder:
+    """Prints the decode function of one message.
+
+    The function is `decode_Name(data, key, time, channel, raw, rx)`: `data` are the frame's data bytes or the packet
+    without stuffing, the rest is the transport's; messages that show fields of their request take it last. It gives the
+    record, or None when the data is not this message. Without `guard` the length check is left to `struct.unpack`,
+    which raises `struct.error`. `names` are the module's (with `CALLED` among them): what is `bound` in them must be
+    given to the text, and the types in `types`.
+    """
+
+    def __init__(
+        self, plan: p.MessagePlan, *, raw: bool, guard: bool = True, names: NameScope | None = None
+    ) -> None:
+        self.plan = plan
+        self.raw = raw
+        self.guard = guard
+        self.setup: list[str] = []
+        self.module = names if names is not None else NameScope(CALLED)
+        self.names = NameScope(LOCAL, inside=self.module)
+        self.function = self.module.new(f"decode_{plan.name}", avoid=self.names)
+        #: Of each record type that the function makes: the name in the text, and its own (see `print_records`).
+        self.types: dict[str, str] = {}
+        self._type_names: dict[str, str] = {}
+        #: The text's names of what only the loader knows: a decode function through construct, and the message's own check.
+        self.opaque = self.holds = ""
+        self.body = SourceText()
+        self.atoms: dict[p.Scalar, str] = {}
+        self.cells: list[FetchedBytes] = []
+        #: The local name of each selector, and of the little-endian word of each layout that has bits of no field.
+        self.present: dict[p.Selector, str] = {}
+        self.words: dict[tuple[int, int], str] = {}
+        self.unpacks: list[str] = []
+        self.is_exact = False
+
+    def print(self) -> tuple[list[str], list[str]]:
+        """(module-level lines, function lines)."""
+        plan, out = self.plan, self.body
+        needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
+        out.line(
+            f"def {self.function}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):"
+        )
+        out.depth = 1
+        out.line(f'"""{comment_line(plan.doc) or plan.name} ({comment_line(plan.place)})"""')
+        if not plan.is_flat:
+            out.line(f"# through construct: {comment_line(plan.opaque)}")
+            self.opaque = self.module.new(f"opaque_{plan.name}", avoid=self.names)
+            out.line(f"return {self.opaque}(data, key, time, channel, raw, rx, request)")
+            return self.setup, out.lines
+        self._fetch()
+        tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by
+        if self.guard or tests or not self.is_exact:
+            self._lengths()
+        self._constants()
+        if plan.is_checked:
+            self.holds = self.module.new(f"holds_{plan.name}", avoid=self.names)
+            out.line(f"if not {self.holds}(data, key):")
+            out.line("    return None")
+        if plan.split is not None:
+            self._split(plan.split)
+        for line in self.unpacks:
+            out.line(line)
+        for selector in plan.selectors:
+            self._select(selector)
+        if plan.lengths_by is not None:
+            selector, table, other = plan.lengths_by
+            lengths = self._table(f"_lengths_{plan.name}", literal(dict(table)))
+            out.line(f"if len(data) != {lengths}.get({self.present[selector]}, {other}):")
+            out.line("    return None")
+        made = self._type(plan.name)
+        arguments = [self._value(field) for field in plan.fields]
+        if sum(map(len, arguments)) + len(plan.name) < 60:
+            out.line(f"return {made}({', '.join([*arguments, TRANSPORT])})")
+        else:
+            out.line(f"return {made}(")
+            for field, argument in zip(plan.fields, arguments, strict=True):
+                out.line(f"    {argument},  # {field.name}")
+            out.line(f"    {TRANSPORT},")
+            out.line(")")
+        return self.setup, out.lines
+
+    def _lengths(self) -> None:
+        plan, out = self.plan, self.body
+        if plan.lengths is None:
+            if plan.least <= plan.framed:
+                return
+            out.line(f"if len(data) < {plan.least}:")
+        else:
+            low, high = min(plan.lengths), max(plan.lengths)
+            if low == high:
+                out.line(f"if len(data) != {low}:")
+            elif plan.lengths == tuple(range(low, high + 1)):
+                out.line(f"if not {low} <= len(data) <= {high}:")
+            else:
+                out.line(f"if len(data) not in {literal(plan.lengths)}:")
+        out.line("    return None")
+
+    def _constants(self) -> None:
+        tests = []
+        for constant in self.plan.constants[self.plan.sync :]:
+            if constant.mask == 0xFF:
+                tests.append(f"data[{constant.offset}] != {constant.value:#04x}")
+            else:
+                tests.append(f"data[{constant.offset}] & {constant.mask:#04x} != {constant.value:#04x}")
+        for one in self.plan.one_of:
+            values = one.values
+            low, high = bounds(values)
+            run = len(values) > 2 and len(values) == high - low + 1
+            number = self._integer(one.number, fetched=False)  # the test stands before the fetching
+            if run and low == 0 and number.startswith("data["):
+                tests.append(f"{number} > {high}")
+            else:
+                tests.append(
+                    f"not {low} <= {number} <= {high}" if run else f"{number} not in {literal(values)}"
+                )
+        for test in tests:
+            self.body.line(f"if {test}:")
+            self.body.line("    return None")
+
+    # -------------------------------------------------- fetching
+
+    def _scalars(self) -> list[tuple[p.Scalar, bool]]:
+        """Every scalar, with whether it is always present."""
+        found: list[tuple[p.Scalar, bool]] = []
+
+        def visit(node: p.Node, always: bool) -> None:
+            if isinstance(node, p.Scalar):
+                found.append((node, always))
+            elif isinstance(node, p.Many):
+                for item in node.items:
+                    visit(item, always)
+            elif isinstance(node, p.NestedRecord):
+                for field in node.fields:
+                    visit(field.node, always and field.when is None)
+
+        for field in self.plan.fields:
+            visit(field.node, field.when is None)
+        return found
+
+    def _fetch(self) -> None:
+        """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
+        present = [s for s, always in self._scalars() if always]
+        whole: list[p.Scalar] = []
+        taken: list[tuple[int, int]] = []
+        for s in dict.fromkeys(present):
+            end = s.offset + (s.size or 0)
+            # Of numbers that share bytes, one is fetched so; the others read for themselves.
+            if (
+                s.size is not None
+                and struct_format(s)
+                and not any(a < end and s.offset < b for a, b in taken)
+            ):
+                whole.append(s)
+                taken.append((s.offset, end))
+        chunks: list[tuple[int, int, str, p.Scalar | None]] = [
+            (s.offset, s.offset + (s.size or 0), s.order if s.size != 1 else "", s) for s in whole
+        ]
+        loose = [s for s in dict.fromkeys(present) if s.bits and s not in whole]
+        for start, end, order in clusters(loose):
+            size = end - start
+            if (size > 4 and size < 8) or size > 8 or any(a < end and start < b for a, b in taken):
+                continue
+            chunks.append((start, end, order if size > 1 else "", None))
+            taken.append((start, end))
+        if sum(end - start == 1 for start, end, _, _ in chunks) == len(chunks) and len(chunks) < 4:
+            chunks = [c for c in chunks if c[3] is not None and c[3].kind == "int"]
+        orders = {order for _, _, order, _ in chunks} - {""}
+        for order in sorted(orders, reverse=True) or ([""] if chunks else []):
+            mine = [c for c in chunks if c[2] == order or (c[2] == "" and order == max(orders, default=""))]
+            self._unpack_call(sorted(mine, key=lambda c: c[0]), order)
+        for start, end, order in clusters(
+            [s for s in loose if self._cell_of(s) is None and not in_one_byte(s)]
+        ):
+            if sum(start <= s.bits[0] // 8 < end for s in loose) > 1:
+                name = self.names.new(f"word{len(self.cells)}")
+                self.cells.append(FetchedBytes(name, start, end, order or "little"))
+                self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
+        for node in self._rests():
+            if (node.offset, node.size) in self.words:
+                continue
+            name = self.words[node.offset, node.size] = self.names.new(f"all{node.offset}")
+            cell = FetchedBytes(name, node.offset, node.offset + node.size, "little")
+            self.cells.append(cell)
+            self.unpacks.append(f'{cell.name} = from_bytes({self._slice(cell.start, cell.end)}, "little")')
+
+    def _unpack_call(self, chunks: Sequence[tuple[int, int, str, p.Scalar | None]], order: str) -> None:
+        text = ">" if order == "big" else "<"
+        at = chunks[0][0]
+        names: list[str] = []
+        after: list[str] = []
+        for start, end, _, scalar in chunks:
+            if start > at:
+                text += f"{start - at}x"
+            at = end
+            name = self.names.new(f"v{len(self.cells)}")
+            size = end - start
+            if scalar is not None:
+                text += struct_format(scalar)
+                names.append(name)
+                self.atoms[scalar] = name
+            elif size == 3:
+                text += "BH" if order == "big" else "HB"
+                one, other = self.names.new(f"{name}a"), self.names.new(f"{name}b")
+                names += [one, other]
+                after.append(
+                    f"{name} = {one} << 16 | {other}" if order == "big" else f"{name} = {one} | {other} << 16"
+                )
+            else:
+                text += FORMATS["uint", size]
+                names.append(name)
+            is_unsigned = scalar is None or scalar.kind == "uint"
+            self.cells.append(FetchedBytes(name, start, end, order or "little", is_unsigned))
+        start = chunks[0][0]
+        whole = start == 0 and self.plan.lengths == (at,)
+        self.is_exact = self.is_exact or whole
+        made = f'Struct("{compact(text)}").{"unpack" if whole else "unpack_from"}'
+        helper = self._table(f"_unpack_{self.plan.name}" + ("_be" if order == "big" else ""), made)
+        call = f"{helper}(data)" if start == 0 else f"{helper}(data, {start})"
+        self.unpacks.append(f"{', '.join(names)}{',' if len(names) == 1 else ''} = {call}")
+        self.unpacks += after
+
+    def _cell_of(self, scalar: p.Scalar) -> FetchedBytes | None:
+        first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
+        order = run_order(scalar)
+        for cell in self.cells:
+            if (
+                cell.is_unsigned
+                and cell.start <= first
+                and last < cell.end
+                and (cell.order == order or cell.end - cell.start == 1)
+            ):
+                return cell
+        return None
+
+    def _rests(self) -> list[p.Rest]:
+        """Every rest, also those of each nested record in an array."""
+        found: list[p.Rest] = []
+
+        def visit(node: p.Node) -> None:
+            if isinstance(node, p.Rest):
+                found.append(node)
+            elif isinstance(node, p.Many):
+                for item in node.items:
+                    visit(item)
+            elif isinstance(node, p.NestedRecord):
+                for field in node.fields:
+                    visit(field.node)
+
+        for field in self.plan.fields:
+            visit(field.node)
+        return found
+
+    def _slice(self, start: int, end: int) -> str:
+        if start == 0 and self.plan.lengths == (end,):
+            return "data"
+        return f"data[{start or ''}:{end}]"
+
+    def _integer(self, scalar: p.Scalar, *, fetched: bool = True) -> str:
+        """The unsigned number (the signed one, of whole signed numbers), as an expression; from `data`, unless `fetched`."""
+        if fetched and scalar in self.atoms:
+            return self.atoms[scalar]
+        assert scalar.size is not None
+        cell = self._cell_of(scalar) if fetched else None
+        order = run_order(scalar)
+        if cell is None:
+            first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
+            text = (
+                f"data[{first}]"
+                if first == last
+                else f'from_bytes({self._slice(first, last + 1)}, "{order}")'
+            )
+            cell = FetchedBytes(text, first, last + 1, order)
+        if cell.order == "little" or cell.end - cell.start == 1:
+            positions = [b - 8 * cell.start for b in scalar.bits]
+        else:
+            positions = [(cell.end - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]
+        pieces = []
+        for at, to, width in runs_of(positions):
+            piece = f"{cell.name} >> {at}" if at else cell.name
+            if at + width < 8 * (cell.end - cell.start):
+                piece = f"{piece} & {(1 << width) - 1:#x}"
+            if to:
+                piece = f"({piece}) << {to}"
+            pieces.append(piece)
+        if len(pieces) == 1:
+            return pieces[0]
+        return " | ".join(f"({piece})" if "&" in piece or ">>" in piece else piece for piece in pieces)
+
+    # -------------------------------------------------- values
+
+    def _type(self, name: str) -> str:
+        """The text's name for a record type."""
+        if name not in self._type_names:
+            found = self._type_names[name] = self.module.new(name, avoid=self.names)
+            self.types[found] = name
+        return self._type_names[name]
+
+    def _select(self, selector: p.Selector) -> None:
+        """A selector's raw number under a local name; None while it is not there itself."""
+        scalar, when = selector.number, selector.when
+        number = self.atoms.get(scalar) if when is None else None
+        if number is None:
+            number = self._integer(scalar)
+            if scalar.kind == "int":
+                top = 1 << len(scalar.bits) - 1
+                number = f"(({number}) ^ {top:#x}) - {top:#x}"
+        if when is not None:
+            number = f"{number} if {self._is_there(when)} else None"
+        if not number.isidentifier():
+            name = self.names.new(f"select_{selector.name}")
+            self.body.line(f"{name} = {number}")
+            number = name
+            if when is None:
+                self.atoms[scalar] = number
+        self.present[selector] = number
+
+    def _is_there(self, when: p.When) -> str:
+        """The test of a multiplexed field's selector, as an expression."""
+        selector, values = when.selector, when.values
+        number = self.present[selector]
+        if len(values) == 1:
+            return f"{number} == {values[0]}"
+        if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
+            test = f"{values[0]} <= {number} <= {values[-1]}"
+            return f"{number} is not None and {test}" if selector.when is not None else test
+        if len(values) > 8:
+            return f"{number} in {{{', '.join(map(str, values))}}}"
+        return f"{number} in {literal(values)}"
+
+    def _value(self, field: p.PlanField) -> str:
+        text = self._node(field.node, field.name)
+        return f"({text} if {self._is_there(field.when)} else None)" if field.when is not None else text
+
+    def _node(self, node: p.Node, name: str) -> str:
+        if isinstance(node, p.Scalar):
+            return self._scalar(node, name)
+        if isinstance(node, p.Many):
+            items = [self._node(item, name) for item in node.items]
+            return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
+        if isinstance(node, p.NestedRecord):
+            return f"{self._type(node.type_name)}({', '.join(self._value(field) for field in node.fields)})"
+        if isinstance(node, p.FromIdentifier):
+            return self._captured(node, name)
+        if isinstance(node, p.FromRequest):
+            return f'request["{name}"] if request is not None else None'
+        if isinstance(node, p.Rest):
+            return self._rest(node)
+        if isinstance(node, p.DelimitedField):
+            return self._cell(node, name)
+        if isinstance(node, p.MoreCells):
+            return f"tuple([cell.decode('latin-1') for cell in cells[{node.start}:]])"
+        raise AssertionError(node)
+
+    def _scalar(self, scalar: p.Scalar, name: str) -> str:
+        if scalar.kind in ("bytes", "text"):
+            end = (
+                f"{scalar.offset + scalar.size}"
+                if scalar.size is not None
+                else (f"-{self.plan.tail}" if self.plan.tail else "")
+            )
+            text = f"data[{scalar.offset}:{end}]"
+            if scalar.kind == "bytes" or self.raw:
+                return text
+            return f'{text}.decode("latin-1")' + ('.rstrip("\\0")' if scalar.size is not None else "")
+        if scalar.kind == "float" and scalar.bits:
+            number = self._scattered(scalar)
+        elif scalar.kind == "float":
+            number = self.atoms.get(scalar) or self._lone(scalar, name)
+        elif scalar in self.atoms:
+            number = self.atoms[scalar]
+        else:
+            number = self._integer(scalar)
+            if scalar.kind == "int":
+                top = 1 << len(scalar.bits) - 1
+                number = f"(({number}) ^ {top:#x}) - {top:#x}"
+        return self._steps(number, scalar.steps, name, len(scalar.bits) if scalar.kind == "uint" else 0)
+
+    def _lone(self, scalar: p.Scalar, name: str) -> str:
+        """A float that is not always there."""
+        mark = "<" if scalar.order == "little" else ">"
+        made = f'Struct("{mark}{FORMATS["float", scalar.size or 0]}").unpack_from'
+        return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
+
+    def _scattered(self, scalar: p.Scalar) -> str:
+        """A float whose bits do not stand in whole bytes."""
+        size = len(scalar.bits) // 8
+        helper = self._table(f"_float{8 * size}", f'Struct("<{FORMATS["float", size]}").unpack')
+        return f'{helper}(({self._integer(scalar)}).to_bytes({size}, "little"))[0]'
+
+    def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
+        number_is_index = True
+        for step in steps:
+            if isinstance(step, p.Magnitude):
+                number_is_index = False
+                half = 1 << step.width - 1
+                if number.isidentifier():
+                    number = f"({number} if {number} < {half:#x} else {half:#x} - {number})"
+                else:
+                    number = f"(sm if (sm := {number}) < {half:#x} else {half:#x} - sm)"
+            elif self.raw:
+                continue
+            elif isinstance(step, p.Scale):
+                number = self._scaled(number, step, name)
+            elif isinstance(step, p.ValueNames):
+                names = dict(step.values)
+                small = 0 < width <= 8 and number_is_index
+                table = self._bound(
+                    f"_names_{self.plan.name}_{name}",
+                    [names.get(n, n) for n in range(1 << width)] if small else names,
+                    shown=names,
+                )
+                if not small:
+                    table = f"{table}.get"
+                if small:
+                    number = f"{table}[{number}]"
+                else:
+                    number = (
+                        f"{table}({number}, {number})"
+                        if number.isidentifier()
+                        else f"{table}((n := {number}), n)"
+                    )
+            else:
+                bits = self._bound(f"_bits_{self.plan.name}_{name}", dict(step.bits))
+                table = self._table(f"_flags_{self.plan.name}_{name}", f"flags({bits})")
+                number = f"{table}[{number}]"
+        return number
+
+    def _table(self, name: str, value: str) -> str:
+        """The module's name for what the text `value` makes; only our own words are in it."""
+        found, is_new = self.names.shared(name, value)
+        if is_new:
+            self.setup.append(f"{found} = {value}")
+        return found
+
+    def _bound(self, name: str, value: object, shown: object = None) -> str:
+        """The module's name for a value of the spec; a remark says what it is."""
+        found, is_new = self.names.bind(name, value)
+        if is_new:
+            self.setup.append(f"# {found} = {comment_line(repr(value if shown is None else shown))}")
+        return found
+
+    def _number(self, name: str, value: float) -> str:
+        """A number of the spec: as it is where that can be printed, else by name."""
+        return literal(value) if is_plain(value) else self._bound(name, value)
+
+    def _scaled(self, number: str, step: p.Scale, name: str) -> str:
+        before = "q" if step.unknown or step.names else number
+        text = (
+            before
+            if before.isidentifier()
+            or (before.startswith("(") and before.endswith(")") and is_balanced(before))
+            else f"({before})"
+        )
+        where = f"{self.plan.name}_{name}"
+        if step.scale != 1:
+            text = f"{text} * {self._number(f'_scale_{where}', step.scale)}"
+        if step.offset:
+            is_less = is_plain(step.offset) and step.offset < 0
+            text += " - " if is_less else " + "
+            text += self._number(f"_offset_{where}", -step.offset if is_less else step.offset)
+        elif step.scale == 1:
+            text = before
+        if not step.unknown and not step.names:
+            return text
+        tests = []
+        if step.unknown:
+            is_short = all(map(is_plain, step.unknown))
+            among = literal(step.unknown) if is_short else self._bound(f"_unknown_{where}", step.unknown)
+            is_nan = " or q != q" if any(value != value for value in step.unknown) else ""
+            tests.append(f"None if q in {among}{is_nan} else ")
+        if step.names:
+            table = self._bound(f"_names_{where}", dict(step.names))
+            tests.append(f"{table}[q] if q in {table} else ")
+        tests[0] = tests[0].replace(" if q in", f" if (q := {number}) in", 1)
+        return f"({''.join(tests)}{text})"
+
+    def _captured(self, node: p.FromIdentifier, name: str) -> str:
+        number = "key" if node.number is None else self._integer(node.number)
+        if node.is_alone:
+            if not number.isidentifier() and (node.constant or node.shift):
+                number = f"({number})"
+            text = f"{number} - {node.constant:#x}" if node.constant else number
+            if node.shift:
+                text = f"({text}) >> {node.shift}" if node.constant else f"{text} >> {node.shift}"
+        else:
+            mask = (1 << node.width) - 1
+            text = f"{number} >> {node.shift} & {mask:#x}" if node.shift else f"{number} & {mask:#x}"
+            if node.number is not None and not number.isidentifier():
+                text = text.replace(number, f"({number})", 1)
+        return self._steps(text, node.steps, name)
+
+    def _rest(self, node: p.Rest) -> str:
+        word = self.words[node.offset, node.size]
+        full = (1 << 8 * node.size) - 1
+        masks = {value: full & ~claimed for value, claimed in node.claimed}
+        if node.selector is None:
+            text = f"{word} & {masks[None]:#x}"
+            for selector, added in node.more:
+                inside = ", ".join(f"{value}: {full & ~mask:#x}" for value, mask in added)
+                helper = self._table(f"_rest_{self.plan.name}_{selector.name}", f"{{{inside}}}.get")
+                text += f" & {helper}({self.present[selector]}, {full:#x})"
+            return text
+        inside = ", ".join(f"{value}: {mask:#x}" for value, mask in masks.items() if value is not None)
+        table = self._table(f"_rest_{self.plan.name}", f"{{{inside}}}.get")
+        return f"{word} & {table}({self.present[node.selector]}, {masks[None]:#x})"
+
+    # -------------------------------------------------- delimited payloads
+
+    def _split(self, split: p.DelimitedSplit) -> None:
+        out = self.body
+        end = f"-{split.end}" if split.end else ""
+        if split.lead:
+            out.line(
+                f"if not data.startswith({literal(split.separator)}, {split.start}, len(data) - {split.end}):"
+            )
+            out.line("    return None")
+        start = split.start + (len(split.separator) if split.lead else 0)
+        out.line(f"cells = data[{start}:{end}].split({literal(split.separator)})")
+        out.line("count = len(cells)")
+        out.line(
+            f"if count < {split.least}:"
+            if split.most is None
+            else f"if not {split.least} <= count <= {split.most}:"
+        )
+        out.line("    return None")
+        for field in self.plan.fields:
+            node = field.node
+            if isinstance(node, p.DelimitedField) and node.form:
+                made = f"re.compile({literal(node.form.encode())}).fullmatch"
+                helper = self._table(f"_form_{field.name}_{self.plan.name}", made)
+                guard = f"count > {node.index} and " if node.optional else ""
+                out.line(f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):")
+                out.line("    return None")
+
+    def _cell(self, cell: p.DelimitedField, name: str) -> str:
+        text = f"cells[{cell.index}]"
+        if self.raw:
+            value = f'{text}.decode("latin-1")'
+        elif cell.conversion == "number":
+            value = f"float({text}) if {text} else None"
+        elif cell.conversion == "integer":
+            value = f"int({text}) if {text} else None"
+        elif cell.conversion == "degrees":
+            value = f"degrees({text}) if {text} else None"
+        elif cell.conversion == "names":
+            table = self._bound(f"_names_{self.plan.name}_{name}", dict(cell.names))
+            value = f'{table}.get((n := {text}.decode("latin-1")), n) if {text} else None'
+        else:
+            value = f'{text}.decode("latin-1") or None'
+        if cell.optional:
+            value = f"({value}) if count > {cell.index} else None"
+        return f"({value})" if " if " in value or " or " in value else value

@@ -1,0 +1,374 @@
+"""Prints encoders: the usual values, straight into bytes.
+
+1. A printed encoder never explains and never guesses: whatever does not fit at once raises, and construct says why.
+2. What it returns is what construct builds, byte for byte.
+
+The function is `encode_Name(fields)`; it gives the identifier (None on streams), the head bytes and the payload bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+from ..declare.head import Head
+from ..declare.message import Message
+from ..declare.pattern import IdPattern
+from ..plan import nodes as p
+from .names import NameScope, is_plain, literal
+from .runs import compact, runs_of, struct_format
+from .source import SourceText, comment_line
+
+#: What encoders call, given to every module of them.
+CALLED = ("Struct", "Unusual")
+
+
+class NoEncoder(Exception):
+    """This message is built by construct; the argument says why."""
+
+
+def print_encoder(message: Message, plan: p.MessagePlan, names: NameScope) -> tuple[str, list[str]]:
+    """The function's name, and the module-level lines with the function; raises `NoEncoder` when the message has no flat
+    form to build from.
+
+    `names` are the module's, with `CALLED` among them; what is bound in them must be given to the text.
+    """
+    printer = _Encoder(message, plan, names)
+    return printer.function, printer.print()
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """One value for `struct.pack`; `order` is "<", ">" or empty for what has none."""
+
+    offset: int
+    size: int
+    order: str
+    format: str
+    value: str
+
+    @property
+    def end(self) -> int:
+        return self.offset + self.size
+
+
+class _Encoder:
+    def __init__(self, message: Message, plan: p.MessagePlan, names: NameScope) -> None:
+        self.message, self.plan = message, plan
+        self.names = NameScope(("fields",), inside=names)
+        self.function = names.new(f"encode_{plan.name}", avoid=self.names)
+        self.setup: list[str] = []
+        self.out = SourceText()
+        self.temporaries = 0
+
+    def print(self) -> list[str]:
+        plan, message, out = self.plan, self.message, self.out
+        if not plan.is_flat:
+            raise NoEncoder(plan.opaque)
+        if plan.split is not None or plan.lengths_by is not None or plan.selectors or plan.is_checked:
+            raise NoEncoder("its payload depends on its values")
+        if message.counters:
+            raise NoEncoder("it has a rolling counter")
+        if getattr(message.payload, "overlapping", False):
+            raise NoEncoder("its fields share bits")
+        names = [f.name for f in plan.fields if not isinstance(f.node, p.FromRequest)]
+        out.line(f"def {self.function}(fields):")
+        out.depth = 1
+        out.line(f"if len(fields) != {len(names)}:")
+        out.line("    raise Unusual")
+        identifier = self._number(message.identifier)
+        head, start = self._head(), message.payload_start
+        scalars: list[tuple[p.Scalar, str, str]] = []
+        for field in plan.fields:
+            node = field.node
+            if isinstance(node, (p.FromIdentifier, p.FromRequest)) or field.name in {
+                h.name for h in message.heads
+            }:
+                continue
+            if field.name == "reserved" and isinstance(node, p.Rest):
+                if any(value is not None for value, _ in node.claimed):
+                    raise NoEncoder("its payload depends on its values")
+                raise NoEncoder("bits without a field")
+            if isinstance(node, p.Scalar):
+                scalars.append((node, field.name, f'fields["{field.name}"]'))
+            elif isinstance(node, p.Many):
+                variables = [self._temporary() for _ in node.items]
+                several = f"{', '.join(variables)}{',' if len(variables) == 1 else ''}" if variables else "()"
+                out.line(f'{several} = fields["{field.name}"]')
+                for item, variable in zip(node.items, variables, strict=True):
+                    if not isinstance(item, p.Scalar):
+                        raise NoEncoder("nested records")
+                    scalars.append((item, field.name, variable))
+            else:
+                raise NoEncoder("nested records")
+        body = self._body(scalars, start)
+        out.line(f"return {identifier if message.framing is None else 'None'}, {head}, {body}")
+        return [*self.setup, *out.lines]
+
+    def _table(self, name: str, value: str) -> str:
+        """The module's name for what the text `value` makes; only our own words are in it."""
+        found, is_new = self.names.shared(name, value)
+        if is_new:
+            self.setup.append(f"{found} = {value}")
+        return found
+
+    def _bound(self, name: str, value: object) -> str:
+        """The module's name for a value of the spec; a remark says what it is."""
+        found, is_new = self.names.bind(name, value)
+        if is_new:
+            self.setup.append(f"# {found} = {comment_line(repr(value))}")
+        return found
+
+    def _spec_number(self, name: str, value: float) -> str:
+        """A number of the spec: as it is where that can be printed, else by name."""
+        return literal(value) if is_plain(value) else self._bound(name, value)
+
+    def _temporary(self) -> str:
+        self.temporaries += 1
+        return self.names.new(f"t{self.temporaries}")
+
+    def _number(self, pattern: IdPattern) -> str:
+        parts = [f"{pattern.constant:#x}"]
+        for capture in pattern.captures:
+            to_raw = partial(capture.to_raw, path=capture.name)
+            called, _ = self.names.bind(f"capture_{self.plan.name}_{capture.name}", to_raw)
+            raw = f'{called}(fields["{capture.name}"])'
+            parts.append(f"({raw} << {capture.shift})" if capture.shift else raw)
+        return " + ".join(parts)
+
+    def _head(self) -> str:
+        """The header and prefix; the length is written by the framing."""
+        message = self.message
+        derived = (
+            message.framing.affine.length.name
+            if message.framing is not None and message.framing.affine
+            else None
+        )
+        parts = []
+        for head in message.heads_written:
+            if derived is not None and head.name == derived:
+                parts.append(literal(bytes(head.size)))
+            elif head.pattern is not None and not head.pattern.captures:
+                parts.append(literal(head.bytes(head.pattern.constant)))
+            else:
+                called, _ = self.names.bind(f"head_{self.plan.name}_{head.name}", _head_writer(head))
+                parts.append(f"{called}(fields)")
+        return " + ".join(parts) if parts else "b''"
+
+    def _body(self, scalars: list[tuple[p.Scalar, str, str]], start: int) -> str:
+        constants = {c.offset: c.value for c in self.plan.constants if c.offset >= start}
+        size = self.plan.least - self.plan.tail
+        tail = ""
+        cells: list[_Packed] = []
+        words: dict[tuple[int, int], list[str]] = {}
+        for scalar, name, value in scalars:
+            if scalar.size is None:
+                if scalar.kind == "text":
+                    raise NoEncoder("a text of open size")
+                tail = f"bytes({value})" if scalar.kind == "bytes" else ""
+                self.out.line(f"if not isinstance({value}, (bytes, bytearray)):")
+                self.out.line("    raise Unusual")
+                self._tail_fits(value, scalar.offset)
+                continue
+            if scalar.kind == "text":
+                raise NoEncoder("text")
+            if scalar.kind == "bytes":
+                cells.append(_Packed(scalar.offset, scalar.size, "", f"{scalar.size}s", value))
+                self.out.line(f"if len({value}) != {scalar.size}:")
+                self.out.line("    raise Unusual")
+                continue
+            if scalar.kind == "float" and scalar.bits:
+                raise NoEncoder("a float that does not stand in whole bytes")
+            number = self._raw(scalar, name, value)
+            if struct_format(scalar):
+                order = "" if scalar.size == 1 else "<" if scalar.order == "little" else ">"
+                cells.append(_Packed(scalar.offset, scalar.size, order, struct_format(scalar), number))
+                continue
+            self._fits(scalar, number)
+            first, last = min(scalar.bits) // 8, max(scalar.bits) // 8 + 1
+            key = (first, last) if scalar.is_whole else (scalar.offset, scalar.offset + scalar.size)
+            masked = number if scalar.kind == "uint" else f"({number} & {(1 << len(scalar.bits)) - 1:#x})"
+            positions = [b - 8 * key[0] for b in scalar.bits]
+            pieces = words.setdefault(key, [])
+            for at, to, width in runs_of(positions):
+                whole = width == len(scalar.bits)
+                piece = (
+                    masked
+                    if whole
+                    else f"({masked} >> {to} & {(1 << width) - 1:#x})"
+                    if to
+                    else f"({masked} & {(1 << width) - 1:#x})"
+                )
+                pieces.append(f"{piece} << {at}" if at else piece)
+        return self._packed(cells, words, constants, start, size) + (f" + {tail}" if tail else "")
+
+    def _tail_fits(self, value: str, offset: int) -> None:
+        """A frame has room for so many bytes; of a stream's packet the framing knows."""
+        lengths = self.message.lengths
+        if lengths is None:
+            return
+        ends = sorted(length - offset for length in lengths)
+        if ends != list(range(ends[0], ends[-1] + 1)):
+            test = f"len({value}) not in {literal(tuple(ends))}"
+        elif ends[0] <= 0:
+            test = f"len({value}) > {ends[-1]}"
+        else:
+            test = f"not {ends[0]} <= len({value}) <= {ends[-1]}"
+        self.out.line(f"if {test}:")
+        self.out.line("    raise Unusual")
+
+    def _fits(self, scalar: p.Scalar, number: str) -> None:
+        width = len(scalar.bits)
+        shifted = number if scalar.kind == "uint" else f"({number} + {1 << width - 1:#x})"
+        self.out.line(f"if {shifted} >> {width}:")
+        self.out.line("    raise Unusual")
+
+    def _packed(
+        self,
+        cells: list[_Packed],
+        words: dict[tuple[int, int], list[str]],
+        constants: dict[int, int],
+        start: int,
+        size: int,
+    ) -> str:
+        entries: list[tuple[int, int, str]] = []
+        runs: list[list[_Packed]] = []
+        for cell in sorted(cells, key=lambda c: c.offset):
+            order = runs[-1][0].order if runs else ""
+            if (
+                runs
+                and runs[-1][-1].end == cell.offset
+                and (not cell.order or not order or cell.order == order)
+            ):
+                runs[-1].append(cell)
+                if not order:
+                    runs[-1][0] = replace(runs[-1][0], order=cell.order)
+            else:
+                runs.append([cell])
+        for number, run in enumerate(runs):
+            text = (run[0].order or "<") + "".join(c.format for c in run)
+            helper = self._table(f"_pack_{self.plan.name}_{number}", f'Struct("{compact(text)}").pack')
+            entries.append((run[0].offset, run[-1].end, f"{helper}({', '.join(c.value for c in run)})"))
+        for (first, last), pieces in words.items():
+            joined = " | ".join(f"({piece})" if "<<" in piece else piece for piece in pieces)
+            entries.append((first, last, f'({joined}).to_bytes({last - first}, "little")'))
+        for offset, value in sorted(constants.items()):
+            entries.append((offset, offset + 1, literal(bytes([value]))))
+        entries.sort()
+        at = start
+        for first, last, _ in entries:
+            if first != at:
+                raise NoEncoder("its fields do not lie side by side")
+            at = last
+        if at != size:
+            raise NoEncoder("its fields do not fill it")
+        return " + ".join(text for _, _, text in entries) or "b''"
+
+    def _raw(self, scalar: p.Scalar, name: str, value: str) -> str:
+        """A local name that holds the number for the wire (the signed one, of signed numbers)."""
+        number = self._temporary()
+        text = value
+        steps = scalar.steps
+        magnitude = next((s for s in steps if isinstance(s, p.Magnitude)), None)
+        for step in reversed(steps):
+            if isinstance(step, p.Scale):
+                if step.names:
+                    raise NoEncoder("a quantity with names")
+                text = self._unscaled(step, text, scalar, name)
+            elif isinstance(step, p.ValueNames):
+                table = self._bound(f"_numbers_{self.plan.name}_{name}", {v: k for k, v in step.values})
+                text = f"{table}.get({text}, {text})"
+            elif isinstance(step, p.FlagBits):
+                variable = self._temporary()
+                self.out.line(f"{variable} = {text}")
+                self.out.line(f"if not isinstance({variable}, int):")
+                self.out.line("    raise Unusual")
+                text = f"int({variable})"
+        self.out.line(f"{number} = {text}")
+        if magnitude is not None:
+            half = 1 << magnitude.width - 1
+            self.out.line(f"if {number}.__class__ is not int or not {-half + 1} <= {number} <= {half - 1}:")
+            self.out.line("    raise Unusual")
+            self.out.line(f"if {number} < 0:")
+            self.out.line(f"    {number} = {half:#x} - {number}")
+        elif scalar.kind != "float" and not struct_format(scalar):
+            self.out.line(f"if {number}.__class__ is not int:")
+            self.out.line("    raise Unusual")
+        return number
+
+    def _unscaled(self, step: p.Scale, text: str, scalar: p.Scalar, name: str) -> str:
+        out = self.out
+        where = f"{self.plan.name}_{name}"
+        is_float = scalar.kind == "float"
+        if len(scalar.bits) > 53 and (step.scale != 1 or step.offset):
+            raise NoEncoder("a scaled number of more bits than a float has")
+        given = self._temporary()
+        out.line(f"{given} = {text}")
+        out.line(f"if {given}.__class__ is not float and {given}.__class__ is not int:")
+        out.line("    raise Unusual")
+        if is_float and step.unknown:
+            raise NoEncoder("a float that may mean unknown")
+        if step.bounds is not None:
+            test = self._outside(step.bounds, given, where)
+            if test:
+                out.line(f"if {test}:")
+                out.line("    raise Unusual")
+        if step.scale == 1 and not step.offset:
+            number = given
+        else:
+            offset = self._spec_number(f"_offset_{where}", step.offset)
+            scale = self._spec_number(f"_scale_{where}", step.scale)
+            number = f"({given} - {offset}) / {scale}" if step.offset else f"{given} / {scale}"
+        if not is_float:
+            number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
+        # Raw numbers that mean unknown; others are never those of an integer.
+        means = sorted({int(value) for value in step.unknown if math.isfinite(value) and value == int(value)})
+        if not means and step.raw_bounds is None:
+            return number
+        raw = self._temporary()
+        out.line(f"{raw} = {number}")
+        tests = (
+            [f"{raw} in {literal(tuple(means))}" if len(means) > 1 else f"{raw} == {means[0]}"]
+            if means
+            else []
+        )
+        tests += (
+            [test]
+            if step.raw_bounds is not None and (test := self._outside(step.raw_bounds, raw, f"raw_{where}"))
+            else []
+        )
+        if tests:
+            out.line(f"if {' or '.join(tests)}:")
+            out.line("    raise Unusual")
+        return raw
+
+    def _outside(self, bounds: tuple[float, float], name: str, where: str) -> str:
+        """The test whether a number is outside its bounds, those that are infinite left out; empty when both are."""
+        low, high = bounds
+        first = f"{self._spec_number(f'_least_{where}', low)} <= " if math.isfinite(low) else ""
+        last = f" <= {self._spec_number(f'_most_{where}', high)}" if math.isfinite(high) else ""
+        return f"not {first}{name}{last}" if first or last else ""
+
+
+def _head_writer(head: Head) -> Callable[[dict[str, object]], bytes]:
+    """The bytes of a head field that is not constant, from a message's fields."""
+    name = head.name
+    assert name is not None
+    if head.pattern is not None and not head.is_own:
+        pattern = head.pattern
+
+        def captured(fields: dict[str, object]) -> bytes:
+            numbers = {c.name: c.to_raw(fields[c.name], c.name) for c in pattern.captures}
+            return head.bytes(pattern.number(numbers))
+
+        return captured
+
+    def written(fields: dict[str, object]) -> bytes:
+        data = bytes(head.field.build(fields[name]))
+        if head.pattern is not None and head.pattern.match(head.number(bytes(head.offset) + data)) is None:
+            raise ValueError(name)
+        return data
+
+    return written

@@ -1,0 +1,267 @@
+"""Compiles printed source, so that it shows in tracebacks and steps in a debugger like any file.
+
+1. Nothing but text printed from a plan is ever compiled here.
+"""
+
+from __future__ import annotations
+
+import keyword
+import linecache
+import re
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from typing import Any
+
+import msgspec
+from construct import ConstructError
+
+from ...errors import AcesError
+from ..declare.fields import FlagSet
+from ..declare.message import Message
+from ..declare.packet import can_image
+from ..declare.protocol import Variant
+from ..keys import EXTENDED, FD, REMOTE
+from ..plan.flatten import flatten
+from ..record import Part, Record, from_container
+from .decode import CALLED, Decoder
+from .names import NameScope
+from .records import part_names, print_records
+from .source import comment_line
+
+Decode = Callable[..., Any]
+
+
+def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, Any]:
+    """Run printed source and give its namespace; `name` is what tracebacks call it."""
+    name = comment_line(name)
+    filename = f"<{name}>"
+    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
+    # `__builtins__` comes along with exec; the text is ours, printed from a plan.
+    namespace: dict[str, Any] = {"__name__": name, **names}
+    exec(compile(source, filename, "exec"), namespace)
+    return namespace
+
+
+def degrees(text: bytes) -> float:
+    """`4807.038` as degrees: what generated decoders call for NMEA positions."""
+    number = float(text)
+    whole = number // 100
+    return whole + (number - 100 * whole) / 60
+
+
+@cache
+def flag_type(bits: tuple[tuple[str, int], ...]) -> type[FlagSet]:
+    """The value type of a flags field."""
+    return type("FlagSet", (FlagSet,), {"bits": dict(bits), "__slots__": ()})
+
+
+class _FlagValues(dict[int, FlagSet]):
+    """The values of a flags field, made when first seen; a few thousand are kept."""
+
+    def __init__(self, kind: type[FlagSet]) -> None:
+        super().__init__()
+        self._kind = kind
+
+    def __missing__(self, raw: int) -> FlagSet:
+        made = self._kind(raw)
+        if len(self) < 4096:
+            self[raw] = made
+        return made
+
+
+def _flags(bits: Mapping[str, int]) -> _FlagValues:
+    """What generated decoders call for the values of a flags field."""
+    return _FlagValues(flag_type(tuple(bits.items())))
+
+
+#: What printed decoders call (see `print_decode.CALLED`).
+_CALLED: Mapping[str, Any] = {
+    "Struct": struct.Struct,
+    "from_bytes": int.from_bytes,
+    "re": re,
+    "degrees": degrees,
+    "flags": _flags,
+}
+
+
+class _Parts(dict[tuple[str, tuple[str, ...]], type]):
+    """Types of nested records by path and fields. What no walk of a construct foresees (fields that stop half way, values
+    of somebody's own adapter) gets its type when it is first seen."""
+
+    def __missing__(self, shape: tuple[str, tuple[str, ...]]) -> type:
+        path, names = shape
+        if all(name.isidentifier() and not keyword.iskeyword(name) for name in names):
+            made: type = msgspec.defstruct(path, names, bases=(Part,), frozen=True, gc=False)
+        else:
+            made = dict  # keys that cannot be attributes
+        if len(self) < 4096:
+            self[shape] = made
+        return made
+
+
+class DecoderSet:
+    """The decode functions of a variant, in physical units or raw.
+
+    Without `guard` a function may raise `struct.error` for data of the wrong length, where it would give None.
+    """
+
+    def __init__(self, variant: Variant, *, raw: bool, guard: bool) -> None:
+        self.variant = variant
+        self.raw = raw
+        kind = f"{'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
+        self._guard, self._name = guard, f"aces {variant.label} {kind}"
+        #: By message. Each is printed and compiled when it is first asked for.
+        self.decoders: Mapping[str, Decode] = _Decoders(self._made)
+
+    def _made(self, name: str) -> Decode:
+        message = self.variant.messages[name]
+        printed = Decoder(flatten(message), raw=self.raw, guard=self._guard)
+        source = print_decoder(printed)
+        types = _types(self.variant)[name]
+        names = {**_CALLED, **printed.module.bound}
+        names |= {called: types[kind] for called, kind in printed.types.items()}
+        if printed.opaque:
+            names[printed.opaque] = _opaque(message, self.variant, raw=self.raw)
+        if printed.holds:
+            names[printed.holds] = _holds(message)
+        decode: Decode = load_source(source, f"{self._name}: {name}", names)[printed.function]
+        return decode
+
+
+class _Decoders(dict[str, Decode]):
+    """Decode functions by message, made when asked for."""
+
+    def __init__(self, make: Callable[[str], Decode]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, name: str) -> Decode:
+        made = self[name] = self._make(name)
+        return made
+
+
+def _holds(message: Message) -> Callable[[bytes, int], bool]:
+    """Whether the message's own check holds."""
+    check = message.check
+    assert check is not None
+    start, size, order = message.check_span
+    end = start + size
+
+    def holds(data: bytes, key: int) -> bool:
+        return int.from_bytes(data[start:end], order) == check.compute(
+            message.covered(data, key & 0x1FFF_FFFF)
+        )
+
+    return holds
+
+
+def print_decoder(printed: Decoder) -> str:
+    """The text of one message's decode function."""
+    setup, lines = printed.print()
+    return "\n".join([*setup, "", *lines, ""])
+
+
+def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -> str:
+    """The decode functions of a variant."""
+    kind = "raw values" if raw else "physical values"
+    parts = [f'"""Decoders of {comment_line(variant.label)}, {kind}: generated from its spec."""', ""]
+    names = NameScope(CALLED)
+    for message in variant.messages.values():
+        setup, lines = Decoder(flatten(message), raw=raw, guard=guard, names=names).print()
+        parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
+    return "\n".join(parts) + "\n"
+
+
+class _Types(dict[str, dict[str, Any]]):
+    """By message, its record type and those of its nested records, by their names; made when first asked for."""
+
+    def __init__(self, variant: Variant) -> None:
+        super().__init__()
+        self._variant = variant
+
+    def __missing__(self, name: str) -> dict[str, Any]:
+        variant, message = self._variant, self._variant.messages[name]
+        called: dict[tuple[str, str], str] = {}
+        label = f"{variant.label}: {name}"
+        source = print_records(label, [flatten(message)], called)
+        space = load_source(
+            source,
+            f"aces records of {label}",
+            {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any},
+        )
+        made: dict[str, Any] = {}
+        for (_, own), text in called.items():
+            kind = made[own] = space[text]
+            kind.__name__ = kind.__qualname__ = own
+        made[name]._protocol = variant.name
+        made[name]._direction = message.direction
+        made[name]._is_stream = message.framing is not None
+        made[name]._declared = message
+        self[name] = made
+        return made
+
+
+@cache
+def _types(variant: Variant) -> _Types:
+    return _Types(variant)
+
+
+class _Records(Mapping[str, type[Record]]):
+    def __init__(self, variant: Variant) -> None:
+        self._variant = variant
+
+    def __getitem__(self, name: str) -> type[Record]:
+        if name not in self._variant.messages:
+            raise KeyError(name)
+        found: type[Record] = _types(self._variant)[name][name]
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._variant.messages)
+
+    def __len__(self) -> int:
+        return len(self._variant.messages)
+
+
+def records_of(variant: Variant) -> Mapping[str, type[Record]]:
+    """The record types of a variant, by message; each is made when it is first asked for."""
+    return _Records(variant)
+
+
+@cache
+def codec(variant: Variant, raw: bool = False, guard: bool = True) -> DecoderSet:
+    """The codec of a variant, made once."""
+    return DecoderSet(variant, raw=raw, guard=guard)
+
+
+def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
+    """A decode function that goes through construct."""
+    types = _types(variant)[message.name]
+    plan = flatten(message)
+    parts = _Parts({shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)})
+    record = types[message.name]
+    framing = message.framing
+
+    def decode(
+        data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
+    ) -> Any:
+        if framing is None:
+            image = can_image(
+                key & 0x1FFF_FFFF,
+                data,
+                extended=bool(key & EXTENDED),
+                remote=bool(key & REMOTE),
+                fd=bool(key & FD),
+            )
+        else:
+            # Stuffed packets come here without stuffing; construct wants what stood on the wire.
+            image = raw_bytes
+        try:
+            values = message.struct.parse(image, raw=raw, request=request)
+        except (ConstructError, AcesError):
+            return None
+        fields = {k: from_container(v, parts, f"{message.name}_{k}") for k, v in values.items()}
+        return record(**fields, _time=time, _channel=channel, _key=key, _raw=raw_bytes, _rx=rx)
+
+    return decode

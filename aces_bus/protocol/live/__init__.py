@@ -1,0 +1,1 @@
+"""Scanners for what arrives: CAN frames and byte streams, piece by piece."""

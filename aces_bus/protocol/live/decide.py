@@ -1,0 +1,207 @@
+"""From messages to one function that decides among them: constants first, then requests, then order.
+
+1. A message that needs its request is tried before those that do not, and only with its request.
+2. Requests are noted as they are decoded, whether or not anybody looks at their records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+from ..declare.ambiguity import needing_context
+from ..declare.message import Direction, Message
+from ..declare.order import ordered
+from ..declare.protocol import Variant
+from ..generate.load import codec, load_source
+from ..generate.scan import print_choice
+from ..generate.source import SourceText
+from ..plan.choose import Choice, choose
+from ..plan.flatten import flatten
+from ..record import field_names
+from .context import Context
+
+#: Devices whose rolling counters are remembered.
+REMEMBERED = 65536
+
+#: (data, key, time, channel, raw, rx[, request]) to a record, or None.
+Decode = Callable[..., Any]
+
+
+class Decider:
+    """One variant in one direction: its messages in order of trial, and what they hang on."""
+
+    def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
+        self.variant = variant
+        self.messages = ordered(variant.messages_for(direction))
+        self.decoders = codec(variant, raw).decoders
+        self._quick = codec(variant, raw, False).decoders
+        self.raw_decoders = codec(variant, True).decoders
+        self.contextual = needing_context(self.messages)
+        self.context = Context(self.messages, self.contextual, variant.protocol.broadcast)
+        #: What `sent` looks for: requests, whichever way this scanner faces.
+        self.asked = [m for m in ordered(variant.messages.values()) if m.name in self.context.requests]
+        self._chosen: dict[tuple[str, ...], Decode] = {}
+        #: The printed choices, for those who want to read them.
+        self.source = ""
+        #: Messages that rolling counters say were missed.
+        self.missed = 0
+        #: The key of the last packet that needs a request to be told, and why; asked by `need_of`.
+        self._need: tuple[int, str] = (-1, "")
+        #: By message: the last value of each rolling counter of each device, whichever function decodes it.
+        self._counters: dict[str, dict[Any, int]] = {}
+
+    def reset(self) -> None:
+        """Forget requests and rolling counters."""
+        self.context.reset()
+        for last in self._counters.values():
+            last.clear()
+        self.missed, self._need = 0, (-1, "")
+
+    def need_of(self, key: int) -> str:
+        """The reason when the packet `key` just refused is a reply without its request, else empty."""
+        return self._need[1] if self._need[0] == key else ""
+
+    def forget_need(self) -> None:
+        """The packet that needed a request has been told by somebody else."""
+        self._need = (-1, "")
+
+    def decide(self, messages: Sequence[Message], *, alone: bool = False) -> Decode:
+        """The function that decides among `messages`.
+
+        `alone` says that the caller takes `struct.error` for None, which saves the usual frame a length check.
+        """
+        messages = ordered(messages)
+        names = tuple(m.name for m in messages)
+        if alone and len(messages) == 1 and self._is_simple(messages[0]):
+            return self._quick[names[0]]
+        if names not in self._chosen:
+            self._chosen[names] = self._made(messages)
+        return self._chosen[names]
+
+    def _is_simple(self, message: Message) -> bool:
+        names = (self.context.requests, self.context.answers, self.contextual)
+        return not message.counters and not any(message.name in some for some in names)
+
+    def _made(self, messages: Sequence[Message]) -> Decode:
+        plain = [m for m in messages if m.name not in self.contextual]
+        bound = [m for m in messages if m.name in self.contextual]
+        functions = {m.name: self._noting(m) for m in plain}
+        decode: Decode | None = None
+        if len(plain) == 1:
+            decode = functions[plain[0].name]
+        elif plain:
+            choice: Choice = choose([flatten(m) for m in plain])
+            out = SourceText()
+            name = f"choose_{len(self._chosen)}"
+            print_choice(out, name, choice)
+            self.source += out.text()
+            space = load_source(
+                out.text(),
+                f"aces {self.variant.label} {name}",
+                {f"decode_{n}": f for n, f in functions.items()},
+            )
+            decode = space[name]
+        if bound:
+            return self._with_context(bound, decode)
+        assert decode is not None
+        return decode
+
+    def _noting(self, message: Message) -> Decode:
+        """The decode function of a message, which also notes it when replies hang on it, or uses up what it answers."""
+        decode = self.decoders[message.name]
+        if message.counters:
+            decode = _counting(decode, message, self)
+        is_request, is_answer = message.name in self.context.requests, message.name in self.context.answers
+        if not is_request and not is_answer:
+            return decode
+
+        def noted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+            record = decode(data, key, time, channel, packet, rx)
+            if record is not None and is_answer:
+                seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
+                self.context.of([(message, _values(seen))], channel, time)
+            if record is not None and is_request:
+                self.note(message, data, key, time, channel, packet)
+            return record
+
+        return noted
+
+    def note(self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes) -> bool:
+        """Note a packet that may be the request `message`; whether it is."""
+        seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
+        if seen is not None:
+            self.context.note(message.name, channel, time, _values(seen))
+        return seen is not None
+
+    def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
+        """Replies that only their request tells apart; after them the messages that need none."""
+        context, raw, decoders = self.context, self.raw_decoders, self.decoders
+
+        def decode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+            fitting = []
+            for message in bound:
+                seen = raw[message.name](data, key, time, channel, packet, rx)
+                if (
+                    seen is None
+                    and message.request_fields
+                    and (outer := message.outer(data, key & 0x1FFF_FFFF)) is not None
+                ):
+                    # The layout may be in the request.
+                    request = context.pending(message, outer, channel, time)
+                    seen = (
+                        raw[message.name](data, key, time, channel, packet, rx, request)
+                        if request is not None
+                        else None
+                    )
+                if seen is not None:
+                    fitting.append((message, _values(seen)))
+            if fitting:
+                found = context.of(fitting, channel, time)
+                if found is not None:
+                    message, request = found
+                    more = (request,) if message.request_fields else ()
+                    return decoders[message.name](data, key, time, channel, packet, rx, *more)
+            record = otherwise(data, key, time, channel, packet, rx) if otherwise is not None else None
+            if record is None and fitting and not self.need_of(key):
+                self._need = (key, context.needs([m for m, _ in fitting]))
+            return record
+
+        return decode
+
+
+def _values(record: Any) -> dict[str, Any]:
+    """The fields of a raw record, for the memory of requests."""
+    kind = type(record)
+    names = _names.get(kind)
+    if names is None:
+        names = _names[kind] = field_names(kind)
+    return {name: getattr(record, name) for name in names}
+
+
+#: The fields of record types, which do not change. Weak: a type lives as long as its scanner.
+_names: WeakKeyDictionary[type, tuple[str, ...]] = WeakKeyDictionary()
+
+
+def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
+    """Watches a message's rolling counters and counts what they say was missed."""
+    last = decider._counters.setdefault(message.name, {})
+    raw = decider.raw_decoders[message.name]
+    captures = [c.name for c in message.identifier.captures]
+
+    def counted(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+        record = decode(data, key, time, channel, packet, rx)
+        if record is not None:
+            seen = raw(data, key, time, channel, packet, rx)
+            who = (channel, *(getattr(seen, n) for n in captures))
+            for name, modulo in message.counters.items():
+                value = getattr(seen, name)
+                before = last.get((name, who))
+                if before is not None:
+                    decider.missed += (value - before - 1) % modulo
+                if before is not None or len(last) < REMEMBERED:
+                    last[name, who] = value
+        return record
+
+    return counted

@@ -1,0 +1,171 @@
+"""Scanners for any link, and the protocols that are installed.
+
+1. A protocol's name is claimed once: a second claim raises, with both packages.
+2. Nothing is imported before it is asked for by name.
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint, entry_points
+from threading import Lock, current_thread
+from typing import Any, Literal
+
+from ...errors import CallerError, SpecError, UnknownNameError
+from ..counts import ScanCounts
+from ..declare.message import Direction
+from ..declare.protocol import Protocol, Variant
+from .can import CanScanner
+from .stream import StreamScanner
+
+GROUP = "aces_bus.protocols"
+
+
+class Scanner(typing.Protocol):
+    """What every scanner does; `CanScanner` and `StreamScanner` say how.
+
+    A scanner is for one thread: it holds no lock, and two calls at once mix up its buffer and its counts. Give each thread a
+    scanner of its own, or hand its words over through a queue; `check_thread` finds where that is not so.
+    """
+
+    @property
+    def link(self) -> str:
+        """`can`, `serial` or `datagram`."""
+        ...
+
+    def feed(self, words: Any, /) -> list[Any]:
+        """Records of frames (CAN) or of bytes (streams), in order."""
+        ...
+
+    @property
+    def counts(self) -> ScanCounts:
+        """Where every byte or frame went so far."""
+        ...
+
+    def idle(self, time: float | None = None) -> list[Any]:
+        """The line fell silent: what is incomplete never will be."""
+        ...
+
+    def close(self) -> list[Any]:
+        """The capture has ended."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything seen, counts included: as if just made."""
+        ...
+
+    def sent(self, word: Any, /) -> None:
+        """Our own transmission: a request that replies may hang on."""
+        ...
+
+
+def make_scanner(
+    variants: Sequence[Variant],
+    *,
+    direction: Direction | Literal["both"] | None = None,
+    include_unknown: bool = False,
+    raw: bool = False,
+    check_thread: bool = False,
+) -> Scanner:
+    """One scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
+
+    `direction` limits it to messages to or from the device; "both" pairs requests and replies. With `include_unknown`, what
+    is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
+
+    A variant bound to a channel (`variant.on("can0")`) decides about that channel's frames only.
+
+    A scanner is for one thread. With `check_thread` a call that comes while another is under way raises `CallerError`, at
+    the cost of a lock a call; without it such calls give wrong records and counts.
+
+    Raises `CallerError` when the protocols are not of one kind of link, or when one needs a direction and none is given.
+    """
+    if not variants:
+        raise CallerError("a scanner needs at least one protocol")
+    links = {"can" if v.link == "can" else "stream" for v in variants}
+    if len(links) > 1:
+        named = ", ".join(f"{v.name} ({v.link})" for v in variants)
+        raise CallerError(f"one wire carries one kind of link; these are of several: {named}")
+    if direction is None:
+        for variant in variants:
+            clash = variant.direction_conflict
+            if clash is not None:
+                raise CallerError(
+                    f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
+                    " say the direction: 'to device', 'from device' or 'both'"
+                )
+    made = _made(variants, links, direction=direction, include_unknown=include_unknown, raw=raw)
+    if check_thread:
+        _guard(made)
+    return made
+
+
+def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
+    if links == {"can"}:
+        if any(variant.channel is not None for variant in variants):
+            from .channels import ChannelScanner
+
+            return ChannelScanner(variants, **more)
+        return CanScanner(variants, **more)
+    return StreamScanner(variants, **more)
+
+
+def _guard(scanner: Any) -> None:
+    """Have every call that moves the scanner on look whether another one is under way."""
+    lock = Lock()
+    under_way = ""
+
+    def guarded(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **more: Any) -> Any:
+            nonlocal under_way
+            if not lock.acquire(blocking=False):
+                raise CallerError(
+                    f"{name} was called while {under_way} was under way: a scanner is for one thread;"
+                    " give each thread one of its own, or hand its words over through a queue"
+                )
+            try:
+                under_way = f"{name} in {current_thread().name}"
+                return method(*args, **more)
+            finally:
+                lock.release()
+
+        return call
+
+    for name in ("feed", "feed_table", "datagram", "idle", "close", "sent", "reset"):
+        method = getattr(scanner, name, None)
+        if method is not None:
+            scanner.__dict__[name] = guarded(name, method)
+
+
+def list_protocols() -> dict[str, EntryPoint]:
+    """The installed protocols, by name, without importing them."""
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points(group=GROUP):
+        other = found.get(point.name)
+        if other is not None and other.value != point.value:
+            raise SpecError(
+                f"two packages claim the protocol name {point.name!r}: {other.value} and {point.value}"
+            )
+        found[point.name] = point
+    return found
+
+
+def load_protocol(name: str) -> Protocol:
+    """The installed protocol `name`; raises `UnknownNameError` with the names that exist.
+
+    What was loaded once is kept: looking through all that is installed takes milliseconds.
+    """
+    kept = _loaded.get(name)
+    if kept is not None:
+        return kept
+    known = list_protocols()
+    if name not in known:
+        raise UnknownNameError("protocol", name, known)
+    protocol = known[name].load()
+    if not isinstance(protocol, Protocol):
+        raise SpecError(f"{known[name].value} is not a Protocol but {type(protocol).__name__}")
+    _loaded[name] = protocol
+    return protocol
+
+
+_loaded: dict[str, Protocol] = {}

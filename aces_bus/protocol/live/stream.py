@@ -1,0 +1,445 @@
+"""The stream scanner: bytes in, records out, however they are cut.
+
+1. No I/O, no clock, no thread: `feed` is given bytes and returns records; `idle` and `close` say that nothing follows.
+2. Each byte ends in exactly one bin of `counts`. A failed check costs the header's first byte only; the rest is read again.
+3. What is decided does not depend on how the stream was cut: losses are reported when their run ends.
+4. The buffer never holds more than the longest packet plus what was just fed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..columns.segments import Segments, in_segments
+from ..counts import ScanCounts
+from ..declare.checks import Sums, xor_of
+from ..declare.framing import Framing, Verdict
+from ..declare.message import Direction
+from ..declare.protocol import Variant
+from ..declare.stuffing import Insert
+from ..generate.load import load_source
+from ..generate.scan import plain_cover, print_stream, seek_pattern
+from ..record import Meta, Unknown
+from .decide import Decider
+from .overlaps import Overlaps
+
+if TYPE_CHECKING:
+    from .find import PacketFinder
+
+#: From how many bytes on a chunk is searched at once, with NumPy.
+WORTH = 768
+#: A run of lost bytes is reported in pieces of this size at most, so that garbage costs no memory.
+RUN = 4096
+
+
+class _State:
+    """What a scan function keeps between calls."""
+
+    def __init__(self) -> None:
+        self.work = 0
+
+
+class StreamScanner:
+    """Finds the packets of one or more protocols in a byte stream; made by `make_scanner`."""
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        include_unknown: bool = False,
+        raw: bool = False,
+    ) -> None:
+        self.link = variants[0].link
+        self.variants = tuple(variants)
+        self.direction = direction
+        self.include_unknown = include_unknown
+        self.max_size = 0
+        self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
+        framings: list[tuple[Framing, str]] = []
+        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
+        self._sums: list[Sums] = []
+        #: What judges the candidates of stuffed framings.
+        self._segments: list[Segments] = []
+        #: By the number of the framing: its checks, where they are sums.
+        self._overlaps: dict[int, Overlaps] = {}
+        self.reset()
+        for decider in self._deciders:
+            for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
+                number = len(framings)
+                decode = f"packet_{number}"
+                framings.append((framing, decode))
+                messages = [m for m in decider.messages if m.framing is framing]
+                chosen = decider.decide(messages)
+                names[decode] = chosen
+                self._bind(number, framing, decider, decode, names)
+                self.max_size = max(self.max_size, framing.max_size)
+        self.framings = tuple(framing for framing, _ in framings)
+        #: Seconds of silence after which no packet goes on.
+        self.gap = max((framing.gap or 0.0 for framing in self.framings), default=0.0)
+        label = " + ".join(variant.label for variant in variants)
+        self.source = print_stream(label, framings)
+        if all(framing.sync for framing in self.framings):
+            names["seek"] = re.compile(seek_pattern(self.framings), re.DOTALL).search
+        space = load_source(self.source, f"aces {label} stream scanner {direction or ''}", names)
+        self._scan: Callable[..., int] = space["scan"]
+        # One framing alone on the wire: large chunks are searched at once.
+        self._finder: PacketFinder | None = None
+        self._failure: Callable[[bytes], str | None] | None = None
+        self._overlap: Overlaps | None = None
+        if len(framings) == 1 and has_size(self.framings[0]) and self.framings[0].stuffing is None:
+            framing = self.framings[0]
+            cover = (
+                plain_cover(framing.check, len(framing.sync), framing.check_size)
+                if framing.check is not None
+                else None
+            )
+            from .find import PacketFinder  # NumPy is loaded only where a stream is read
+
+            self._finder = PacketFinder(framing, cover)
+            self._decode: Callable[..., Any] = names["packet_0"]
+            if self._finder.cover is None:
+                self._failure = space.get("check_0")
+                self._overlap = self._overlaps.get(0) if self._failure is not None else None
+
+    def reset(self) -> None:
+        """Forget everything seen, counts included: as if just made."""
+        self._counts = ScanCounts()
+        self._buffer = b""
+        self._base = 0
+        self._time: float | None = None
+        #: Bytes at the end of a closed stream that began a packet.
+        self._cut_off = 0
+        self._losses: list[tuple[int, int, str, bytes]] = []
+        self._run: tuple[int, str, bytearray] | None = None
+        self._state = _State()
+        for sums in self._sums:
+            sums.reset()
+        for segments in self._segments:
+            segments.reset()
+        for decider in self._deciders:
+            decider.reset()
+
+    def _bind(
+        self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]
+    ) -> None:
+        """The helpers that the printed text calls by name."""
+        check = framing.check
+        extras: dict[int, bytes] | None = None
+        for message in decider.messages:
+            if message.framing is framing and message.extras is not None:
+                extras = {**(extras or {}), **message.extras}
+        if check is not None and check.kind != "crc":
+            sums = Sums(check)
+            self._sums.append(sums)
+            names[f"sums_{number}"] = sums
+            self._overlaps[number] = names[f"failure_{number}"] = Overlaps(framing, sums, extras)
+        if check is not None:
+            names[f"crc_{number}"] = check.engine
+            names[f"text_{number}"] = check.text
+            names[f"same_{number}"] = check.same
+        if extras is not None:
+            names[f"extras_{number}"] = extras.get
+        if in_segments(framing):
+            segments = Segments(framing, extras)
+            self._segments.append(segments)
+            names[f"judge_{number}"], names[f"unstuff_{decode}"] = segments, segments.unstuff
+            return
+        names[f"judge_{number}"] = _judge(framing, extras)
+        if framing.stuffing is not None:
+            names[f"unstuff_{decode}"] = _unstuffer(framing)
+
+    @property
+    def counts(self) -> ScanCounts:
+        """Where every byte went so far."""
+        self._counts.missed = sum(decider.missed for decider in self._deciders)
+        return self._counts
+
+    # ------------------------------------------------------------------ feeding
+
+    def feed(self, data: bytes, time: float | None = None) -> list[Any]:
+        """Records that `data` completes, in order; with `include_unknown`, `Unknown` for what was lost.
+
+        `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
+        """
+        self._counts.total += len(data)
+        return self._advance(bytes(data), time if time is not None else self._time, silent=False)
+
+    def idle(self, time: float | None = None) -> list[Any]:
+        """The line is silent: what is incomplete never will be.
+
+        With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since the last bytes
+        that came with a time.
+        """
+        if time is not None and self._time is not None and time - self._time <= self.gap:
+            return []
+        return self._advance(b"", time if time is not None else self._time, silent=True)
+
+    def datagram(self, data: bytes, time: float | None = None) -> list[Any]:
+        """Records of one datagram: what it leaves incomplete, the next one does not continue."""
+        return [*self.feed(data, time), *self._advance(b"", self._time, silent=True)]
+
+    def close(self) -> list[Any]:
+        """The stream has ended. A packet cut off by the end stays pending; what stands behind a false one is found."""
+        return self._advance(b"", self._time, silent=True, closing=True)
+
+    def _advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
+        self._time = time
+        buffer = self._buffer + data if self._buffer else data
+        found: list[Any] = []
+        losses = self._losses
+        base = self._base
+        deciders = self._deciders
+
+        lost = 0
+        reasons = self._counts.reasons
+
+        def keep(offset: int, size: int, reason: str) -> None:
+            nonlocal lost
+            lost += size
+            if reason == "unknown":
+                reason = next((need for decider in deciders if (need := decider.need_of(offset))), reason)
+            losses.append((offset, size, reason, buffer[offset - base : offset - base + size]))
+
+        def count(offset: int, size: int, reason: str) -> None:
+            nonlocal lost
+            lost += size
+            if reason == "unknown":
+                reason = next((need for decider in deciders if (need := decider.need_of(offset))), reason)
+            reasons[reason] = reasons.get(reason, 0) + size
+
+        lose = keep if self.include_unknown or closing else count
+        reached = 0
+        # What is held is summed anew by a stride: it must not be the greater part.
+        if self._finder is not None and len(data) >= WORTH and 2 * len(data) >= len(buffer):
+            reached = self._stride(buffer, base, time, found, lose)
+            if self._finder.summed:
+                self._state.work -= reached - lost  # accepted: counted with the records
+        if reached < len(buffer):
+            reached = self._scan(
+                buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state
+            )
+        self._base += reached
+        self._buffer = buffer[reached:]
+        self._counts.decoded += reached - lost
+        self._counts.records += len(found)
+        if closing:
+            self._leave_pending(found, buffer, base)
+        self._counts.pending = len(self._buffer) + self._cut_off
+        if closing and not self.include_unknown:
+            for _, size, reason, _ in losses:
+                if reason != "pending":
+                    self._counts.lose(size, reason)
+            losses.clear()
+            return found
+        if losses or self._run is not None:
+            return self._settle(found, silent)
+        return found
+
+    def _stride(
+        self,
+        buffer: bytes,
+        base: int,
+        time: float | None,
+        found: list[Any],
+        lose: Callable[[int, int, str], None],
+    ) -> int:
+        """Accept what `Finder` proposes, in order; the bytes between are left to the scan function. Gives what is done."""
+        assert self._finder is not None
+        finder = self._finder
+        starts, ends, stop = finder.find(buffer)
+        if finder.summed:
+            # The scan function asks them too, for what stands between.
+            self._sums[0].lend(base, base + finder.summed, *finder.sums)
+            self._state.work += finder.summed
+        decode, scan, emit = self._decode, self._scan, found.append
+        state, failure, overlap = self._state, self._failure, self._overlap
+        summed = overlap.sums.end - base if overlap is not None else -1
+        mark = self.framings[0].sync[:1]
+        at = 0
+        for start, end in zip(starts, ends):  # noqa: B905  (the hot loop)
+            if start != at:
+                if start < at:
+                    continue
+                if buffer.find(mark, at, start) < 0:
+                    lose(base + at, start - at, "skipped")
+                else:
+                    scan(buffer, base, at, start, False, time, emit, lose, state)
+                    if overlap is not None:
+                        summed = overlap.sums.end - base
+            packet = buffer[start:end]
+            if failure is not None:
+                if overlap is None:
+                    reason = failure(packet)
+                    if reason is not None:
+                        state.work += end - start
+                elif start > summed:
+                    reason = failure(packet)
+                    if reason is not None:
+                        overlap.sums.fail(packet, base + start)
+                        summed = end
+                else:
+                    reason = overlap(buffer, base, start, end)
+                    summed = overlap.sums.end - base
+                if reason is not None:
+                    lose(base + start, 1, reason)
+                    at = start + 1
+                    continue
+            record = decode(packet, base + start, time, None, packet, None)
+            if record is None:
+                lose(base + start, end - start, "unknown")
+            else:
+                emit(record)
+            at = end
+        if at < stop:
+            scan(buffer, base, at, stop, False, time, emit, lose, self._state)
+            at = stop
+        if finder.summed:
+            self._sums[0].forget()
+        return at
+
+    # ------------------------------------------------------------------ losses
+
+    def _leave_pending(self, found: list[Any], buffer: bytes, base: int) -> None:
+        """At the end of the stream: what stands behind the last packet, from the first incomplete one on, is pending."""
+        last = 0
+        if found:
+            last = found[-1]._key + len(found[-1]._raw)
+        for offset, size, reason, _ in self._losses:
+            if reason.startswith("unknown"):
+                last = max(last, offset + size)
+        for index, (offset, _, reason, _) in enumerate(self._losses):
+            if offset >= last and reason == "malformed: incomplete":
+                del self._losses[index:]
+                tail = buffer[offset - base :]
+                self._cut_off += len(tail)
+                self._losses.append((offset, len(tail), "pending", tail))
+                return
+
+    def _settle(self, found: list[Any], silent: bool) -> list[Any]:
+        """Records and losses in the order of the stream; a run of equal losses is one."""
+        out: list[Any] = []
+        losses = self._losses
+        at = 0
+        for record in found:
+            offset = record._key
+            while at < len(losses) and losses[at][0] < offset:
+                self._lost(losses[at], out)
+                at += 1
+            self._end_run(out)
+            out.append(record)
+        for loss in losses[at:]:
+            self._lost(loss, out)
+        losses.clear()
+        if silent:
+            self._end_run(out)
+        return out
+
+    def _lost(self, loss: tuple[int, int, str, bytes], out: list[Any]) -> None:
+        offset, size, reason, data = loss
+        if reason != "pending":
+            self._counts.lose(size, reason)
+        whole = not reason.startswith(("skipped", "malformed"))
+        if self._run is not None and (whole or self._run[1] != reason):
+            self._end_run(out)
+        if whole:
+            out.append(self._unknown(offset, reason, data))
+            return
+        if self._run is None:
+            self._run = (offset, reason, bytearray())
+        run = self._run[2]
+        run += data
+        while len(run) >= RUN:
+            out.append(self._unknown(self._run[0], reason, bytes(run[:RUN])))
+            self._run = (self._run[0] + RUN, reason, run)
+            del run[:RUN]
+
+    def _end_run(self, out: list[Any]) -> None:
+        if self._run is not None:
+            if self._run[2]:
+                out.append(self._unknown(self._run[0], self._run[1], bytes(self._run[2])))
+            self._run = None
+
+    def _unknown(self, offset: int, reason: str, data: bytes) -> Unknown:
+        direction = self.direction if self.direction != "both" else None
+        return Unknown(
+            reason, Meta(None, None, self._time, None, direction, data, offset=offset, size=len(data))
+        )
+
+    # ------------------------------------------------------------------ requests, and what tests look at
+
+    def sent(self, data: bytes, time: float | None = None) -> None:
+        """Our own transmission, one packet: a request that replies may hang on. It is not counted and gives no record."""
+        for decider in self._deciders:
+            for message in decider.asked:
+                framing = message.framing
+                assert framing is not None
+                judged = framing.judge(data, 0, silent=True, extras=message.extras)
+                if judged.verdict is not Verdict.WHOLE or judged.size != len(data):
+                    continue
+                if decider.note(message, framing.logical(data), 0, time, None, data):
+                    return
+
+    @property
+    def buffered(self) -> int:
+        """Bytes held back."""
+        return len(self._buffer)
+
+    @property
+    def check_work(self) -> int:
+        """How many bytes checks have read so far."""
+        apart = sum(s.work for s in self._sums) + sum(s.checked for s in self._segments)
+        return self._counts.decoded + self._counts.unknown + self._state.work + apart
+
+    @property
+    def unstuff_work(self) -> int:
+        """How many bytes were unstuffed so far to find packets: those of packets, and of what was none."""
+        if not self._segments:
+            return 0
+        return self._counts.decoded + self._counts.unknown + sum(one.work for one in self._segments)
+
+
+def has_size(framing: Framing) -> bool:
+    """Whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
+    return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
+
+
+def _fletcher(data: bytes) -> int:
+    return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+
+
+def _judge(
+    framing: Framing, extras: dict[int, bytes] | None
+) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
+    def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
+        judged = framing.judge(buffer, start, silent=silent, extras=extras)
+        if judged.verdict is Verdict.WHOLE:
+            return "whole", start + judged.size, ""
+        if judged.verdict is Verdict.BAD:
+            return "bad", 0, f"malformed: {judged.reason}"
+        return ("more" if judged.verdict is Verdict.MORE else "dead"), 0, ""
+
+    return judge
+
+
+def _unstuffer(framing: Framing) -> Callable[[bytes], bytes | None]:
+    def logical(packet: bytes) -> bytes | None:
+        try:
+            return framing.logical(packet)
+        except ValueError:
+            return None
+
+    if isinstance(framing.stuffing, Insert):
+        pattern = framing.stuffing.pattern
+        start, size = framing.head_end, framing.check_size
+
+        def quick(packet: bytes) -> bytes | None:
+            if packet.find(pattern, start, len(packet) - size) < 0:
+                return packet
+            return logical(packet)
+
+        return quick
+    return logical

@@ -1,0 +1,1 @@
+"""A message's layout, worked out once: what every printer, drawing and export reads."""

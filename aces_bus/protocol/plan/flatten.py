@@ -1,0 +1,498 @@
+"""From a message to its plan.
+
+1. Flattening only reads; whatever it cannot read becomes an opaque plan with the reason, never a wrong one.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import construct as c
+
+from ..declare import delimited as d
+from ..declare.bits import BitLayout, Bits, LayoutSlot
+from ..declare.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, SignMagnitude, Text
+from ..declare.head import Head
+from ..declare.message import Message
+from ..declare.normalise import sizes
+from ..declare.pattern import IdField, IdPattern
+from ..keys import key_of
+from . import nodes as p
+
+
+class NotFlat(Exception):
+    """This construct cannot be flattened; the argument says why."""
+
+
+@lru_cache(maxsize=4096)
+def flatten(message: Message) -> p.MessagePlan:
+    """The plan of a message."""
+    framing = message.framing
+    tail = framing.check_size + len(framing.end) if framing is not None else 0
+    base = message.identifier.constant + key_of(
+        0, extended=message.extended, remote=message.remote, fd=message.fd
+    )
+    fields = [
+        _capture_field(capture, base, message.identifier.captures, None)
+        for capture in message.identifier.captures
+    ]
+    fields += [p.PlanField(name, p.FromRequest()) for name in message.request_fields]
+    constants: list[p.Constant] = []
+    one_of: list[p.OneOf] = []
+    if framing is not None:
+        constants += [p.Constant(i, 0xFF, byte) for i, byte in enumerate(framing.sync)]
+    for head in message.heads_written:
+        _head(head, head in message.heads, fields, constants, one_of)
+    builder = _Builder(message, tail)
+    opaque = ""
+    try:
+        for head in message.heads_written:
+            if head.pattern is not None and _numbers(head.pattern) is None:
+                raise NotFlat(f"{head.name} has {len(head.pattern)} scattered values")
+        builder.payload(message.payload)
+    except NotFlat as reason:
+        opaque = str(reason)
+        names = message.fields[len(fields) :]
+        read = builder.constants  # what was read before it stopped is true all the same
+        builder = _Builder(message, tail)
+        builder.constants = read
+        builder.fields = [p.PlanField(name, p.Opaque(opaque)) for name in names]
+    check = message.check.field if message.check is not None else None
+    fields += [f for f in builder.fields if f.name != check]
+    least = message.payload_start + (sizes(message.payload)[0] if opaque else builder.least) + tail
+    lengths: tuple[int, ...] | None
+    if framing is None:
+        assert message.lengths is not None
+        lengths = tuple(message.lengths)
+    elif opaque or builder.is_open:
+        lengths = None
+    else:
+        lengths = (message.payload_start + builder.size + tail,)
+    return p.MessagePlan(
+        name=message.name,
+        fields=tuple(fields),
+        constants=tuple(constants + builder.constants),
+        one_of=tuple(one_of),
+        lengths=lengths if builder.lengths_by is None else None,
+        least=least,
+        sync=len(framing.sync) if framing is not None else 0,
+        framed=framing.min_size if framing is not None else 0,
+        tail=tail,
+        lengths_by=builder.lengths_by,
+        selectors=tuple(builder.selectors),
+        split=builder.split,
+        is_checked=check is not None,
+        opaque=opaque,
+        parts=tuple(_parts(message.payload, message.name)) if opaque else (),
+        doc=message.doc,
+        place=message.place.stable,
+    )
+
+
+def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When | None) -> tuple[Any, ...]:
+    """What of a layout its fields claim: the last three values of a `Rest`. `outer` is when the layout is there."""
+    if not masks:
+        return ((None, always),), None, ()
+    selectors = list(masks)
+    if len(selectors) == 1 and selectors[0].when == outer:
+        claimed = [(value, always | mask) for value, mask in sorted(masks[selectors[0]].items())]
+        return (*claimed, (None, always)), selectors[0], ()
+    more = tuple((selector, tuple(sorted(by_value.items()))) for selector, by_value in masks.items())
+    return ((None, always),), None, more
+
+
+def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, tuple[str, ...]]]:
+    """The nested records of an opaque payload."""
+    found: list[tuple[str, tuple[str, ...]]] = []
+    if isinstance(con, c.Struct):
+        names = tuple(item.name for item in con.subcons if item.name)
+        if not top:
+            found.append((path, names))
+        for item in con.subcons:
+            found += _parts(item, f"{path}_{item.name}" if item.name else path, top=False)
+    elif isinstance(con, BitLayout):
+        if not top:
+            more = [con.trailing] if con.trailing else []
+            found.append((path, (*con.names, *(["reserved"] if con.has_reserved else []), *more)))
+    elif isinstance(con, Multiplexed):
+        found += _parts(con.body, path, top=False)
+    elif isinstance(con, c.IfThenElse):
+        found += [*_parts(con.thensubcon, path, top=False), *_parts(con.elsesubcon, path, top=False)]
+    elif isinstance(con, c.Switch):
+        for case in [*con.cases.values(), con.default]:
+            found += _parts(case, path, top=False)
+    elif isinstance(con, (c.Sequence, c.FocusedSeq)):
+        for item in con.subcons:
+            found += _parts(item, path, top=False)
+    elif hasattr(con, "subcon"):
+        found += _parts(con.subcon, path, top=False)
+    return list(dict.fromkeys(found))
+
+
+def _head(
+    head: Head, is_shown: bool, fields: list[p.PlanField], constants: list[p.Constant], one_of: list[p.OneOf]
+) -> None:
+    number = p.Scalar(
+        "uint", head.offset, head.size, _order(head.order), _int_bits(head.offset, head.size, head.order)
+    )
+    pattern = head.pattern
+    if pattern is not None and not pattern.captures:
+        raw = head.bytes(pattern.constant)
+        constants.extend(p.Constant(head.offset + i, 0xFF, byte) for i, byte in enumerate(raw))
+        return
+    if pattern is not None:
+        values = _numbers(pattern)
+        if values is not None:
+            one_of.append(p.OneOf(number, values))
+        if not head.is_own:
+            fields.extend(
+                _capture_field(cap, pattern.constant, pattern.captures, number) for cap in pattern.captures
+            )
+            return
+    if head.name is not None and is_shown:
+        scalar = _scalar(head.field, head.offset)
+        fields.append(p.PlanField(head.name, scalar, doc=head.field.docs or ""))
+
+
+def _numbers(pattern: IdPattern) -> tuple[int, ...] | range | None:
+    """The numbers of a pattern; one capture of a range stays a range, however long. None: too many to list."""
+    if len(pattern) > 4096 and len(pattern.captures) == 1:
+        values, shift = pattern.captures[0].values, pattern.captures[0].shift
+        if isinstance(values, range) and values.step > 0:
+            first, last = pattern.constant + (values[0] << shift), pattern.constant + (values[-1] << shift)
+            return range(first, last + 1, values.step << shift)
+    return tuple(sorted(pattern)) if len(pattern) <= 65536 else None
+
+
+def _capture_field(
+    capture: IdField, constant: int, captures: tuple[IdField, ...], number: p.Scalar | None
+) -> p.PlanField:
+    steps: tuple[p.Step, ...] = ()
+    if isinstance(capture.quantity, Enumeration):
+        steps = (p.ValueNames(tuple((v, k) for k, v in capture.quantity.names.items())),)
+    elif capture.quantity is not None:
+        steps = (_scale(capture.quantity),)
+    node = p.FromIdentifier(
+        constant, capture.shift, capture.width, len(captures) == 1, steps, capture.unit, number
+    )
+    return p.PlanField(capture.name, node, doc=capture.doc)
+
+
+def _scale(quantity: Quantity) -> p.Scale:
+    return p.Scale(
+        quantity.scale,
+        quantity.offset,
+        quantity.unknown,
+        quantity.range,
+        quantity.raw_range,
+        quantity.rounding,
+        tuple((value, name) for name, value in quantity.names.items()),
+    )
+
+
+def _order(order: str) -> Any:
+    return "big" if order == "big" else "little"
+
+
+def _int_bits(offset: int, size: int, order: str) -> tuple[int, ...]:
+    return (
+        p.big_endian_bits(offset, size) if order == "big" else tuple(range(8 * offset, 8 * (offset + size)))
+    )
+
+
+def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
+    """The construct below the known adapters, the steps from it outward, unit and doc."""
+    steps: list[p.Step] = []
+    unit = doc = ""
+    while True:
+        if isinstance(con, c.Renamed):
+            doc = doc or con.docs or ""
+            con = con.subcon
+        elif isinstance(con, (c.Default, Counter)):
+            con = con.subcon
+        elif isinstance(con, Quantity):
+            doc = doc or con.docs or ""
+            unit = unit or con.unit
+            steps.append(_scale(con))
+            con = con.subcon
+        elif isinstance(con, SignMagnitude):
+            steps.append(p.Magnitude(con.width))
+            con = con.subcon
+        elif isinstance(con, Enumeration):
+            steps.append(p.ValueNames(tuple((v, k) for k, v in con.names.items())))
+            con = con.subcon
+        elif isinstance(con, Flags):
+            steps.append(p.FlagBits(tuple(con.names.items())))
+            con = con.subcon
+        else:
+            return con, steps[::-1], unit, doc
+
+
+def scalar_of(con: c.Construct, offset: int) -> p.Scalar:
+    """One value of fixed size, such as a register's; raises `NotFlat` with the reason."""
+    return _scalar(con, offset)
+
+
+def _scalar(con: c.Construct, offset: int) -> p.Scalar:
+    inner, steps, unit, _ = _peel(con)
+    found = tuple(steps)
+    if isinstance(inner, Text):
+        return p.Scalar("text", offset, inner.size, unit=unit)
+    if isinstance(inner, c.FormatField):
+        kind = inner.fmtstr[-1:]
+        order = "little" if inner.fmtstr.startswith("<") else "big"
+        if inner.fmtstr.startswith("="):
+            raise NotFlat("native byte order")
+        if kind in "efd":
+            return p.Scalar("float", offset, inner.length, _order(order), steps=found, unit=unit)
+        if kind in "BbHhLlQq":
+            signed = kind.islower()
+            return p.Scalar(
+                "int" if signed else "uint",
+                offset,
+                inner.length,
+                _order(order),
+                _int_bits(offset, inner.length, order),
+                found,
+                unit,
+            )
+    if (
+        isinstance(inner, c.BytesInteger)
+        and isinstance(inner.length, int)
+        and isinstance(inner.swapped, bool)
+    ):
+        order = "little" if inner.swapped else "big"
+        number = _int_bits(offset, inner.length, order)
+        if inner.signed:
+            return p.Scalar("int", offset, inner.length, _order(order), number, found, unit)
+        return p.Scalar("uint", offset, inner.length, _order(order), number, found, unit)
+    if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
+        return p.Scalar("bytes", offset, inner.length)
+    if inner is c.GreedyBytes and not steps:
+        return p.Scalar("bytes", offset, None)
+    raise NotFlat(f"{type(inner).__name__} has no flat form")
+
+
+class _Builder:
+    """Walks a payload, keeping the offset of the next field."""
+
+    def __init__(self, message: Message, tail: int) -> None:
+        self.message = message
+        self.fields: list[p.PlanField] = []
+        self.constants: list[p.Constant] = []
+        #: A set that keeps its order.
+        self.selectors: dict[p.Selector, None] = {}
+        #: When the construct that is being walked is there.
+        self.outer: p.When | None = None
+        self.split: p.DelimitedSplit | None = None
+        self.lengths_by: tuple[p.Selector, tuple[tuple[int, int], ...], int] | None = None
+        self.offset = message.payload_start
+        self.is_open = False
+        self.tail = tail
+        self._shapes: dict[tuple[str, tuple[str, ...]], str] = {}
+
+    @property
+    def size(self) -> int:
+        return self.offset - self.message.payload_start
+
+    least = size
+
+    def payload(self, con: c.Construct) -> None:
+        if isinstance(con, c.Struct):
+            self.fields = self._struct(con, self.message.name, top=True)
+        elif isinstance(con, BitLayout):
+            self.fields = self._layout(con, self.message.name)
+        else:
+            assert isinstance(con, d.Delimited)
+            self._delimited(con)
+
+    def _advance(self, size: int | None) -> None:
+        if size is None:
+            self.is_open = True
+        else:
+            self.offset += size
+
+    def _struct(self, struct: c.Struct, path: str, *, top: bool) -> list[p.PlanField]:
+        fields: list[p.PlanField] = []
+        overlay: dict[int, int] | None = None
+        selector: p.Selector | None = None
+        base = 0
+        for item in struct.subcons:
+            name = item.name
+            body = item.subcon if isinstance(item, c.Renamed) else item
+            if body is c.Terminated:
+                continue
+            if self.is_open:
+                raise NotFlat(f"{name or body!r} stands behind a field of open size")
+            if isinstance(body, Multiplexed):
+                if not top or (selector is not None and selector.name != body.selector):
+                    raise NotFlat("nested multiplexing")
+                if overlay is None or selector is None:
+                    overlay, base = {}, self.offset
+                    selector = self._select(body.selector, fields)
+                starts = {overlay.get(value, 0) for value in body.when}
+                if len(starts) != 1:
+                    raise NotFlat(f"{name} stands at several places")
+                start = starts.pop()
+                self.offset = base + start
+                known = len(self.constants)
+                when = p.When(selector, tuple(sorted(map(int, body.when))))
+                outer, self.outer = self.outer, when
+                node = self._node(body.body, f"{path}_{name}")
+                self.outer = outer
+                if len(self.constants) > known:
+                    del self.constants[known:]
+                    raise NotFlat(f"{name} is multiplexed and has a constant")
+                if self.is_open:
+                    raise NotFlat(f"{name} is multiplexed and of open size")
+                for value in body.when:
+                    overlay[value] = self.offset - base
+                fields.append(p.PlanField(name, node, item.docs or "", when))
+                continue
+            if overlay is not None:
+                raise NotFlat(f"{name} stands behind multiplexed fields")
+            if name is None:
+                self._constant(body)
+                continue
+            if isinstance(body, c.Const):
+                self._constant(body)
+                fields.append(p.PlanField(name, _scalar(body.subcon, self.offset - int(body.sizeof()))))
+                continue
+            fields.append(p.PlanField(name, self._node(item, f"{path}_{name}"), self._doc(item)))
+        if overlay is not None and selector is not None:
+            self.offset = base
+            total = base + self.tail
+            self.lengths_by = (selector, tuple((v, total + n) for v, n in sorted(overlay.items())), total)
+        return fields
+
+    @staticmethod
+    def _doc(item: c.Construct) -> str:
+        return _peel(item)[3]
+
+    def _select(self, name: str, fields: list[p.PlanField]) -> p.Selector:
+        for field in fields:
+            node = field.node
+            if field.name == name and isinstance(node, p.Scalar) and node.kind in ("uint", "int"):
+                found = p.Selector(name, node, self.outer)
+                self.selectors[found] = None
+                return found
+        raise NotFlat(f"selector {name!r} is not a plain integer")
+
+    def _constant(self, body: c.Construct) -> None:
+        if not isinstance(body, c.Const):
+            raise NotFlat(f"{body!r} has no name")
+        raw = body.build(None)
+        self.constants += [p.Constant(self.offset + i, 0xFF, byte) for i, byte in enumerate(raw)]
+        self._advance(len(raw))
+
+    def _node(self, con: c.Construct, path: str) -> p.Node:
+        body = con
+        while isinstance(body, (c.Renamed, c.Default)):
+            body = body.subcon
+        if isinstance(body, c.Struct):
+            return self._group(path, self._struct(body, path, top=False))
+        if isinstance(body, BitLayout):
+            return self._group(path, self._layout(body, path))
+        if isinstance(body, c.Array) and isinstance(body.count, int):
+            if body.count > 64:
+                raise NotFlat(f"an array of {body.count}")
+            return p.Many(tuple(self._node(body.subcon, path) for _ in range(body.count)))
+        scalar = _scalar(con, self.offset)
+        self._advance(scalar.size)
+        return scalar
+
+    def _group(self, path: str, fields: list[p.PlanField]) -> p.NestedRecord:
+        """A nested record. Its type is named after its path; where two paths read alike, the second gets a number."""
+        shape = (path, tuple(field.name for field in fields))
+        name, count = self._shapes.get(shape, path), 1
+        while shape not in self._shapes and name in self._shapes.values():
+            count += 1
+            name = f"{path}_{count}"
+        self._shapes[shape] = name
+        return p.NestedRecord(name, tuple(fields))
+
+    def _layout(self, layout: BitLayout, path: str) -> list[p.PlanField]:
+        found: dict[str, list[p.Scalar]] = {}
+        whens: dict[str, p.When | None] = {}
+        docs: dict[str, str] = {}
+        always = 0
+        masks: dict[p.Selector, dict[int, int]] = {}
+        for slot in layout.slots:
+            scalar, docs[slot.name] = self._slot(slot, layout)
+            found.setdefault(slot.name, []).append(scalar)
+            mux = slot.mux
+            whens[slot.name] = None
+            if mux is None:
+                always |= slot.mask
+                continue
+            number = found[mux.selector][0]
+            if number.kind == "float":
+                raise NotFlat(f"selector {mux.selector!r} is not a plain integer")
+            selector = p.Selector(mux.selector, number, whens[mux.selector] or self.outer)
+            self.selectors[selector] = None
+            whens[slot.name] = p.When(selector, tuple(sorted(map(int, mux.when))))
+            by_value = masks.setdefault(selector, {})
+            for value in mux.when:
+                by_value[value] = by_value.get(value, 0) | slot.mask
+        fields = []
+        for name in layout.names:
+            nodes = found[name]
+            node: p.Node = p.Many(tuple(nodes)) if name in layout.many else nodes[0]
+            fields.append(p.PlanField(name, node, docs[name], whens[name]))
+        if layout.has_reserved:
+            rest = p.Rest(self.offset, layout.size, *_claims(always, masks, self.outer))
+            fields.append(p.PlanField("reserved", rest, "bits without a field"))
+        self._advance(layout.size)
+        if layout.trailing:
+            behind = p.Scalar("bytes", self.offset, None)
+            fields.append(p.PlanField(layout.trailing, behind, "bytes behind the declared ones"))
+            self._advance(None)
+        return fields
+
+    def _slot(self, slot: LayoutSlot, layout: BitLayout) -> tuple[p.Scalar, str]:
+        """A field of a layout as the plan has it, and what it means."""
+        inner, steps, unit, doc = _peel(slot.field)
+        doc = slot.doc or doc
+        assert isinstance(inner, Bits)
+        bits = tuple(8 * self.offset + q for q in slot.positions)
+        if not inner.is_float:
+            kind: Any = "int" if inner.signed else "uint"
+            # A field that is its whole layout may be plain bytes, the highest first.
+            is_big = layout.size > 1 and bits == p.big_endian_bits(self.offset, layout.size)
+            way: Any = "big" if is_big else "little"
+            return p.Scalar(kind, self.offset, layout.size, way, bits, tuple(steps), unit), doc
+        start, size = min(bits) // 8, len(bits) // 8
+        for order in ("little", "big"):
+            if bits == _int_bits(start, size, order):
+                return p.Scalar("float", start, size, _order(order), (), tuple(steps), unit), doc
+        return p.Scalar("float", self.offset, layout.size, "little", bits, tuple(steps), unit), doc
+
+    def _delimited(self, con: d.Delimited) -> None:
+        most = None if con.more else len(con.fields)
+        self.split = p.DelimitedSplit(self.offset, self.tail, con.separator, con.lead, con.least, most)
+        for index, item in enumerate(con.fields):
+            field = item.subcon
+            conversion: Any = {
+                d.AsciiNumber: "number",
+                d.AsciiInteger: "integer",
+                d.AsciiDegrees: "degrees",
+                d.AsciiEnumeration: "names",
+                d.AsciiText: "text",
+            }.get(type(field))
+            if conversion is None:
+                raise NotFlat(f"{type(field).__name__} has no flat form")
+            names = tuple(field.values.items()) if isinstance(field, d.AsciiEnumeration) else ()
+            form = "" if conversion in ("text", "names") else field.form
+            self.fields.append(
+                p.PlanField(
+                    item.name,
+                    p.DelimitedField(index, conversion, form, names, field.unit, index >= con.least),
+                    item.docs or field.docs or "",
+                )
+            )
+        if con.more:
+            self.fields.append(
+                p.PlanField("more", p.MoreCells(len(con.fields)), "fields beyond the declared ones")
+            )
+        self.is_open = True

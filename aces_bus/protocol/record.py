@@ -1,0 +1,135 @@
+"""What scanners give: records, and `Unknown` for what is no message.
+
+1. A record is immutable. Its fields are attributes; everything of the transport is under `meta`.
+2. Making one costs as little as Python allows: `meta` is put together when somebody asks.
+
+Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN identifier with the flags of
+`aces_bus.protocol.keys`; of a stream the packet's offset), `_raw` and `_rx`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from decimal import Decimal
+from math import isfinite
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from .declare.fields import FlagSet
+from .keys import EXTENDED, FD, REMOTE
+
+if TYPE_CHECKING:
+    from .declare.message import Message
+
+
+class Meta(msgspec.Struct, frozen=True, gc=False):
+    """The transport's side of a record.
+
+    `time` is in seconds, as the capture or the adapter has it, None when unknown. `offset` and `size` are in bytes and
+    only of streams; `identifier`, `extended` and `fd` only of CAN. `direction` is "to device", "from device" or None.
+    `raw` are the data bytes (CAN) or the packet as it stood on the wire (streams).
+    """
+
+    protocol: str | None
+    message: str | None
+    time: float | None
+    channel: str | None
+    direction: str | None
+    raw: bytes
+    identifier: int | None = None
+    extended: bool = False
+    fd: bool = False
+    remote: bool = False
+    is_rx: bool | None = None
+    offset: int | None = None
+    size: int | None = None
+
+    @property
+    def time_ns(self) -> int | None:
+        """The same instant in integer nanoseconds, exactly as the decimal digits of `time` say; None where it has none."""
+        if self.time is None or not isfinite(self.time):
+            return None
+        return int(Decimal(repr(float(self.time))).scaleb(9))
+
+
+class Record(msgspec.Struct, frozen=True, gc=False):
+    """The base of all records; one subclass a message is generated from its plan."""
+
+    _protocol: ClassVar[str] = ""
+    _direction: ClassVar[str | None] = None
+    _is_stream: ClassVar[bool] = False
+    #: The message it is a record of.
+    _declared: ClassVar[Message]
+
+    @property
+    def meta(self) -> Meta:
+        """Time, channel, identifier or offset, raw bytes: see `Meta`."""
+        kind = type(self)
+        head = (kind._protocol, kind.__name__, self._time, self._channel, kind._direction, self._raw)  # type: ignore[attr-defined]
+        key: int = self._key  # type: ignore[attr-defined]
+        is_rx: bool | None = self._rx  # type: ignore[attr-defined]
+        if kind._is_stream:
+            return Meta(*head, is_rx=is_rx, offset=key, size=len(head[-1]))
+        return Meta(*head, key & 0x1FFF_FFFF, bool(key & EXTENDED), bool(key & FD), bool(key & REMOTE), is_rx)
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{name}={getattr(self, name)!r}" for name in field_names(type(self)))
+        return f"{type(self).__name__}({inside})"
+
+
+class Part(msgspec.Struct, frozen=True, gc=False):
+    """The base of nested records."""
+
+
+class Unknown(msgspec.Struct, frozen=True, gc=False):
+    """Bytes or a frame that no message claims, with the reason: nothing vanishes.
+
+    `reason` is "unknown", "unknown: needs request A|B", "malformed: <why>", "skipped", "pending" or "error frame".
+    """
+
+    reason: str
+    meta: Meta
+
+    @property
+    def kind(self) -> str:
+        """The bin of the accounting that this falls into."""
+        return "errors" if self.reason == "error frame" else self.reason.partition(":")[0]
+
+    def __repr__(self) -> str:
+        return f"Unknown(reason={self.reason!r}, raw={self.meta.raw.hex()})"
+
+
+def field_names(kind: type[msgspec.Struct]) -> tuple[str, ...]:
+    """The names of a record type's fields."""
+    return tuple(name for name in kind.__struct_fields__ if not name.startswith("_"))
+
+
+def as_dict(record: msgspec.Struct) -> dict[str, Any]:
+    """A record's fields as plain values: nested records as dicts, tuples as lists."""
+    return {name: _plain(getattr(record, name)) for name in field_names(type(record))}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, msgspec.Struct):
+        return as_dict(value)
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
+    """What construct parsed, as records have it: containers become nested records, lists tuples."""
+    if isinstance(value, dict):
+        inside = {
+            str(k): from_container(v, types, f"{path}_{k}")
+            for k, v in value.items()
+            if not str(k).startswith("_")
+        }
+        return types[path, tuple(inside)](**inside)
+    if isinstance(value, list):
+        return tuple(from_container(item, types, path) for item in value)
+    return value
+
+
+__all__ = ["FlagSet", "Meta", "Part", "Record", "Unknown", "as_dict", "field_names", "from_container"]

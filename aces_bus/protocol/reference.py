@@ -1,0 +1,262 @@
+"""The slow, obvious truth: what every scanner must give, through construct alone.
+
+*At the lowest undecided offset try the templates in declared order, protocols in the order they were given. One that is
+complete and whose check holds: accept, consume. All dead: skip one byte. Any still incomplete: wait.*
+
+1. Nothing here is generated, cached or fast; nothing here is shared with the generated scanners except the spec.
+2. It works on whole inputs; that a scanner may be fed in pieces is the scanner's business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from construct import ConstructError
+
+from ..errors import AcesError
+from .declare.ambiguity import needing_context
+from .declare.framing import Framing, Verdict
+from .declare.message import Direction, Message
+from .declare.order import ordered
+from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, can_image
+from .declare.protocol import Variant
+from .live.context import Context
+
+
+@dataclass(frozen=True)
+class ReferenceItem:
+    """One thing in the input: a message with its fields, or a loss with its reason.
+
+    `offset` and `size` are in bytes (streams), or the frame's number and 1 (CAN).
+    """
+
+    offset: int
+    size: int
+    message: str | None
+    fields: Mapping[str, Any] | None
+    reason: str = ""
+    protocol: str | None = None
+
+
+class Reference:
+    """Reads whole inputs by the reference rule."""
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        raw: bool = False,
+    ) -> None:
+        self.raw = raw
+        self.sides = []
+        for variant in variants:
+            messages = ordered(variant.messages_for(direction))
+            contextual = needing_context(messages)
+            context = Context(messages, contextual, variant.protocol.broadcast)
+            self.sides.append((variant, messages, contextual, context))
+
+    # ------------------------------------------------------------------ one packet
+
+    def _decode(
+        self, image: bytes, channel: Any, time: float | None, framing: Framing | None
+    ) -> tuple[str, Message | None, Any]:
+        """(reason, message, fields) of one whole packet."""
+        lost = "unknown"
+        for _, messages, contextual, context in self.sides:
+            fitting = []
+            plain = None
+            problem = ""
+            for message in messages:
+                if message.framing is not framing:
+                    continue
+                try:
+                    values = message.struct.parse(image, raw=True)
+                except NotThisError:
+                    continue
+                except LengthError:
+                    size = len(image) - 5
+                    problem = (
+                        problem or f"malformed: length {size}, {message.name} has {message.describe_lengths}"
+                    )
+                    continue
+                except WrongCheckError:
+                    problem = problem or "malformed: checksum"
+                    continue
+                except (ConstructError, AcesError) as error:
+                    values = (
+                        self._by_request(context, message, image, channel, time)
+                        if message.name in contextual
+                        else None
+                    )
+                    if values is None:
+                        if isinstance(error, ContentError) and error.what and not message.request_fields:
+                            problem = problem or f"malformed: {error.what}"
+                        continue
+                if message.name in contextual:
+                    fitting.append((message, values))
+                elif plain is None:
+                    plain = (message, values)
+            if fitting:
+                chosen = context.of(fitting, channel, time)
+                if chosen is not None:
+                    return self._accepted(context, chosen[0], image, channel, time, chosen[1])
+            if plain is not None:
+                return self._accepted(context, plain[0], image, channel, time, None)
+            if fitting:
+                problem = context.needs([m for m, _ in fitting])
+            if framing is not None and problem.startswith("malformed"):
+                problem = ""
+            if lost == "unknown" and problem:
+                lost = problem
+        return lost, None, None
+
+    @staticmethod
+    def _by_request(
+        context: Context, message: Message, image: bytes, channel: Any, time: float | None
+    ) -> Any:
+        """A reply whose layout is in its request, read with the request that is waiting for it; None when it is not one."""
+        if message.framing is None:
+            outer = message.outer(image[5:], int.from_bytes(image[:4], "big") & 0x1FFF_FFFF)
+        else:
+            outer = message.outer(message.framing.logical(image), 0)
+        request = (
+            context.pending(message, outer, channel, time)
+            if outer is not None and message.request_fields
+            else None
+        )
+        try:
+            return message.struct.parse(image, raw=True, request=request) if request is not None else None
+        except (ConstructError, AcesError):
+            return None
+
+    def _accepted(
+        self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
+    ) -> tuple[str, Message, Any]:
+        if message.name in context.answers or message.name in context.requests:
+            values = message.struct.parse(image, raw=True, request=request)
+            if message.name in context.answers:
+                context.of([(message, values)], channel, time)
+            if message.name in context.requests:
+                context.note(message.name, channel, time, values)
+        return "", message, message.struct.parse(image, raw=self.raw, request=request)
+
+    def sent(self, image: bytes, channel: Any = None, time: float | None = None) -> None:
+        """Our own transmission (on CAN its image): a request that replies may hang on."""
+        for variant, _, _, context in self.sides:
+            for message in ordered(variant.messages.values()):
+                if message.name in context.requests:
+                    try:
+                        values = message.struct.parse(image, raw=True)
+                    except (ConstructError, AcesError):
+                        continue
+                    context.note(message.name, channel, time, values)
+                    return
+
+    # ------------------------------------------------------------------ frames
+
+    def frames(self, frames: Iterable[Any]) -> list[ReferenceItem]:
+        """What each frame is."""
+        found = []
+        for number, frame in enumerate(frames):
+            if frame.is_error_frame:
+                found.append(ReferenceItem(number, 1, None, None, "error frame"))
+                continue
+            image = can_image(
+                frame.arbitration_id,
+                bytes(frame.data),
+                extended=frame.is_extended_id,
+                remote=frame.is_remote_frame,
+                fd=frame.is_fd,
+            )
+            reason, message, fields = self._decode(image, frame.channel, frame.timestamp, None)
+            name = message.name if message is not None else None
+            found.append(
+                ReferenceItem(
+                    number, 1, name, fields, reason, message.protocol.name if message is not None else None
+                )
+            )
+        return found
+
+    # ------------------------------------------------------------------ bytes
+
+    def stream(
+        self, data: bytes, *, idle_at: Sequence[int] = (), sent_at: Sequence[tuple[int, bytes]] = ()
+    ) -> list[ReferenceItem]:
+        """What each byte is, the stream being closed at its end and falling silent after `idle_at` bytes.
+
+        `sent_at` are our own transmissions: how many bytes had come before, and the packet. At the same place silence
+        comes first.
+        """
+        found: list[ReferenceItem] = []
+        start = 0
+        events: list[tuple[int, bytes | None]] = [(offset, None) for offset in idle_at]
+        for offset, packet in sorted([*events, *sent_at], key=lambda e: (e[0], e[1] is not None)):
+            start = self._until(data[:offset], start, found, silent=packet is None)
+            if packet is not None:
+                self.sent(packet)
+        start = self._until(data, start, found, silent=True)
+        for index, item in enumerate(found):
+            behind = found[index:]
+            if item.reason == "malformed: incomplete" and not any(
+                f.message or f.reason.startswith("unknown") for f in behind
+            ):
+                if item.offset >= (max(idle_at) if idle_at else 0) or not idle_at:
+                    return [
+                        *found[:index],
+                        ReferenceItem(item.offset, len(data) - item.offset, None, None, "pending"),
+                    ]
+        return found
+
+    def _until(self, data: bytes, start: int, found: list[ReferenceItem], *, silent: bool) -> int:
+        """Decide what can be decided of `data`: all of it when the line falls silent behind it."""
+        while start < len(data):
+            item = self._at(data, start, silent=silent)
+            if item is None:
+                break
+            found.append(item)
+            start += item.size
+        return start
+
+    def _at(self, data: bytes, start: int, *, silent: bool) -> ReferenceItem | None:
+        bad = ""
+        unclaimed: ReferenceItem | None = None
+        for variant, messages, _, _ in self.sides:
+            framings = dict.fromkeys(m.framing for m in messages if m.framing is not None)
+            for framing in framings:
+                extras: dict[int, bytes] | None = None
+                for message in messages:
+                    if message.framing is framing and message.extras is not None:
+                        extras = {**(extras or {}), **message.extras}
+                judged = framing.judge(data, start, silent=silent, extras=extras)
+                if judged.verdict is Verdict.MORE:
+                    if not silent:
+                        return None
+                    bad = bad or "malformed: incomplete"
+                elif judged.verdict is Verdict.BAD:
+                    bad = bad or f"malformed: {judged.reason}"
+                elif judged.verdict is Verdict.WHOLE:
+                    packet = data[start : start + judged.size]
+                    side = [s for s in self.sides if s[0] is variant]
+                    reason, decoded, fields = self._of_side(side, packet, framing)
+                    if decoded is not None:
+                        return ReferenceItem(start, judged.size, decoded.name, fields, "", variant.name)
+                    if unclaimed is None:
+                        unclaimed = ReferenceItem(start, judged.size, None, None, reason)
+                    elif unclaimed.reason == "unknown":
+                        unclaimed = replace(unclaimed, reason=reason)
+        if unclaimed is not None:
+            return unclaimed
+        return ReferenceItem(start, 1, None, None, bad or "skipped")
+
+    def _of_side(self, side: list[Any], packet: bytes, framing: Framing) -> tuple[str, Message | None, Any]:
+        sides, self.sides = self.sides, side
+        try:
+            return self._decode(packet, None, None, framing)
+        finally:
+            self.sides = sides
+
+
+__all__ = ["Reference", "ReferenceItem"]

@@ -1,1 +1,0 @@
-"""Running: scanners for frames and streams, and the slow truth they must equal."""

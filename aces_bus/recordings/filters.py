@@ -1,0 +1,147 @@
+"""candump's frame filters: `can0,060:7F0,150~7FF,#FFFFFFFF,j`.
+
+1. The rules are SocketCAN's, bit for bit, on the 32-bit identifier: EFF 0x80000000, RTR 0x40000000, 29 bits.
+2. An identifier of eight digits has EFF set; the mask alone says whether that is compared (12345678:DFFFFFFF).
+
+    id:mask   passes when received & mask == id & mask    123:7FF       also extended and remote frames with these bits
+    id~mask   passes when they differ                     123:C00007FF  only the standard data frame 123
+    #mask     passes error frames of these classes        #FFFFFFFF     all of them
+    j         all filters must pass, instead of any
+    can0      in front: only this interface (`any`: all)
+
+*Facts*: Linux Documentation/networking/can.rst §4.1.1 and net/can/af_can.c; candump's help text. As there, error frames
+pass no id filter, only `#mask`; a `#mask` without id filters lets all data frames pass.
+*Choice*: an interface alone lets its error frames pass. candump never records these unless asked, so a log that has
+them wants them. `0x` in front of an identifier is not counted as two of its digits.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from ..errors import CallerError
+
+EFF, RTR, ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
+_SFF_MASK = 0x7FF
+
+_RULE = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{1,8})([:~])(?:0[xX])?([0-9A-Fa-f]{1,8})")
+_ERRORS = re.compile(r"#(?:0[xX])?([0-9A-Fa-f]{1,8})")
+_HEX = re.compile(r"(?:0[xX])?[0-9A-Fa-f]+")
+_HELP = (
+    "write id:mask (060:7F0), id~mask (150~7FF, all others), #errormask (#FFFFFFFF) or j (all must pass), "
+    "joined by commas, an interface in front if wanted: can0,060:7F0"
+)
+
+
+class FilterWord(Protocol):
+    """What a filter looks at: a `Frame` or a python-can `Message`."""
+
+    @property
+    def arbitration_id(self) -> int: ...
+    @property
+    def is_extended_id(self) -> bool: ...
+    @property
+    def is_remote_frame(self) -> bool: ...
+    @property
+    def is_error_frame(self) -> bool: ...
+    @property
+    def channel(self) -> object: ...
+
+
+class _Rule(NamedTuple):
+    wanted: int  # already masked
+    mask: int
+    inverted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Set:
+    """The filters of one interface."""
+
+    interface: str | None
+    rules: tuple[_Rule, ...]
+    error_mask: int | None
+    join: bool
+
+    def matches(self, frame: FilterWord) -> bool:
+        if self.interface is not None and str(frame.channel) != self.interface:
+            return False
+        if frame.is_error_frame:
+            if self.error_mask is None:
+                return not self.rules
+            return bool((frame.arbitration_id | ERR) & self.error_mask)
+        if not self.rules:
+            return True
+        word = frame.arbitration_id
+        if frame.is_extended_id:
+            word |= EFF
+        if frame.is_remote_frame:
+            word |= RTR
+        for wanted, mask, inverted in self.rules:
+            if (word & mask == wanted) is inverted:
+                if self.join:
+                    return False
+            elif not self.join:
+                return True
+        return self.join
+
+
+@dataclass(frozen=True, slots=True)
+class CanFilter:
+    """What passes: a frame that one of the sets lets pass. Made by `parse_filter`."""
+
+    texts: tuple[str, ...]
+    sets: tuple[_Set, ...]
+
+    def matches(self, frame: FilterWord) -> bool:
+        """Whether the frame passes."""
+        return any(one.matches(frame) for one in self.sets)
+
+
+def parse_filter(*texts: str) -> CanFilter:
+    """Filters as candump takes them, one text an interface; a frame passes when one of the texts lets it. What stands in
+    front of others without a mask is an interface, also where it is a number (`0,060:7F0`), as formats with numbers have it.
+
+    Raises `CallerError`, with what can be written, on anything else.
+
+    >>> from aces_bus.frames import Frame
+    >>> boards = parse_filter("060:7F0")
+    >>> [boards.matches(Frame(id)) for id in (0x05F, 0x060, 0x06F, 0x070)]
+    [False, True, True, False]
+    """
+    if not texts:
+        raise CallerError(f"no filter given; {_HELP}")
+    return CanFilter(texts, tuple(_parse(text) for text in texts))
+
+
+def _parse(text: str) -> _Set:
+    interface: str | None = None
+    rules: list[_Rule] = []
+    error_mask: int | None = None
+    join = False
+    for place, token in enumerate(part.strip() for part in text.split(",")):
+        if found := _RULE.fullmatch(token):
+            rules.append(_rule(*found.groups()))
+        elif found := _ERRORS.fullmatch(token):
+            error_mask = int(found[1], 16)
+        elif token in ("j", "J"):
+            join = True
+        elif _HEX.fullmatch(token) and (place > 0 or "," not in text):
+            exact = f"{token}:{'DFFFFFFF' if len(token) == 8 else '7FF'}"
+            raise CallerError(f"filter {text!r}: {token!r} has no mask; for this identifier alone: {exact}")
+        elif place == 0 and token and not re.search(r"[:~#\s]", token):
+            interface = None if token == "any" else token
+        else:
+            raise CallerError(f"filter {text!r}: {token!r} is not a filter; {_HELP}")
+    return _Set(interface, tuple(rules), error_mask, join)
+
+
+def _rule(digits: str, sign: str, mask_digits: str) -> _Rule:
+    wanted, mask = int(digits, 16), int(mask_digits, 16) & ~ERR
+    if len(digits) == 8:
+        wanted |= EFF
+    if mask & EFF and not wanted & EFF:  # only standard frames: the kernel clears bits that they do not have
+        mask &= _SFF_MASK | EFF | RTR
+    return _Rule(wanted & mask, mask, sign == "~")

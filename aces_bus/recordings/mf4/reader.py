@@ -1,0 +1,216 @@
+"""ASAM MDF 4 with CAN bus logging (`.mf4`): nearly all files are read here, the rest by asammdf in a process of its own.
+
+1. asammdf is never imported here: where it is loaded before python-can, python-can loses its `.mf4`.
+2. Which way a file goes is decided before its first frame; frames and counts are the same either way.
+3. Damaged and hostile files cost a refusal here, or the other process: its memory is limited (`child.MEMORY` on top of
+   the libraries; not on Windows, which has no such limit), and it is stopped when it says nothing for too long.
+4. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its
+   group.
+5. What is not understood is refused by name. A group of frames with a channel that cannot be read as the file means it (a
+   formula as its conversion, an unknown data type) is unreadable, record by record; so is a record with a field that has
+   no value, or that is not in the file. `_mf4_group.py` decides that for both ways, and it alone.
+
+Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read;
+`mdf4.py` says which need asammdf. A channel is named by its number, "1", as with python-can; in
+files of our own it has the name it had.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any, BinaryIO, ClassVar
+
+import numpy as np
+
+from ...errors import CaptureError
+from ...frame_table import FrameTable
+from ..base import PROBLEMS_KEPT, CanRecording, UnreadableEntry, printable_start
+from ..source import ByteSource
+from ..spool import on_disk
+from . import child as child
+from .arrays import BusLog
+from .tree import MAGIC, Damaged, UnusualFile
+
+#: Seconds without a word after which the other process is stopped: so many, and one more for so many bytes of the file, as
+#: unsorted files are sorted before anything is said.
+PATIENCE = 60.0
+SLOWEST = 10_000_000
+#: A message is some 5 MB; a longer one would be a fault.
+_MESSAGE = 1 << 28
+
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
+    " from aces_bus.recordings.mf4.child import run_child; run_child(sys.argv[2:])"
+)
+
+
+def looks_like_mf4(head: bytes) -> bool:
+    """Whether these are the first bytes of an MDF file, of whatever version, finished or not."""
+    return head[:8] in MAGIC
+
+
+class Mf4Capture(CanRecording):
+    """CAN frames of an MDF 4 bus log.
+
+    Reading raises `CaptureError` when the file cannot be read or holds no bus logging, when it is not an ordinary one and
+    asammdf is not installed, and when reading it takes more memory, disk or time than is allowed. What does not come from
+    a plain file is kept in a temporary one.
+    """
+
+    format: ClassVar[str] = "MF4"
+
+    def __init__(self, source: ByteSource) -> None:
+        super().__init__(source)
+        self._patience = PATIENCE
+        self._why = ""
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def close(self) -> None:
+        """Close the file, and stop the process that reads it."""
+        super().close()
+        if self._process is not None:
+            _stop(self._process)
+
+    def _launch(self, folder: str, path: str) -> subprocess.Popen[bytes]:
+        try:
+            return _start(folder, [path])
+        except OSError as error:
+            raise CaptureError(
+                f"{self.name}: an MF4 file is read by another process, and {sys.executable or 'Python'} cannot be"
+                f" started: {error}"
+            ) from error
+
+    def _tables(self) -> Iterator[FrameTable]:
+        with on_disk(self._source) as (path, folder):
+            try:
+                with open(path, "rb") as file:
+                    if (log := self._ordinary(file)) is not None:
+                        yield from log.tables(self, folder, self._lose)
+            except OverflowError:
+                raise self._refusal("sorting its mixed groups needs more room than is allowed") from None
+            except OSError as error:
+                raise CaptureError(f"{self.name}: reading stopped: {error.strerror or error}") from error
+            if log is None:
+                yield from self._through_asammdf(folder, path)
+        self.close()
+
+    def _ordinary(self, file: BinaryIO) -> BusLog | None:
+        """What can be read here; None where another must, and `_why` says why."""
+        try:
+            return BusLog(file, os.fstat(file.fileno()).st_size)
+        except UnusualFile as reason:
+            self._why = str(reason)
+            return None
+        except Damaged as error:
+            raise self._refusal(str(error)) from None
+
+    def _through_asammdf(self, folder: str, path: str) -> Iterator[FrameTable]:
+        process = self._process = self._launch(folder, path)
+        self._patience = PATIENCE + os.path.getsize(path) / SLOWEST
+        try:
+            yield from self._read(process)
+        finally:
+            _stop(process)
+
+    def _lose(self, number: int, reason: str, count: int) -> None:
+        self.lines_unreadable += count
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(UnreadableEntry(number, reason, ""))
+
+    def _read(self, process: subprocess.Popen[bytes]) -> Iterator[FrameTable]:
+        """The tables of one file; returns at its end."""
+        while True:
+            kind, body = self._message(process)
+            if kind == child.END:
+                return
+            if kind == child.ERROR_SAID:
+                raise self._refusal(body.decode("utf-8", "replace"))
+            if kind == child.COUNTS:
+                self._count(json.loads(body))
+            else:
+                yield self._table(body)
+
+    def _message(self, process: subprocess.Popen[bytes]) -> tuple[bytes, bytes]:
+        assert process.stdout is not None
+        is_over = threading.Event()
+
+        def stop() -> None:
+            is_over.set()
+            process.kill()
+
+        timer = threading.Timer(self._patience, stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            head = process.stdout.read(child.HEAD.size)
+            kind, size = child.HEAD.unpack(head) if len(head) == child.HEAD.size else (b"", 0)
+            body = process.stdout.read(size) if kind and size <= _MESSAGE else b""
+        finally:
+            timer.cancel()
+        if is_over.is_set():
+            raise CaptureError(
+                f"{self.name}: reading this MF4 file came to nothing for {self._patience:.0f} s and was stopped; it"
+                " is damaged"
+            )
+        if not kind or len(body) != size:
+            code = process.wait()
+            raise CaptureError(
+                f"{self.name}: the process that reads this MF4 file ended early (status {code}); the file is damaged, or"
+                " the system stopped it for want of memory"
+            )
+        return kind, body
+
+    def _refusal(self, said: str) -> CaptureError:
+        if said.startswith("missing "):
+            return CaptureError(
+                f"{self.name}: this is not an ordinary MF4 bus log: {self._why}; such files need"
+                f" {said.removeprefix('missing ')}: pip install 'aces-bus[mf4]'"
+            )
+        return CaptureError(f"{self.name}: this MF4 file cannot be read: {printable_start(said.encode())}")
+
+    def _count(self, counts: dict[str, Any]) -> None:
+        self.lines, self.frames = counts["lines"], counts["frames"]
+        self.lines_unreadable, self.others = counts["unreadable"], counts["others"]
+        self.problems = [UnreadableEntry(line, reason, "") for line, reason in counts["problems"]][
+            :PROBLEMS_KEPT
+        ]
+        for name in counts["names"]:
+            self.channels.number(name)
+
+    def _table(self, body: bytes) -> FrameTable:
+        n, width = child.SHAPE.unpack_from(body)
+        at = child.SHAPE.size
+        columns: list[Any] = []
+        for dtype in ("<i8", "<u2", "<u4", "u1", "u1"):
+            columns.append(np.frombuffer(body, dtype, n, at))
+            at += columns[-1].nbytes
+        time, channel, identifier, flags, length = columns
+        data = np.frombuffer(body, np.uint8, n * width, at).reshape(n, width)
+        return FrameTable(time, channel, identifier, flags, length, data, self.channels)
+
+
+def _start(folder: str, paths: list[str]) -> subprocess.Popen[bytes]:
+    """The other process, on its way through these files."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TMPDIR": folder}
+    arguments = [sys.executable, "-c", _START, json.dumps(sys.path), str(child.MEMORY), folder, *paths]
+    return subprocess.Popen(
+        arguments,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+        start_new_session=True,  # Ctrl-C is for the one who reads, who then stops this process
+    )
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()

@@ -1,0 +1,238 @@
+"""Which format a source has, told by its first bytes.
+
+1. The suffix is never looked at, and the link of the protocol in use decides only what bytes alone cannot: any file
+   at all may be a raw serial recording.
+2. A format is a line of `FORMATS`: its name, what it is in words, what tells it, its reader. The order is from the most
+   to the least specific, and the first that matches reads.
+3. A wrong source is refused here, before anything is decoded, with what would work; a pipe that shows itself too late
+   is refused while it is read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import BinaryIO, Literal, NamedTuple, overload
+
+from ..errors import CallerError, CaptureError, UnknownNameError
+from .base import CanRecording, Link, SerialRecording, printable_start
+from .blf.reader import BlfCapture, looks_like_blf
+from .candump.reader import EXAMPLE, CandumpCapture, looks_like_candump, only_remarks
+from .mf4.reader import Mf4Capture, looks_like_mf4
+from .pcap.pcapng import PcapngCapture, looks_like_pcapng
+from .pcap.reader import PcapCapture, looks_like_pcap
+from .serial.dxconf import OPENING, DxconfCapture
+from .serial.raw import RawCapture
+from .serial.slog import OPENING as SERIAL_LOG
+from .serial.slog import SerialLogCapture, looks_like_serial_log
+from .source import BLOCK, ByteSource, PathSource
+from .sqlite import SqliteCapture, looks_like_sqlite
+from .text.asc import AscCapture, looks_like_asc
+from .text.busmaster import BusmasterCapture, looks_like_busmaster
+from .text.canlog_csv import CanlogCsvCapture, looks_like_canlog_csv
+from .text.crtd import CrtdCapture, looks_like_crtd
+from .text.gvret import GvretCapture, looks_like_gvret
+from .text.id_csv import IdCsvCapture, looks_like_id_csv
+from .text.microchip import MicrochipCapture, looks_like_microchip
+from .text.trc import TrcCapture, looks_like_trc
+
+
+class RecordingFormat(NamedTuple):
+    """`matches` gets the first bytes (up to 64 KiB, of a pipe what is there, without a byte order mark)."""
+
+    name: str
+    words: str
+    matches: Callable[[bytes], bool]
+    reader: type[CanRecording] | type[SerialRecording]
+
+
+def _begins_after_blanks(beginning: bytes) -> Callable[[bytes], bool]:
+    return lambda head: head.lstrip().startswith(beginning)
+
+
+def _by_name_only(_: bytes) -> bool:
+    return False
+
+
+#: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
+FORMATS: tuple[RecordingFormat, ...] = (
+    RecordingFormat("blf", "Vector BLF log", looks_like_blf, BlfCapture),
+    RecordingFormat("mf4", "ASAM MDF 4 bus log", looks_like_mf4, Mf4Capture),
+    RecordingFormat("pcap", "pcap capture", looks_like_pcap, PcapCapture),
+    RecordingFormat("pcapng", "pcapng capture", looks_like_pcapng, PcapngCapture),
+    RecordingFormat("sqlite", "SQLite log of python-can", looks_like_sqlite, SqliteCapture),
+    RecordingFormat("slog", "serial log of aces-bus", looks_like_serial_log, SerialLogCapture),
+    RecordingFormat(
+        "dxconf", "hex dump of the vendor's serial monitor", _begins_after_blanks(OPENING), DxconfCapture
+    ),
+    RecordingFormat("trc", "PEAK trace", looks_like_trc, TrcCapture),
+    RecordingFormat("asc", "Vector ASC log", looks_like_asc, AscCapture),
+    RecordingFormat("busmaster", "BUSMASTER log", looks_like_busmaster, BusmasterCapture),
+    RecordingFormat("crtd", "CRTD log", looks_like_crtd, CrtdCapture),
+    RecordingFormat("gvret", "SavvyCAN GVRET CSV", looks_like_gvret, GvretCapture),
+    RecordingFormat("csv", "python-can CSV", looks_like_canlog_csv, CanlogCsvCapture),
+    RecordingFormat("microchip", "Microchip CAN analyser log", looks_like_microchip, MicrochipCapture),
+    RecordingFormat("id-csv", "CSV with named columns (time, id, data …)", looks_like_id_csv, IdCsvCapture),
+    RecordingFormat("candump", "candump log", looks_like_candump, CandumpCapture),
+    RecordingFormat("raw", "raw serial bytes", _by_name_only, RawCapture),
+)
+
+#: What we know and do not read: beginning, what it is, what to do with it.
+REFUSED: tuple[tuple[bytes, str, str], ...] = (
+    (b"\xfd7zXZ\x00", "xz", "unpack it first: xz -dc FILE | aces decode … -"),
+    (b"BZh", "bzip2", "unpack it first: bzip2 -dc FILE | aces decode … -"),
+    (b"PK\x03\x04", "a zip archive", "unpack it first: unzip -p FILE | aces decode … -"),
+    (b"\xff\xfe", "UTF-16 text", "convert it first: iconv -f UTF-16 -t UTF-8 FILE > walk.log"),
+    (b"\xfe\xff", "UTF-16 text", "convert it first: iconv -f UTF-16 -t UTF-8 FILE > walk.log"),
+)
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+#: A pipe has shown what it is by the end of a first line, or by this many bytes; a magic number has at most so many.
+_ENOUGH, _MAGIC = 4096, 16
+
+
+def formats() -> dict[str, str]:
+    """The formats that can be read: the name that `open_capture(format=)` takes, and what it is in words."""
+    return {form.name: form.words for form in FORMATS}
+
+
+@overload
+def open_recording(
+    source: PathSource | BinaryIO,
+    *,
+    link: Literal["can"],
+    name: str | None = None,
+    format: str | None = None,
+) -> CanRecording: ...
+@overload
+def open_recording(
+    source: PathSource | BinaryIO,
+    *,
+    link: Literal["serial"],
+    name: str | None = None,
+    format: str | None = None,
+) -> SerialRecording: ...
+@overload
+def open_recording(
+    source: PathSource | BinaryIO,
+    *,
+    link: Link | None = None,
+    name: str | None = None,
+    format: str | None = None,
+) -> CanRecording | SerialRecording: ...
+def open_recording(
+    source: PathSource | BinaryIO,
+    *,
+    link: Link | None = None,
+    name: str | None = None,
+    format: str | None = None,
+) -> CanRecording | SerialRecording:
+    """Open a recording: a path, "-" for standard input, or a file opened in binary mode.
+
+    `link` is what the protocol in use speaks; None leaves it to the content, which then must say it. `name` is what
+    messages call the source, by default its path. `format` is one of `formats()` and is used without a look at the
+    content.
+
+    Raises `CaptureError`, naming the source and what would work, when it cannot be opened or is no such capture. Of a
+    pipe the first bytes are awaited.
+
+    >>> import io
+    >>> log = io.BytesIO(b"(0.001) can0 060#0A00\\noops\\n")
+    >>> with open_capture(log) as capture:
+    ...     [(hex(frame.arbitration_id), frame.data.hex()) for frame in capture]
+    ...     capture.problems
+    [('0x60', '0a00')]
+    [Problem(line=2, reason='not a line of candump', excerpt='oops')]
+    """
+    if link not in ("can", "serial", None):
+        raise CallerError(f"no capture format for a {link!r} link yet; there are formats for can and serial")
+    forced = None if format is None else _named(format, link)
+    opened = ByteSource(source, name)
+    try:
+        return _tell(opened, link) if forced is None else forced.reader(opened)
+    except BaseException:
+        opened.close()
+        raise
+
+
+def _named(name: str, link: Link | None) -> RecordingFormat:
+    for form in FORMATS:
+        if form.name == name:
+            if link not in (None, form.reader.link):
+                raise CallerError(
+                    f"format {name!r} is of a {form.reader.link} link, and the protocol speaks {link}"
+                )
+            return form
+    raise UnknownNameError("capture format", name, formats())
+
+
+def _tell(source: ByteSource, link: Link | None) -> CanRecording | SerialRecording:
+    more = source.live
+    while True:
+        head = source.head().removeprefix(b"\xef\xbb\xbf")
+        half = more and _is_half_a_line(head, link)
+        for form in () if half else FORMATS:
+            if form.matches(head):
+                if link in (None, form.reader.link):
+                    return form.reader(source)
+                raise _other_link(source, form)
+        if not half and not (more and _may_still_show(head, link)):
+            break
+        more = source.look_further()  # a pipe may give less than what tells the format
+    if link == "serial":
+        return RawCapture(source)
+    for start, kind, advice in REFUSED:
+        if head.startswith(start):
+            raise CaptureError(f"{source.name}: this is {kind}; {advice}")
+    if only_remarks(head) or (link == "can" and source.live):
+        return CandumpCapture(source)  # it can still show what it is
+    raise _refusal(source, head, link)
+
+
+def _is_half_a_line(head: bytes, link: Link | None) -> bool:
+    """Whether more is worth waiting for: a magic number, or the end of a text's first line. candump's shows itself."""
+    text = head.lstrip()
+    if link == "serial" or text.startswith(b"("):
+        return False
+    return len(head) < _MAGIC or (len(head) < _ENOUGH and b"\n" not in text and not _CONTROL.search(text))
+
+
+def _may_still_show(head: bytes, link: Link | None) -> bool:
+    text = head.lstrip()
+    if link == "serial":  # any bytes may be what was meant: only a first line of a format is waited for
+        return len(head) < BLOCK and (OPENING.startswith(text) or SERIAL_LOG.startswith(head))
+    return len(head) < BLOCK and _only_remarks(text)
+
+
+def _only_remarks(text: bytes) -> bool:
+    """Whether the lines so far are all blank or comments of some format: nothing that says what follows."""
+    return all(
+        not line or line.startswith((b"#", b";", b"//")) for line in map(bytes.strip, text.split(b"\n"))
+    )
+
+
+def _other_link(source: ByteSource, form: RecordingFormat) -> CaptureError:
+    if form.reader.link == "can":
+        return CaptureError(f"{source.name}: {_a(form.words)}, not a serial capture; name a CAN protocol")
+    return CaptureError(f"{source.name}: {_a(form.words)}, of a serial line; name a serial protocol")
+
+
+def _a(words: str) -> str:
+    return f"{'an' if words[0] in 'aeiouAEIOU' else 'a'} {words}"
+
+
+def _refusal(source: ByteSource, head: bytes, link: Link | None) -> CaptureError:
+    if control := _CONTROL.search(head):
+        what = f"it looks binary (byte {head[control.start()]:#04x} at offset {control.start()})"
+    else:
+        first = head.lstrip().split(b"\n", 1)[0]
+        what = f"it begins with {printable_start(first)!r}"
+    known = ", ".join(form.words for form in FORMATS if form.reader.link == "can")
+    if link is None:
+        return CaptureError(
+            f"{source.name}: not a format that says what it is: {what}; known are: {known}; say link='serial' for a "
+            "raw serial capture"
+        )
+    return CaptureError(
+        f"{source.name}: not a CAN capture: {what}; known are: {known}; a line of a candump log reads {EXAMPLE} "
+        "(candump -L can0 > walk.log), and a serial capture needs a serial protocol"
+    )

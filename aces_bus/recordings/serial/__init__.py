@@ -1,0 +1,1 @@
+"""Recordings of serial lines: raw bytes, our own log with time stamps, Dynamixel configurators' text."""

@@ -1,0 +1,276 @@
+"""What python-can's `SqliteWriter` writes: a table `messages`, a row a frame.
+
+1. Every row is a frame or unreadable with its reason; a row's number is its place in the table.
+2. The database is read and never written, and nothing in it is run: no extension, no trusted schema, no view; work without a
+   row is bounded, and so are values and the number of rows.
+3. Where the database breaks off, what was read stands, and the rest counts as one unreadable row.
+
+*Facts*: columns ts, arbitration_id, extended, remote, error, dlc (a number of bytes), data. *Choice*: the table has no
+column for CAN FD; more than 8 bytes are taken for a CAN FD frame, as nothing else can carry them. It has no channel
+either. A row whose dlc is not its number of bytes is unreadable.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from itertools import islice
+from typing import Any, ClassVar
+from urllib.parse import quote
+
+import numpy as np
+
+from ..errors import CallerError, CaptureError
+from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable
+from ..frames import FD_LENGTHS, Frame
+from .base import REMOTE_AND_ERROR, CanRecording
+from .source import ByteSource
+from .spool import on_disk
+from .text.seconds import ns_of
+
+MAGIC = b"SQLite format 3\x00"
+COLUMNS = ("ts", "arbitration_id", "extended", "remote", "error", "dlc", "data")
+
+_ROWS = 1 << 14
+#: Read from SQLite at once; also what one odd row makes slow.
+_BATCH = 512
+#: Of a row, so that a batch is bounded.
+_VALUE_BYTES = 1 << 14
+#: Steps of SQLite's machine for a batch; a real row takes some twenty.
+_STEPS = 20_000_000
+_STEPS_A_CALL = 100_000
+#: No row takes less of a file; pages that are linked in circles give more.
+_ROW_BYTES = 4
+
+_Row = tuple[Any, ...]
+_TYPES = ({float}, {int}, {int}, {int}, {int}, {int}, {bytes})
+_IS_FD_LENGTH = np.zeros(65, bool)
+_IS_FD_LENGTH[list(FD_LENGTHS)] = True
+
+
+def looks_like_sqlite(head: bytes) -> bool:
+    """Whether these are the first bytes of an SQLite database."""
+    return head.startswith(MAGIC)
+
+
+class SqliteCapture(CanRecording):
+    """Frames of python-can's SQLite logs.
+
+    Reading raises `CaptureError` when the database cannot be opened or has no such table. What does not come from a plain
+    file is kept in a temporary one meanwhile.
+    """
+
+    format: ClassVar[str] = "SQLite log of python-can"
+
+    def __init__(self, source: ByteSource) -> None:
+        super().__init__(source)
+        self._steps = 0
+
+    def _tables(self) -> Iterator[FrameTable]:
+        with (
+            on_disk(self._source) as (path, folder),
+            closing(self._connect(_whole_pages(path, folder))) as database,
+        ):
+            room = os.path.getsize(path) // _ROW_BYTES
+            try:
+                cursor = self._select(database)
+            except sqlite3.Error as error:
+                raise CaptureError(
+                    f"{self.name}: an SQLite file that cannot be read: {error}; `sqlite3 FILE .recover` may help"
+                ) from error
+            kept = _Columns()
+            while True:
+                rows: list[_Row] = []
+                broken: sqlite3.Error | None = None
+                try:
+                    self._steps = 0
+                    rows.extend(islice(cursor, _BATCH))  # keeps those before an error
+                except sqlite3.Error as error:
+                    broken = error
+                is_last = len(rows) < _BATCH
+                is_odd = not kept.take(rows)
+                if (is_odd or is_last or len(kept) >= _ROWS) and (table := self._plain(kept)) is not None:
+                    yield table
+                if is_odd and (table := self._one_by_one(rows)) is not None:
+                    yield table
+                if broken is not None:
+                    self._break_off(f"the database is damaged: {broken}")
+                elif self.lines > room:
+                    self._break_off("more rows than the file has room for")
+                    is_last = True
+                if is_last:
+                    break
+        self.close()
+
+    def _break_off(self, reason: str) -> None:
+        self.lines += 1
+        self._unreadable(self.lines, f"{reason}; rows behind this one are lost", b"")
+
+    def _connect(self, path: str) -> sqlite3.Connection:
+        # A journal means that a writer was interrupted, or is writing: then SQLite must look at it, if it may.
+        is_quiet = not any(os.path.exists(path + end) for end in ("-wal", "-journal"))
+        where = f"file:{quote(path)}?mode=ro{'&immutable=1' if is_quiet else ''}"
+        try:
+            database = sqlite3.connect(where, uri=True, isolation_level=None, check_same_thread=False)
+        except sqlite3.Error as error:
+            raise CaptureError(f"{self.name}: an SQLite file that cannot be opened: {error}") from error
+        database.text_factory = bytearray  # texts, which need not be UTF-8; a blob is bytes
+        for limit, value in (
+            (sqlite3.SQLITE_LIMIT_LENGTH, _VALUE_BYTES),
+            (sqlite3.SQLITE_LIMIT_ATTACHED, 0),
+            (sqlite3.SQLITE_LIMIT_COLUMN, 100),
+            (sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH, 1),
+            (sqlite3.SQLITE_LIMIT_WORKER_THREADS, 0),
+        ):
+            database.setlimit(limit, value)
+        database.set_progress_handler(self._is_stuck, _STEPS_A_CALL)
+        return database
+
+    def _is_stuck(self) -> bool:
+        self._steps += _STEPS_A_CALL
+        return self._steps > _STEPS
+
+    def _select(self, database: sqlite3.Connection) -> sqlite3.Cursor:
+        # A writable schema is one that may be broken: a file that was cut is read as far as it goes. Nothing is written.
+        for pragma in (
+            "writable_schema = ON",
+            "trusted_schema = OFF",
+            "cell_size_check = ON",
+            "mmap_size = 0",
+            "query_only = ON",
+        ):
+            database.execute(f"PRAGMA {pragma}")
+        found = database.execute("SELECT type, sql FROM sqlite_master WHERE name = 'messages'").fetchall()
+        if [kind for kind, sql in found if kind == b"table" and b"VIRTUAL" not in (sql or b"").upper()[:40]]:
+            names = {bytes(row[1]) for row in database.execute("PRAGMA table_info(messages)")}
+            if names.issuperset(name.encode() for name in COLUMNS):
+                return database.execute(f"SELECT {', '.join(COLUMNS)} FROM messages ORDER BY rowid")
+        raise CaptureError(
+            f"{self.name}: an SQLite file without python-can's table messages({', '.join(COLUMNS)}); it is no CAN log"
+        )
+
+    def _one_by_one(self, rows: Iterable[_Row]) -> FrameTable | None:
+        """The frames of rows of which some may be none."""
+        frames: list[Frame] = []
+        for row in rows:
+            self.lines += 1
+            try:
+                frames.append(_frame(row))
+            except CallerError as error:
+                self._unreadable(self.lines, str(error), repr(row)[1:-1].encode())
+        self.frames += len(frames)
+        return FrameTable.from_frames(frames, self.channels) if frames else None
+
+    def _plain(self, kept: _Columns) -> FrameTable | None:
+        """The frames of the rows that were kept, all at once when none of them is odd; then none are kept."""
+        n = len(kept)
+        if not n:
+            return None
+        ts, identifier, extended, remote, error, dlc, data = columns = kept.columns
+        kept.columns = tuple([] for _ in COLUMNS)
+        try:
+            ids, wide, asks, faulty, length = (
+                np.array(column, np.int64) for column in (identifier, extended, remote, error, dlc)
+            )
+        except OverflowError:
+            return self._one_by_one(zip(*columns, strict=True))
+        sizes = np.fromiter(map(len, data), np.int64, n)
+        is_fd = sizes > 8
+        limit = np.where((wide != 0) | (faulty != 0), 0x1FFF_FFFF, 0x7FF)
+        is_odd = (asks != 0) & (faulty != 0)
+        is_odd |= (ids < 0) | (ids > limit) | ~_IS_FD_LENGTH[sizes]
+        is_odd |= np.where(asks != 0, (length < 0) | (length > 8) | (sizes > 0), length != sizes)
+        if is_odd.any():
+            return self._one_by_one(zip(*columns, strict=True))
+        flags = (
+            (wide != 0) * np.uint8(EXTENDED)
+            | (asks != 0) * np.uint8(REMOTE)
+            | (faulty != 0) * np.uint8(ERROR)
+            | is_fd * np.uint8(FD)
+        )
+        width = 64 if is_fd.any() else 8
+        self.lines += n
+        self.frames += n
+        return FrameTable(
+            ns_of(np.array(ts, np.float64)),
+            np.full(n, self.channels.number(None), np.uint16),
+            ids.astype(np.uint32),
+            flags.astype(np.uint8),
+            length.astype(np.uint8),
+            np.frombuffer(b"".join([value.ljust(width, b"\0") for value in data]), np.uint8).reshape(
+                n, width
+            ),
+            self.channels,
+        )
+
+
+class _Columns:
+    """Rows of the right types, as columns: rows are many objects, and columns of numbers are seven."""
+
+    def __init__(self) -> None:
+        self.columns: tuple[list[Any], ...] = tuple([] for _ in COLUMNS)
+
+    def __len__(self) -> int:
+        return len(self.columns[0])
+
+    def take(self, rows: list[_Row]) -> bool:
+        """Keep the rows, if all of them have the types and sizes that rows have."""
+        if not rows:
+            return True
+        columns = tuple(zip(*rows, strict=True))
+        data = columns[-1]
+        if any(set(map(type, column)) != kind for column, kind in zip(columns, _TYPES, strict=True)):
+            return False
+        if len(max(data, key=len)) > 64:
+            return False
+        for column, more in zip(self.columns, columns, strict=True):
+            column.extend(more)
+        return True
+
+
+def _whole_pages(path: str, folder: str) -> str:
+    """The path of the database without a last page that was cut: SQLite takes the bytes that lack for zeros."""
+    size = os.path.getsize(path)
+    with open(path, "rb") as file:
+        page = int.from_bytes(file.read(18)[16:], "big")
+    page = 1 << 16 if page == 1 else page
+    if page < 512 or page & (page - 1) or size % page == 0:
+        return path
+    copy = os.path.join(folder, "whole")
+    shutil.copyfile(path, copy)
+    os.truncate(copy, size // page * page)
+    return copy
+
+
+def _frame(row: _Row) -> Frame:
+    """The frame of a row; raises `CallerError` with the reason when it is none."""
+    ts, identifier, extended, remote, error, dlc, data = row
+    data = b"" if data is None else data
+    if not isinstance(ts, (int, float, type(None))):
+        raise CallerError("ts is not a number")
+    if type(data) is not bytes:
+        raise CallerError("data is not a blob")
+    for name, value in zip(COLUMNS[1:6], (identifier, extended, remote, error, dlc), strict=True):
+        if type(value) is not int:
+            raise CallerError(f"{name} is not an integer")
+    if remote and error:
+        raise CallerError(REMOTE_AND_ERROR)
+    if remote:
+        if not 0 <= dlc <= 8:
+            raise CallerError(f"dlc {dlc} of a remote frame is outside 0…8")
+    elif dlc != len(data):
+        raise CallerError(f"dlc is {dlc}, and there are {len(data)} data bytes")
+    return Frame(
+        identifier,
+        data,
+        None if ts is None else float(ts),
+        None,
+        bool(extended),
+        bool(remote),
+        bool(error),
+        len(data) > 8,
+        dlc=dlc if remote else None,
+    )

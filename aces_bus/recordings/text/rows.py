@@ -1,0 +1,284 @@
+"""What readers of line-based formats share: a slow way that knows the whole format, and a quick one for its usual lines.
+
+1. Every line is counted once: frame, comment, blank, another kind, or unreadable with its reason.
+2. The quick way takes the lines that it is sure of; the slow way reads the others, and their frames are put back to their
+   places. Both ways give the same for a line that the quick one takes: what is quick is a matter of speed alone.
+3. Of a last line without its end a frame is believed only if its last byte has two digits: where a file is cut, half a
+   byte is another byte. (A line that was cut between two bytes is known by the length that it states.)
+4. Lines that change how later ones are read (`_TURN`) are read in order, between the lines before and after them.
+
+A format gives `_line`, the slow way, which returns a `Row`, or None when it has counted the line itself. A format whose
+files are large also gives `_quick`, with the columns of `_words`.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ...errors import CallerError, CaptureError
+from ...frame_table import NO_TIME, FrameTable
+from ...frames import Frame
+from ..base import CanRecording, printable_start
+from ..source import MAX_LINE, ByteSource
+
+#: Without a line of its format among this many unreadable ones, a file is not of the format.
+PATIENCE = 200
+#: Tables of a file have at least so many rows, but the last.
+ROWS = 8192
+#: So often in a block may headers change how lines are read; a file that does it more often is read slowly.
+_TRIES = 5
+#: So few characters are not worth arrays.
+_FEW = 800
+#: Characters at a time. More would leave the processor's cache.
+_BLOCK = 1 << 18
+
+
+_HALF_A_BYTE = re.compile(rb"(?:[\s,;]|0x)[0-9A-Fa-f]\Z")
+
+
+class UnreadableRow(Exception):
+    """The reason, in words."""
+
+
+class FrameRow(NamedTuple):
+    """A frame without its time stamp, and its instant in nanoseconds."""
+
+    frame: Frame
+    time: int = NO_TIME
+
+
+class LineCapture(CanRecording):
+    """Reads line after line; see the top of this file.
+
+    Reading raises `CaptureError` when the source holds no line of the format at all.
+    """
+
+    _TURN: ClassVar[re.Pattern[bytes] | None] = None
+
+    def __init__(self, source: ByteSource) -> None:
+        super().__init__(source)
+        self._likely = False  # something of the format was seen
+        self._is_last = False  # what comes is a line without its end
+
+    @abstractmethod
+    def _line(self, text: bytes) -> FrameRow | None:
+        """The frame of a line without blanks around; None when the line was counted. Raises `Unreadable`."""
+
+    def _quick(self, block: bytes) -> tuple[npt.NDArray[np.bool_], FrameTable] | None:
+        """Which of the lines are usual, and their frames in a table, one each; None when none can be, as things are."""
+        return None
+
+    # What the lines are counted as.
+
+    def _comment(self) -> None:
+        self.lines_comment += 1
+        self._likely = True
+
+    def _other(self, kind: str) -> None:
+        self._other_kind(kind)
+        self._likely = True
+
+    def _tables(self) -> Iterator[FrameTable]:
+        tables: list[FrameTable] = []
+        rows = 0
+        for block in self._blocks():
+            before = len(tables)
+            self._read(block, tables)
+            found = sum(map(len, tables[before:]))
+            self.frames += found
+            rows += found
+            self._likely = self._likely or bool(found)
+            if not self._likely and self.lines_unreadable >= PATIENCE:
+                raise self._not_one()
+            if rows >= ROWS or (rows and self.live):
+                yield FrameTable.concat(tables)
+                tables, rows = [], 0
+        if rows:
+            yield FrameTable.concat(tables)
+        if not self._likely and self.lines_unreadable:
+            raise self._not_one()
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Blocks of whole lines: of a live source what is there, of a file enough for arrays to be worth it."""
+        kept: list[bytes] = []
+        size = 0
+        for block in self._source.lines():
+            if self._source.is_open_ended:
+                if kept:
+                    yield b"".join(kept)
+                self._is_last = True
+                kept, size = [], 0
+            kept.append(block)
+            size += len(block)
+            if size >= _BLOCK or self.live:
+                yield b"".join(kept)
+                kept, size = [], 0
+        if kept:
+            yield b"".join(kept)
+
+    def _read(self, block: bytes, tables: list[FrameTable]) -> None:
+        """Add the frames of a block of whole lines; counts everything but them."""
+        for _ in range(_TRIES):
+            found = self._quick(block) if len(block) > _FEW and not self._is_last else None
+            if found is None:
+                break
+            block = self._mixed(block, *found, tables)
+        if block:
+            self._slowly(block[:-1].split(b"\n"), tables)
+
+    def _mixed(
+        self, block: bytes, usual: npt.NDArray[np.bool_], table: FrameTable, tables: list[FrameTable]
+    ) -> bytes:
+        """Reads the block up to a turn and those next to it, and gives back what follows."""
+        if usual.all():
+            self.lines += len(usual)
+            tables.append(table)
+            return b""
+        lines = block[:-1].split(b"\n")
+        rows: list[tuple[int, FrameRow]] = []
+        before, end = self.lines, len(lines)
+        for place in np.flatnonzero(~usual).tolist():
+            if self._TURN is not None and self._TURN.match(lines[place]):
+                end = place
+                break
+            self.lines = before + place + 1
+            if (row := self._one(lines[place])) is not None:
+                rows.append((place, row))
+        self.lines = before + end
+        places = np.flatnonzero(usual[:end])
+        table = table.take(slice(0, len(places)))
+        if rows:
+            order = np.argsort(np.concatenate([places, [place for place, _ in rows]]), kind="stable")
+            table = FrameTable.concat([table, self._table([row for _, row in rows])]).take(order)
+        if len(table):
+            tables.append(table)
+        stop = end
+        while stop < len(lines) and self._TURN is not None and self._TURN.match(lines[stop]):
+            stop += 1
+        self._slowly(lines[end:stop], tables)
+        return b"\n".join([*lines[stop:], b""]) if stop < len(lines) else b""
+
+    def _slowly(self, lines: Sequence[bytes], tables: list[FrameTable]) -> None:
+        rows: list[FrameRow] = []
+        for line in lines:
+            self.lines += 1
+            if (row := self._one(line)) is not None:
+                rows.append(row)
+        if rows:
+            tables.append(self._table(rows))
+
+    def _one(self, line: bytes) -> FrameRow | None:
+        """Any line at all; counts it unless it is a frame."""
+        text = line.strip()
+        if len(line) > MAX_LINE:
+            self._unreadable(self.lines, f"longer than {MAX_LINE} bytes", line)
+        elif not text:
+            self.lines_blank += 1
+        elif b"\r" in text:
+            self._unreadable(
+                self.lines,
+                "a carriage return within the line; lines end with a line feed: tr '\\r' '\\n'",
+                line,
+            )
+        else:
+            try:
+                row = self._line(text)
+                if self._is_last and row is not None and row.frame.data and _HALF_A_BYTE.search(text):
+                    raise UnreadableRow("the line has no end, and its last byte one digit: it was cut")
+                if row is not None and not NO_TIME <= row.time < -NO_TIME:
+                    raise UnreadableRow("the time is out of range")
+                return row
+            except (UnreadableRow, CallerError) as error:  # CallerError: a frame that cannot exist
+                self._unreadable(self.lines, str(error), line)
+        return None
+
+    def _table(self, rows: list[FrameRow]) -> FrameTable:
+        table = FrameTable.from_frames([row.frame for row in rows], self.channels)
+        return replace(table, time=np.array([row.time for row in rows], np.int64))
+
+    def _not_one(self) -> CaptureError:
+        first = self.problems[0]
+        return CaptureError(
+            f"{self.name}: not a {self.format}: line {first.line} is {printable_start(first.excerpt.encode())!r}"
+        )
+
+
+# ---- numbers in a line ---------------------------------------------------------------------------------------------
+
+
+def decimal_ns(text: bytes, unit: int = 1_000_000_000) -> int:
+    """A decimal number of units of so many nanoseconds, exact to the last digit. Raises `Unreadable`.
+
+    >>> nanoseconds(b"1.25"), nanoseconds(b"-17.5", 1_000_000), nanoseconds(b"1e-06")
+    (1250000000, -17500000, 1000)
+    """
+    whole, _, fraction = text.partition(b".")
+    if whole.isdigit() and len(whole) <= 18 and (fraction.isdigit() or not fraction) and len(fraction) <= 18:
+        return round_half_even(int(whole + fraction) * unit, 10 ** len(fraction))
+    return _any_number(text, unit)
+
+
+def round_half_even(number: int, scale: int) -> int:
+    """`number / scale` as the nearest integer."""
+    found, rest = divmod(number, scale)
+    twice = 2 * rest
+    return found + (twice > scale or (twice == scale and found & 1))
+
+
+_NUMBER = re.compile(rb"[+-]?(?:[0-9]{1,30}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?")
+
+
+def _any_number(text: bytes, unit: int) -> int:
+    from decimal import Decimal
+
+    if not _NUMBER.fullmatch(text):
+        raise UnreadableRow(f"time {printable_start(text)!r} is not a number")
+    return int((Decimal(text.decode()) * unit).to_integral_value())
+
+
+def integer(text: bytes, base: int, what: str) -> int:
+    """Digits of a base, without sign. Raises `Unreadable`."""
+    digits = text
+    if base == 16 and text[:2] in (b"0x", b"0X"):
+        digits = text[2:]
+    if not digits.isalnum() or len(digits) > 16:
+        raise UnreadableRow(f"{what} {printable_start(text)!r} is not a {_BASES[base]} number")
+    try:
+        return int(digits, base)
+    except ValueError:
+        raise UnreadableRow(f"{what} {printable_start(text)!r} is not a {_BASES[base]} number") from None
+
+
+_BASES = {10: "decimal", 16: "hexadecimal"}
+
+
+def hex_data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
+    """`size` bytes of cells with a number each; raises `Unreadable` when there are fewer, or one is none."""
+    there = next((place for place, cell in enumerate(cells) if not cell), len(cells))
+    if there < size:
+        raise UnreadableRow(f"{size} bytes are announced, {there} are there")
+    out = bytearray()
+    for cell in cells[:size]:
+        value = integer(cell, base, "byte")
+        if value > 255:
+            raise UnreadableRow(f"byte {printable_start(cell)} is more than 255")
+        out.append(value)
+    return bytes(out)
+
+
+def one_less(number: int) -> str | None:
+    """The name of a channel that a file counts from 1: ours count from 0. None for a channel 0, which there is not."""
+    return str(number - 1) if number > 0 else None
+
+
+#: Starts of recordings lie within ±2^62 ns of 1970 (until 2116), so that start and offset fit 64 bits together.
+MAX_ORIGIN = 1 << 62
+CLASSIC_LENGTHS = {code: min(code, 8) for code in range(16)}
+FD_LENGTHS_BY_CODE = dict(enumerate((0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)))

@@ -1,0 +1,202 @@
+"""What Vector's tools write as ASC, hexadecimal and with absolute times.
+
+    date Fri Jul 10 08:17:32.249 2015
+    base hex  timestamps absolute
+    internal events logged
+    Begin Triggerblock Fri Jul 10 08:17:32.249 2015
+       0.000713 1  44              Rx   d 5 2A 36 6C 2B BA
+       0.001000 1  18FEF100x       Tx   r 8
+       0.002000 1  ErrorFrame
+       0.003000 CANFD   1 Rx        123      …      1 0 9 12 00 11 22 …        0    0     3000        0        0 …
+    End TriggerBlock
+
+1. A time is in microseconds, as the tools write it, unless nanoseconds are there: then it has nine digits.
+2. The date is local time without its zone, as the tools have it: never one that a change of clocks makes two of.
+
+*Facts*: lines as Vector's tools and python-can write them, but for the event "Start of measurement", which says nothing.
+Flags of an FD line: bit 12 FD, 13 bit rate switch, 14 error state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from typing import BinaryIO, ClassVar
+
+import numpy as np
+
+from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, TX, FrameTable, Ints
+from ._channels import ChannelNumbers
+from ._dlc import DLC_OF_LENGTH
+from ._losses import StartTime, WriteLosses
+from ._text import (
+    Column,
+    blocks,
+    choices,
+    decimal_text,
+    hexadecimal_text,
+    interleaved,
+    join_columns,
+    only,
+    padded_data,
+)
+
+_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+_HOUR, _MILLISECOND = 3_600_000_000_000, 1_000_000
+
+_WAYS = choices([b" Rx  ", b" Tx  "])
+_KINDS = choices([b" d ", b" r "])
+_DLC = choices([b"%x" % n for n in range(16)])
+_MARKS = choices([b"0 0 ", b"1 0 ", b"0 1 ", b"1 1 "])
+_FLAGS = choices([b"    1000", b"    3000", b"    5000", b"    7000"])
+_SYMBOLIC = b" " * 35  # the name of the message, which nobody knows here, and the blanks around it
+_END = b"        0" * 5 + b"\n"  # CRC and bit timing
+
+
+def _stated(start: int) -> datetime:
+    return datetime.fromtimestamp(start // 1_000_000_000)
+
+
+def _settle(first: int) -> int:
+    start = first - first % _MILLISECOND
+    while _stated(start).replace(fold=0).timestamp() != _stated(start).replace(fold=1).timestamp():
+        start -= _HOUR
+    return start
+
+
+class AscWriter:
+    """Frames as lines of an ASC log."""
+
+    format: ClassVar[str] = "asc"
+
+    def __init__(self, file: BinaryIO, name: str) -> None:
+        self._file = file
+        self._numbers = ChannelNumbers()
+        self._losses = WriteLosses()
+        self._start = StartTime(self._losses, _settle)
+        self._is_begun = False
+
+    @property
+    def lossy(self) -> dict[str, int]:
+        return self._losses.with_names(self._numbers.lost)
+
+    def write(self, table: FrameTable) -> None:
+        """Write the frames, in order."""
+        if not len(table):
+            return
+        offsets = self._start.offsets(table)
+        self._begin()
+        self._losses.directions(table)
+        self._losses.error_classes(table)
+        self._losses.error_fd(table)
+        for rows in blocks(len(table)):
+            self._file.write(self._lines(table.take(rows), offsets[rows]))
+
+    def close(self) -> None:
+        """Write the end."""
+        self._begin()
+        self._file.write(b"End TriggerBlock\n")
+
+    def _begin(self) -> None:
+        if not self._is_begun:
+            self._is_begun = True
+            start = self._start.start or 0
+            at = _stated(start)
+            date = (
+                f"{_DAYS[at.weekday()]} {_MONTHS[at.month - 1]} {at.day:02} {at:%H:%M:%S}"
+                f".{start // _MILLISECOND % 1000:03} {at.year}"
+            )
+            self._file.write(
+                f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
+                f"Begin Triggerblock {date}\n".encode()
+            )
+
+    def _lines(self, table: FrameTable, offsets: Ints) -> bytes:
+        times = _times(offsets)
+        table = replace(table, length=self._losses.remote_lengths(table))
+        channels = self._numbers.numbers(table)
+        flags = table.flags
+        if not (flags & (FD | ERROR)).any():
+            return _classic(table, times, channels)
+        is_error = flags & ERROR != 0
+        is_fd = (flags & FD != 0) & ~is_error
+        return interleaved(
+            len(table),
+            [
+                (rows, kind(table.take(rows), times[rows], channels[rows]))
+                for rows, kind in (
+                    (np.flatnonzero(~(is_fd | is_error)), _classic),
+                    (np.flatnonzero(is_fd), _fd),
+                    (np.flatnonzero(is_error), _errors),
+                )
+            ],
+        )
+
+
+def _times(offsets: Ints) -> Column:
+    seconds, nanoseconds = np.divmod(offsets, 1_000_000_000)
+    fraction = decimal_text(nanoseconds, 9)
+    whole = nanoseconds % 1000 == 0
+    if whole.any():
+        fraction = fraction.copy()
+        fraction[whole, 6:] = 0
+    point = np.full((len(offsets), 1), ord("."), np.uint8)
+    return np.hstack([decimal_text(seconds, 10, least=1, fill=b"   "), point, fraction])
+
+
+def _identifiers(table: FrameTable) -> Column:
+    """Digits without zeros in front, and x behind those of 29 bits; blanks in front up to nine."""
+    digits = hexadecimal_text(table.id, least=1)
+    mark = np.where(table.flags & EXTENDED, ord("x"), 0).astype(np.uint8)
+    return np.hstack([digits, mark[:, None]])
+
+
+def _classic(table: FrameTable, times: Column, channels: Ints) -> bytes:
+    remote = table.flags & REMOTE != 0
+    identifiers = _identifiers(table)
+    # As wide as python-can's: fifteen, whatever is not there is blank behind.
+    missing = np.count_nonzero(identifiers == 0, axis=1) + 6
+    return join_columns(
+        [
+            times,
+            b" ",
+            decimal_text(channels, 5, least=1),
+            b"  ",
+            identifiers,
+            choices([b" " * n for n in range(16)])[missing],
+            _WAYS[(table.flags & TX != 0).astype(np.uint8)],
+            _KINDS[remote.astype(np.uint8)],
+            _DLC[table.length],
+            only(padded_data(table, blank=True), ~remote),
+            b"\n",
+        ],
+        len(table),
+    )
+
+
+def _fd(table: FrameTable, times: Column, channels: Ints) -> bytes:
+    mark = (table.flags & BITRATE_SWITCH != 0) + 2 * (table.flags & ERROR_STATE != 0)
+    return join_columns(
+        [
+            times,
+            b" CANFD ",
+            decimal_text(channels, 5, least=1, fill=b"  "),
+            _WAYS[(table.flags & TX != 0).astype(np.uint8)],
+            _identifiers(table),
+            _SYMBOLIC,
+            _MARKS[mark],
+            _DLC[DLC_OF_LENGTH[table.length]],
+            b" ",
+            decimal_text(table.length, 2, least=1, fill=b" "),
+            padded_data(table, blank=True),
+            b"        0    0 ",
+            _FLAGS[mark],
+            _END,
+        ],
+        len(table),
+    )
+
+
+def _errors(table: FrameTable, times: Column, channels: Ints) -> bytes:
+    return join_columns([times, b" ", decimal_text(channels, 5, least=1), b"  ErrorFrame\n"], len(table))

@@ -1,0 +1,388 @@
+"""What is wrong with a robot although each of its keys is right alone: names, duplicates, numbers that cannot be.
+
+1. Each check looks at all entries and adds to the list; none stops another.
+2. What is not installed here (a driver, a protocol) is a warning: the file may be right on another machine. A name near
+   an installed one is an error: it is a slip.
+3. A number that is possible but looks like another unit's is a warning.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Mapping
+from importlib.metadata import entry_points
+from itertools import islice
+from typing import Final, NamedTuple
+from typing import Protocol as Interface
+
+import msgspec
+
+from ..device.config import DeviceConfig, Joint, Robot
+from ..errors import AcesError, UnknownNameError
+from ..protocol import Protocol, list_protocols, load_protocol
+
+DRIVERS: Final = "aces_bus.devices"
+#: Where a slip of the pen ends and another name begins (difflib's ratio).
+SLIP: Final = 0.8
+#: More names than are searched and sorted for one complaint.
+MANY: Final = 300
+
+
+class Complain(Interface):
+    """Takes a complaint about a key."""
+
+    def __call__(self, path: tuple[str, ...], text: str, is_warning: bool = False) -> None: ...
+
+
+def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> None:
+    """Complain about all that is wrong between the entries.
+
+    `written` has the names of all entries in the file, also of those too wrong to be in `robot`.
+    """
+    protocols = _check_buses(robot, complain)
+    _check_devices(robot, written, protocols, complain)
+    _check_joints(robot, written, complain)
+    _check_sensors(robot, written, complain)
+    _check_names(robot, complain)
+    if robot.rate_hz is not None and robot.rate_hz > 20_000:
+        complain(("rate_hz",), f"{robot.rate_hz:g} Hz is beyond what a bus can carry", True)
+
+
+# ---------------------------------------------------------------------- names
+
+
+def near(name: str, known: Collection[str], cutoff: float = 0.6) -> str:
+    """`; did you mean 'x'?`, or nothing. Of very many names none is looked for: it would take minutes."""
+    if len(name) > 100 or len(known) > MANY:
+        return ""
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return f"; did you mean {found[0]!r}?" if found else ""
+
+
+def _listed(known: Collection[str]) -> str:
+    names = sorted(known) if len(known) <= MANY else list(islice(known, 13))
+    return ", ".join(names[:12]) + (", …" if len(names) > 12 else "") if names else "none"
+
+
+def _check_reference(
+    path: tuple[str, ...], what: str, name: str, known: Collection[str], complain: Complain
+) -> None:
+    if name not in known:
+        complain(path, f"no {what} named {name!r}{near(name, known)} (there are: {_listed(known)})")
+
+
+def _check_installed(
+    path: tuple[str, ...], what: str, name: str, known: Collection[str], complain: Complain
+) -> None:
+    """Complain when what an entry names is not installed."""
+    if name in known:
+        return
+    slip = near(name, known, SLIP)
+    if slip:
+        complain(path, f"no {what} named {name!r}{slip} (installed: {_listed(known)})")
+    else:
+        complain(path, f"{what} {name!r} is not installed (installed: {_listed(known)})", True)
+
+
+def _check_driver(path: tuple[str, ...], name: str, complain: Complain) -> None:
+    """Complain when a driver is not installed. One that was found once is not looked for again: that takes milliseconds."""
+    if name not in _drivers:
+        _drivers.update(point.name for point in entry_points(group=DRIVERS))
+        _check_installed(path, "driver", name, _drivers, complain)
+
+
+_drivers: set[str] = set()
+
+
+# ---------------------------------------------------------------------- buses
+
+
+class _Spoken:
+    """The installed protocols that a robot names, loaded once."""
+
+    def __init__(self, complain: Complain) -> None:
+        self._complain = complain
+        self._loaded: dict[str, Protocol | None] = {}
+        #: Of each protocol, the fields that identify a device.
+        self.addresses: dict[str, dict[str, AddressRange]] = {}
+
+    def get(self, name: str, path: tuple[str, ...]) -> Protocol | None:
+        """The protocol, or None; what is wrong with it is said at the first place that names it."""
+        if name not in self._loaded:
+            self._loaded[name] = None
+            try:
+                self._loaded[name] = protocol = load_protocol(name)
+                self.addresses[name] = addresses(protocol)
+            except UnknownNameError:
+                _check_installed(path, "protocol", name, list_protocols(), self._complain)
+            except AcesError as error:
+                self._complain(path, f"protocol {name!r} cannot be used: {error}", True)
+            except Exception as error:  # whatever another package's import may raise
+                self._complain(path, f"protocol {name!r} cannot be imported: {error}", True)
+        return self._loaded[name]
+
+
+def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
+    protocols = _Spoken(complain)
+    channels: dict[tuple[str, str], str] = {}
+    for name, bus in robot.buses.items():
+        path = ("buses", name)
+        protocol = protocols.get(bus.protocol, (*path, "protocol"))
+        if protocol is not None:
+            if protocol.link != bus.link:
+                complain((*path, "link"), f"{bus.protocol} is spoken on {protocol.link}, not on {bus.link}")
+            _check_dialect((*path, "dialect"), protocol, bus.dialect, complain)
+        for key, value, link in (("bitrate", bus.bitrate, "can"), ("baud", bus.baud, "serial")):
+            if value is None:
+                continue
+            if bus.link != link:
+                complain((*path, key), f"belongs to link = {link!r}; this bus has link = {bus.link!r}")
+            elif key == "bitrate" and not 5_000 <= value <= 1_000_000:
+                complain((*path, key), f"{value} bit/s is no bit rate of CAN; 1 Mbit/s is 1_000_000", True)
+            elif key == "baud" and value < 50:
+                complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)
+        if bus.channel is not None:
+            other = channels.setdefault((bus.link, bus.channel), name)
+            if other != name:
+                complain((*path, "channel"), f"{bus.channel!r} is the channel of bus {other} already")
+    return protocols
+
+
+def _check_dialect(
+    path: tuple[str, ...], protocol: Protocol, dialect: str | None, complain: Complain
+) -> None:
+    if dialect is not None:
+        _check_reference(path, f"dialect of {protocol.name}", dialect, protocol.dialects, complain)
+
+
+# ---------------------------------------------------------------------- devices
+
+
+def _check_devices(
+    robot: Robot, written: Mapping[str, set[str]], protocols: _Spoken, complain: Complain
+) -> None:
+    warned: set[str] = set()
+    claimed: dict[tuple[str, str, str, int], DeviceConfig] = {}
+    alone: dict[tuple[str, str], DeviceConfig] = {}
+    for name, device in robot.devices.items():
+        path = ("devices", name)
+        if device.driver not in warned:
+            warned.add(device.driver)
+            _check_driver((*path, "driver"), device.driver, complain)
+        _check_reference((*path, "bus"), "bus", device.bus, written["buses"], complain)
+        if device.bus not in robot.buses:
+            continue
+        spoken, dialect = robot.protocol_of(device)
+        protocol = protocols.get(spoken, (*path, "protocol"))
+        if protocol is not None:
+            if device.protocol is not None and protocol.link != robot.buses[device.bus].link:
+                complain(
+                    (*path, "protocol"), f"{spoken} is spoken on {protocol.link}, not on this device's bus"
+                )
+            if device.dialect is not None:
+                _check_dialect((*path, "dialect"), protocol, dialect, complain)
+            _check_credentials(path, device, spoken, protocols.addresses[spoken], complain)
+        if not device.credentials:
+            other = alone.setdefault((device.bus, spoken), device)
+            if other is not device:
+                complain(
+                    (*path, "credentials"),
+                    f"nothing tells it from device {other.name}, which speaks {spoken} on bus {device.bus} too",
+                )
+        for key, number in device.credentials.items():
+            other = claimed.setdefault((device.bus, spoken, key, number), device)
+            if other is not device:
+                # Credentials may refine one another, as the axis of a node does.
+                shared = device.credentials.keys() & other.credentials.keys()
+                is_other = any(device.credentials[one] != other.credentials[one] for one in shared)
+                complain(
+                    (*path, "credentials", key),
+                    f"{key} {number:#04x} on bus {device.bus} is device {other.name} already: two devices would answer",
+                    is_other,
+                )
+    whole = {name: device for name, device in robot.devices.items() if device.bus in robot.buses}
+    robot = msgspec.structs.replace(robot, devices=whole)
+    for spoken in robot.protocols:
+        if (protocol := protocols.get(spoken, ())) is not None:
+            _check_tables(robot, protocol, complain)
+
+
+def _check_credentials(
+    path: tuple[str, ...],
+    device: DeviceConfig,
+    protocol: str,
+    known: Mapping[str, AddressRange],
+    complain: Complain,
+) -> None:
+    if known and not device.credentials:
+        complain(
+            (*path, "credentials"),
+            f"is missing: expected what identifies it on the bus, such as {{ {next(iter(known))} = 0x20 }}",
+        )
+    for key, number in device.credentials.items():
+        at = (*path, "credentials", key)
+        if key not in known:
+            complain(at, f"{protocol} has no field {key!r}{near(key, known)} (there are: {_listed(known)})")
+        elif not known[key].holds(number):
+            complain(at, f"{protocol} has no {key} {number:#04x} ({known[key]})")
+
+
+class AddressRange(NamedTuple):
+    """The numbers that a field which identifies a device may have: those of its captures, else all of its bytes."""
+
+    captured: frozenset[int]
+    largest: int
+    broadcast: int | None
+
+    def holds(self, number: int) -> bool:
+        if number == self.broadcast:
+            return False
+        return number in self.captured if self.captured else number <= self.largest
+
+    def __str__(self) -> str:
+        low, high = (min(self.captured), max(self.captured)) if self.captured else (0, self.largest)
+        everybody = f"; {self.broadcast:#04x} is everybody" if self.broadcast is not None else ""
+        return f"{low:#04x}…{high:#04x}{everybody}"
+
+
+def addresses(protocol: Protocol) -> dict[str, AddressRange]:
+    """The fields of a protocol by which a device can be identified: captures, and fields of a packet's head."""
+    captured: dict[str, set[int]] = {}
+    largest: dict[str, int] = {}
+    for message in protocol.declared:
+        captures = list(message.identifier.captures)
+        for head in message.heads:
+            if head.pattern is not None:
+                captures += head.pattern.captures
+            elif head.name is not None:
+                largest[head.name] = max(largest.get(head.name, 0), (1 << 8 * head.size) - 1)
+        for capture in captures:
+            captured.setdefault(capture.name, set()).update(capture.values)
+    return {
+        name: AddressRange(
+            frozenset(captured.get(name, ())), largest.get(name, 0), protocol.broadcast.get(name)
+        )
+        for name in {**captured, **largest}
+    }
+
+
+def _check_tables(robot: Robot, protocol: Protocol, complain: Complain) -> None:
+    """A configuration table has one entry a number, whatever the bus; and only entries that the messages know."""
+    entries: dict[tuple[str, int], tuple[DeviceConfig, int | str]] = {}
+    known: dict[str, set[int | str]] = {}
+    for tables in protocol.configurations.values():
+        for table, shipped in tables.items():
+            known.setdefault(table, set()).update(shipped.values())
+    for message in protocol.declared:
+        for condition in message.when:
+            known.setdefault(condition.key, set()).update(condition.values)
+    for device, table, number, entry in robot.entries(protocol):
+        key = "channels" if device.kind is None else "kind"
+        other, kind = entries.setdefault((table, number), (device, entry))
+        if kind != entry:
+            complain(
+                ("devices", device.name, key),
+                f"{number:#04x} is {entry!r} here and {kind!r} as {other.name}: {protocol.name} has one table of {table}",
+            )
+        if entry not in known.get(table, {entry}):
+            names = ", ".join(sorted(map(repr, known[table])))
+            complain(
+                ("devices", device.name, key),
+                f"{protocol.name} has no {table} {entry!r} (there are: {names})",
+            )
+
+
+# ---------------------------------------------------------------------- joints and sensors
+
+
+def _check_joints(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> None:
+    claimed: dict[tuple[str, int], str] = {}
+    for name, joint in robot.joints.items():
+        path = ("joints", name)
+        _check_reference((*path, "device"), "device", joint.device, written["devices"], complain)
+        device = robot.devices.get(joint.device)
+        if joint.active:
+            other = claimed.setdefault((joint.device, joint.channel), name)
+            if other != name:
+                complain(
+                    (*path, "channel"), f"channel {joint.channel} of {joint.device} is joint {other} already"
+                )
+            if device is not None and device.channels is not None and joint.channel >= device.channels:
+                last = f"0…{device.channels - 1}" if device.channels else "none"
+                complain(
+                    (*path, "channel"), f"{joint.device} has no channel {joint.channel} (it has: {last})"
+                )
+        _check_numbers(path, joint, complain)
+
+
+#: Key → what is plausible, and what a number beyond it looks like.
+PLAUSIBLE: Final[Mapping[str, tuple[float, str]]] = {
+    "zero": (12.6, "degrees; this is rad"),
+    "lower": (12.6, "degrees; this is rad"),
+    "upper": (12.6, "degrees; this is rad"),
+    "nominal_speed": (100, "degrees a second; this is rad/s"),
+    "max_speed": (100, "degrees a second; this is rad/s"),
+    "max_current": (500, "mA; this is A"),
+}
+
+
+def _check_numbers(path: tuple[str, ...], joint: Joint, complain: Complain) -> None:
+    for low, high in (
+        ("lower", "upper"),
+        ("nominal_speed", "max_speed"),
+        ("nominal_acceleration", "max_acceleration"),
+    ):
+        one, other = getattr(joint, low), getattr(joint, high)
+        if one is not None and other is not None and (one > other or (low == "lower" and one == other)):
+            complain((*path, low), f"{one:g} is not below {high} = {other:g}")
+    if joint.home is not None and joint.home.lower is not None and joint.home.upper is not None:
+        if joint.home.lower >= joint.home.upper:
+            complain((*path, "home", "lower"), f"{joint.home.lower} is not below upper = {joint.home.upper}")
+    for key in ("lower", "upper"):
+        if joint.type == "continuous" and getattr(joint, key) is not None:
+            complain((*path, key), "a continuous joint turns without end, and has no limits")
+    if joint.type != "prismatic":
+        for key, (most, looks) in PLAUSIBLE.items():
+            value = getattr(joint, key)
+            if value is not None and abs(value) > most:
+                complain((*path, key), f"{value:g} looks like {looks}", True)
+    if joint.gear is not None and not 1e-4 <= joint.gear[1] / joint.gear[0] <= 1e4:
+        complain((*path, "gear"), f"a gear of {joint.gear[0]:g} to {joint.gear[1]:g} teeth is none", True)
+    if joint.encoder is not None and joint.encoder > 2**26:
+        complain((*path, "encoder"), f"{joint.encoder} counts a turn are more than encoders have", True)
+
+
+def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> None:
+    claimed: dict[tuple[str, str, int | None], str] = {}
+    for name, sensor in robot.sensors.items():
+        path = ("sensors", name)
+        _check_reference((*path, "device"), "device", sensor.device, written["devices"], complain)
+        if sensor.active:
+            other = claimed.setdefault((sensor.device, sensor.kind, sensor.channel), name)
+            if other != name:
+                complain((*path, "device"), f"the {sensor.kind} of {sensor.device} is sensor {other} already")
+        if sensor.matrix is not None:
+            sizes = {len(row) for row in sensor.matrix}
+            if len(sizes) != 1 or 0 in sizes:
+                complain((*path, "matrix"), "rows of a matrix are all of one length")
+            elif sensor.signs is not None and len(sensor.signs) != len(sensor.matrix):
+                complain(
+                    (*path, "signs"), f"{len(sensor.signs)} signs for {len(sensor.matrix)} rows of matrix"
+                )
+
+
+def _check_names(robot: Robot, complain: Complain) -> None:
+    """The robot's name can be printed; a name or alias means one joint or one sensor."""
+    if not robot.name.isprintable():
+        complain(("name",), "a name has no control characters")
+    entries: tuple[tuple[str, Mapping[str, tuple[str, ...]]], ...] = (
+        ("joints", {name: joint.aliases for name, joint in robot.joints.items()}),
+        ("sensors", {name: sensor.aliases for name, sensor in robot.sensors.items()}),
+    )
+    for section, names in entries:
+        owner = {name: name for name in names}
+        for name, aliases in names.items():
+            for alias in aliases:
+                other = owner.setdefault(alias, name)
+                if other != name or alias == name:
+                    complain((section, name, "aliases"), f"{alias!r} is {section[:-1]} {other} already")

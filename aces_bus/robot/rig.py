@@ -1,0 +1,282 @@
+"""A robot put together: a host for each of its buses with the devices on it, or twins in their place.
+
+1. Which driver, credentials, dialect and units: all from the robot's file. Nothing here knows a vendor or a bus's kind.
+2. Inactive devices are not made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..device.coalesce import CoalescingRule
+from ..device.config import DeviceConfig, Robot
+from ..device.device import Device
+from ..device.drivers import Driver, load_driver
+from ..device.events import DeviceEvent, EventLog
+from ..device.host import BUDGET, Host
+from ..device.port import Port
+from ..device.signals import Signal
+from ..device.stopping import stop_devices, wait_stopped
+from ..device.ticket import Job, together
+from ..device.twin import Twin, Twins, World
+from ..errors import CallerError, DeviceError, UnknownNameError
+from ..protocol import Protocol, Variant, load_protocol
+from ..runtime import EventClock
+
+Loader = Callable[[str], Driver]
+
+
+@dataclass
+class Rig:
+    """A robot's hosts and devices. A context manager: it opens its buses, and closes them with all stopped that it drove.
+
+    A rig that gave no set-points and enabled nothing stops nothing: it may only have looked on. The end raises
+    `NotStoppedError` where a device did not stop, unless something else was raised before.
+    """
+
+    robot: Robot
+    clock: EventClock
+    hosts: dict[str, Host]
+    events: EventLog
+    devices: dict[str, Device] = field(default_factory=dict[str, Device])
+    signals: dict[str, Signal] = field(default_factory=dict[str, Signal])
+    aliases: dict[str, str] = field(default_factory=dict[str, str])
+
+    def __getitem__(self, name: str) -> Signal:
+        """The signal "RHY.position", under any alias of its joint or sensor; raises `UnknownNameError`."""
+        found = self.signals.get(name)
+        if found is None:
+            owner, dot, rest = name.partition(".")
+            found = self.signals.get(f"{self.aliases.get(owner, owner)}{dot}{rest}")
+        if found is None:
+            raise UnknownNameError(f"signal of {self.robot.name}", name, self.signals)
+        return found
+
+    def device(self, name: str) -> Device:
+        """The device of this name, or the one that has this joint or sensor; raises `UnknownNameError`."""
+        found = self.devices.get(name)
+        if found is None:
+            whole = self.aliases.get(name, name)
+            parts: Mapping[str, Any] = {**self.robot.joints, **self.robot.sensors}
+            part = parts.get(whole)
+            found = None if part is None else self.devices.get(part.device)
+        if found is None:
+            raise UnknownNameError(f"device of {self.robot.name}", name, self.devices)
+        return found
+
+    def on_event(self, handler: Callable[[DeviceEvent], None]) -> None:
+        """Call `handler` at once with everything that happens to a device."""
+        self.events.handlers.append(handler)
+
+    def open(self) -> Rig:
+        """Open all buses and begin to tick."""
+        for host in self.hosts.values():
+            host.open()
+        return self
+
+    def close(self) -> None:
+        """Close all buses, each when what was told has left. Nothing is stopped: see `stop_motion`."""
+        for host in self.hosts.values():
+            host.close()
+
+    def stop_motion(self) -> Job:
+        """Have every device stop what moves, at once and again until it has (`stopping`).
+
+        On the clock's thread. The job fails with `NotStoppedError`, which names those that have not.
+        """
+        return stop_devices(self.clock, self.robot.name, self.devices.values())
+
+    def each(self, action: str) -> Job:
+        """Call an action ("enable") of every device that has it; the job is over when all are."""
+        jobs = [getattr(d, action)() for d in self.devices.values() if action in d.actions]
+        return together(self.clock, f"{self.robot.name} {action}", [job for job in jobs if job is not None])
+
+    def __enter__(self) -> Rig:
+        return self.open()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            driven = [device for device in self.devices.values() if device.is_driven]
+            if driven:
+                stopping = self.clock.call(lambda: stop_devices(self.clock, self.robot.name, driven))
+                wait_stopped(stopping)
+        except DeviceError as error:
+            if kind is None:
+                raise
+            self.events.tell(DeviceEvent("not stopped", self.clock.now(), "", "", str(error)))
+        finally:
+            self.close()
+
+
+def connect(
+    robot: Robot,
+    ports: Mapping[str, Port],
+    *,
+    rate_hz: float | None = None,
+    budget: float = BUDGET,
+    rules: Mapping[str, CoalescingRule] | None = None,
+    load: Loader = load_driver,
+) -> Rig:
+    """The robot's devices, on these ports (bus name → port), not open yet.
+
+    `rate_hz` is the tick (None: no ticks); `rules` replace the drivers' rules of coalescing. Raises `CallerError` for a
+    bus without a port, `UnknownNameError` for a driver or protocol that is not installed.
+    """
+    events = EventLog()
+    hosts: dict[str, Host] = {}
+    for name, variants in _variants(robot, ports, load).items():
+        hosts[name] = Host(
+            ports[name], variants, rate_hz=rate_hz, budget=budget, rules=rules, events=events, name=name
+        )
+    if not hosts:
+        raise CallerError(f"robot {robot.name} has no active device")
+    rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)
+    drivers = {name: load(name) for name in dict.fromkeys(config.driver for config in _active(robot))}
+    for config in _active(robot):
+        host = hosts[config.bus]
+        driver = drivers[config.driver]
+        device = driver.device(host, config, robot, host.variants[driver.protocol])
+        host.add(device)
+        rig.devices[config.name] = device
+        rig.signals.update(device.signals)
+    for name, aliases in (
+        *((joint.name, joint.aliases) for joint in robot.joints.values()),
+        *((sensor.name, sensor.aliases) for sensor in robot.sensors.values()),
+    ):
+        rig.aliases.update(dict.fromkeys(aliases, name))
+    return rig
+
+
+@dataclass
+class Simulation:
+    """A robot's twins, by bus, and the world they share. A context manager."""
+
+    robot: Robot
+    world: World
+    buses: dict[str, Twins]
+
+    @property
+    def twins(self) -> dict[str, Twin]:
+        """All twins, by name."""
+        return {name: twin for twins in self.buses.values() for name, twin in twins.members.items()}
+
+    def __getitem__(self, name: str) -> Twin:
+        """The twin of a device; raises `UnknownNameError`."""
+        found = self.twins
+        if name not in found:
+            raise UnknownNameError(f"twin of {self.robot.name}", name, found)
+        return found[name]
+
+    def open(self) -> Simulation:
+        """Put the twins on their buses."""
+        for twins in self.buses.values():
+            twins.open()
+        return self
+
+    def close(self) -> None:
+        """Take them off."""
+        for twins in self.buses.values():
+            twins.close()
+
+    def __enter__(self) -> Simulation:
+        return self.open()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def simulate(
+    robot: Robot, ports: Mapping[str, Port], *, seed: int = 0, load: Loader = load_driver
+) -> Simulation:
+    """The robot's twins, on these ports (bus name → port), not open yet. Raises as `connect`."""
+    buses = {name: Twins(ports[name], variants) for name, variants in _variants(robot, ports, load).items()}
+    if not buses:
+        raise CallerError(f"robot {robot.name} has no active device")
+    world = World(next(iter(buses.values())).clock, seed)
+    drivers = {name: load(name) for name in dict.fromkeys(config.driver for config in _active(robot))}
+    for config in _active(robot):
+        twins = buses[config.bus]
+        driver = drivers[config.driver]
+        twins.add(driver.twin(twins, config, robot, twins.variants[driver.protocol], world))
+    return Simulation(robot, world, buses)
+
+
+# ---------------------------------------------------------------------- what speaks what
+
+
+def _active(robot: Robot) -> list[DeviceConfig]:
+    return [config for config in robot.devices.values() if config.active]
+
+
+def spoken_on(robot: Robot, load: Loader = load_driver) -> dict[str, Protocol]:
+    """The main protocol of each bus that has active devices: that of the file, or that of its first device's driver."""
+    found: dict[str, Protocol] = {}
+    for config, protocol in _spoken(robot, load):
+        if config.bus not in found or protocol.name == robot.buses[config.bus].protocol:
+            found[config.bus] = protocol
+    return found
+
+
+def _spoken(robot: Robot, load: Loader) -> Iterator[tuple[DeviceConfig, Protocol]]:
+    """The active devices, each with what it speaks; what is installed is looked up once a driver."""
+    known: dict[tuple[str, str], Protocol] = {}
+    for config in _active(robot):
+        key = (config.driver, robot.protocol_of(config)[0])
+        if key not in known:
+            known[key] = _protocol_of(robot, config, load)
+        yield config, known[key]
+
+
+def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
+    """What a device speaks: its driver's protocol, which may not be installed, or the installed one."""
+    name, _ = robot.protocol_of(config)
+    driver = load(config.driver)
+    if driver.protocol != name:
+        raise CallerError(
+            f"robot {robot.name}: {config.name} speaks {name}, its driver {driver.name} speaks {driver.protocol}"
+        )
+    own = driver.device.protocol
+    protocol = load_protocol(own) if isinstance(own, str) else own
+    bus = robot.buses[config.bus]
+    if protocol.link != bus.link:
+        raise CallerError(
+            f"robot {robot.name}: {config.name} speaks {protocol.name}, which is for link {protocol.link}; its bus"
+            f" {bus.name} has link {bus.link}"
+        )
+    return protocol
+
+
+def bus_variants(robot: Robot, bus: str) -> list[Variant]:
+    """The installed protocols of a bus, with the robot's dialect and tables; also where it has no devices."""
+    found: dict[str, Variant] = {}
+    spoken = [(robot.buses[bus].protocol, robot.buses[bus].dialect)]
+    spoken += [robot.protocol_of(config) for config in robot.devices_on(bus)]
+    for name, dialect in spoken:
+        protocol = load_protocol(name)
+        tables = robot.tables(protocol) if robot.devices else None
+        found.setdefault(name, protocol.variant(dialect, tables or None))
+    return list(found.values())
+
+
+def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str, list[Variant]]:
+    """The protocols of each bus that has active devices, with the robot's own tables."""
+    found: dict[str, dict[str, Variant]] = {}
+    made: dict[tuple[str, str | None], Variant] = {}
+    for config, protocol in _spoken(robot, load):
+        if config.bus not in ports:
+            raise CallerError(
+                f"robot {robot.name}: no port for bus {config.bus} (there are: {', '.join(ports) or 'none'})"
+            )
+        name, dialect = spoken = robot.protocol_of(config)
+        if spoken not in made:
+            made[spoken] = protocol.variant(dialect, robot.tables(protocol) or None)
+        variant = made[spoken]
+        other = found.setdefault(config.bus, {}).setdefault(name, variant)
+        if other is not variant:
+            raise CallerError(
+                f"robot {robot.name}: bus {config.bus} has {name} in two dialects, {other.dialect} and {dialect};"
+                " a bus has one"
+            )
+    return {bus: list(variants.values()) for bus, variants in found.items()}

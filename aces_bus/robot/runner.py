@@ -1,0 +1,552 @@
+"""Controllers on a robot: states up, set-points down, errors by the shortcut, one clean end.
+
+1. What runs is the same in every world (real buses, virtual time, a replay): only the clock and the tasks differ.
+2. Whatever happens, the end is: controllers stop, motion stops, buses close, logs close; each once, in this order.
+3. A controller's set-points go down together, on the thread of the buses.
+4. Each controller has a guard and a supervisor: limits of the robot's file, a dead-man, reactions to events. When a guard
+   trips, the devices that its controller drives are stopped as declared.
+5. On threads, a controller that does not come back from a step is found by the buses' own thread, which stops its devices.
+   No wait here is without an end.
+
+Controllers are stepped with the instants that their cycles were due: they and their guards see even steps, however late
+a thread woke up. Set-points that come after the end, or after a trip, go nowhere.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Future
+from functools import partial
+from typing import Any, Literal, TypeVar
+
+from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
+from ..controller.events import Listeners
+from ..controller.guard import Action, Bounds
+from ..device import UNKNOWN, Device, DeviceEvent, Job, stop_devices, wait_stopped
+from ..device.ticket import together
+from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
+from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from .ending import Ended, RunLogger
+from .rig import Rig
+from .states import States
+
+T = TypeVar("T")
+
+#: Priorities of components where nobody says otherwise: buses above control above logging.
+BUSES, CONTROL, LOGGING = 50, 40, 5
+#: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
+DEAD_PERIODS, DEAD_S = 5, 0.1
+#: Seconds in which devices must have been heard before controllers begin.
+HEARD_S = 5.0
+#: Seconds that any one part of an end may take.
+PATIENCE_S = 2.0
+#: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
+WATCH, LOOK = 20_000_000, 1_000_000
+#: Events of logs.
+OF_LOGS = ("log-failed", "log-dropped")
+#: What fails again and again is told this often (ns).
+TELL_EVERY = 1_000_000_000
+
+
+class Runner:
+    """Runs controllers and loggers on a rig. Made by `run_virtual`, `run_real`, `run_replay`, or by hand.
+
+    `tasks`: threads or events. `reactions` add to the supervisor's, `guard` False leaves limits and dead-man away (the
+    drivers' own limits stay). `drives` False: set-points are counted and not sent (a replay).
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        controllers: Sequence[ControllerLike],
+        *,
+        loggers: Sequence[RunLogger] = (),
+        tasks: Tasks | None = None,
+        reactions: Mapping[str, Reaction | tuple[Reaction, ...]] | None = None,
+        guard: bool = True,
+        on_trip: Action = "disable",
+        drives: bool = True,
+        history: int = 512,
+    ) -> None:
+        self.rig, self.clock = rig, rig.clock
+        self.drives = drives
+        self.states = States(rig, history=history)
+        self.loggers = list(loggers)
+        if tasks is None:
+            tasks = ThreadTasks(self.clock) if isinstance(self.clock, Loop) else VirtualTasks(self.clock)
+        self.tasks = tasks
+        tasks.failed = self._failed
+        #: What happened, newest last.
+        self.events: deque[Any] = deque(maxlen=1024)
+        self.handlers: list[Callable[[Any], None]] = []
+        self.set_points = 0
+        #: The last set-points, by state.
+        self.given: dict[str, float] = {}
+        self.supervisors: list[Supervisor] = []
+        #: Controller → why it was stopped.
+        self._stopped: dict[str, str] = {}
+        #: Controller → the instant at which it began a step that is not over yet.
+        self._inside: dict[str, int] = {}
+        self._told: dict[str, int] = {}
+        self._dead_men: dict[str, int] = {}
+        self._setters: dict[str, Callable[[float], None]] = {}
+        self._failed_at_end: list[str] = []
+        self._not_stopped: dict[str, str] = {}
+        #: What is left of the end.
+        self._to_end: deque[tuple[str, Callable[[], Any]]] = deque()
+        self._is_bound = False
+        self._logging: list[RunLogger] = []
+        self._seconds = 0.0
+        #: What is done before the buses are opened and after they are closed: loops, twins.
+        self.before: list[Callable[[], Any]] = []
+        self.after: list[Callable[[], Any]] = []
+        #: The virtual robot or replay behind it; None on real buses.
+        self.world: Any = None
+        self._phase: Literal["new", "ready", "running", "over"] = "new"
+        self._began = 0
+        self._reason = ""
+        names = [*(one.name for one in controllers), *(one.name for one in loggers)]
+        double = {name for name in names if names.count(name) > 1}
+        if double:
+            raise CallerError(f"two controllers or loggers have one name: {', '.join(sorted(double))}")
+        for controller in controllers:
+            supervisor = self._supervised(controller, reactions, guard, on_trip)
+            self.supervisors.append(supervisor)
+            tasks.add(
+                controller.name, self._stepper(supervisor), rate_hz=controller.rate_hz, priority=CONTROL
+            )
+        for logger in self.loggers:
+            listeners = getattr(logger, "listeners", None)
+            if isinstance(listeners, Listeners):
+                listeners.add(self._tell_all)
+            tasks.add(logger.name, logger.step, rate_hz=logger.rate_hz, priority=LOGGING)
+        rig.on_event(self._happened)
+
+    # ------------------------------------------------------------------ making
+
+    def _supervised(
+        self,
+        controller: ControllerLike,
+        reactions: Mapping[str, Reaction | tuple[Reaction, ...]] | None,
+        guard: bool,
+        on_trip: Action,
+    ) -> Supervisor:
+        period = 1 / controller.rate_hz
+        dead_man = max(DEAD_S, DEAD_PERIODS * period) if guard else None
+        if dead_man is not None:
+            self._dead_men[controller.name] = round(dead_man * 1e9)
+        if isinstance(controller, Supervisor):
+            self._listen(controller)
+            return controller
+        bounds: Mapping[str, Bounds] = {}
+        if guard:
+            known = bounds_of(self.rig.robot)
+            bounds = {
+                **known,
+                **{alias: known[name] for alias, name in self.rig.aliases.items() if name in known},
+            }
+        made = Guard(
+            bounds,
+            period_s=period,
+            dead_man_s=dead_man,
+            action=on_trip,
+            unlisted="pass",
+            name=controller.name,
+        )
+        # What a log cannot take is no reason to stop a robot, unless somebody says so.
+        supervisor = Supervisor(controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **(reactions or {})})
+        self._listen(supervisor)
+        return supervisor
+
+    def _listen(self, supervisor: Supervisor) -> None:
+        """What controller, guard and supervisor tell is among the events."""
+        for listeners in (
+            getattr(supervisor.controller, "listeners", None),
+            supervisor.guard.listeners,
+            supervisor.listeners,
+        ):
+            if isinstance(listeners, Listeners):
+                listeners.add(self._note)
+
+    def _task_of(self, name: str) -> Task:
+        return next(task for task in self.tasks.tasks if task.name == name)
+
+    def _stepper(self, supervisor: Supervisor) -> Callable[[int], None]:
+        step, name, guard = supervisor.step, supervisor.name, supervisor.guard
+        given_last, set_all, inside = self.given, self._give, self._inside
+        is_direct = not isinstance(self.tasks, ThreadTasks)
+        task: Task | None = None
+
+        def run(now: int) -> None:
+            nonlocal task
+            if task is None:
+                task = self._task_of(name)
+            if not is_direct:
+                inside[name] = now
+            given = step(now - task.lateness_ns)
+            if not is_direct:
+                inside.pop(name, None)
+            if guard.tripped is not None and name not in self._stopped:
+                self._trip(supervisor)
+            if not given:
+                return
+            self.set_points += len(given)
+            given_last.update(given)
+            if not self.drives:
+                return
+            if is_direct:
+                set_all(supervisor, given)
+            else:
+                self.clock.call_soon(lambda: set_all(supervisor, given))
+
+        return run
+
+    def _give(self, supervisor: Supervisor, given: Mapping[str, float]) -> None:
+        """Hand set-points down, on the buses' thread; those of a run that is over, or of whom was stopped, are not."""
+        if self._phase != "running":
+            return
+        stopped = supervisor.name in self._stopped
+        if stopped and (supervisor.guard.tripped is None or supervisor.guard.tripped.action != "hold"):
+            return
+        setters = self._setters
+        for name, value in given.items():
+            give = setters.get(name)
+            if give is None:
+                give = setters[name] = self.states[name].set
+            give(value)
+
+    # ------------------------------------------------------------------ errors
+
+    def _happened(self, event: DeviceEvent) -> None:
+        """The shortcut: what happened below reaches every supervisor at once."""
+        self._note(event)
+        if self._phase == "running":
+            for supervisor in self.supervisors:
+                supervisor.handle(event)
+
+    def _failed(self, task: Task, error: BaseException) -> None:
+        """A component raised: a logger, as controllers have supervisors for that."""
+        now = self.clock.now()
+        if now - self._told.get(task.name, -TELL_EVERY) < TELL_EVERY:
+            return
+        self._told[task.name] = now
+        is_log = any(logger.name == task.name for logger in self.loggers)
+        kind = OF_LOGS[0] if is_log else "raised"
+        self._tell_all(ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500]))
+
+    def bus_failed(self, error: BaseException) -> None:
+        """Something raised on the buses' thread."""
+        now = self.clock.now()
+        if now - self._told.get("buses", -TELL_EVERY) >= TELL_EVERY:
+            self._told["buses"] = now
+            self._tell_all(ControlEvent("bug", now, "buses", f"{type(error).__name__}: {error}"[:500]))
+
+    def _tell_all(self, event: ControlEvent) -> None:
+        """What components tell reaches every supervisor, too."""
+        self._note(event)
+        for supervisor in self.supervisors:
+            supervisor.handle(event)
+
+    def _note(self, event: Any) -> None:
+        self.events.append(event)
+        for handler in self.handlers:
+            try:
+                handler(event)
+            except Exception as error:  # a user's code: all others are told the same
+                self.rig.events.failures.append(error)
+
+    def _fault(self, source: str, error: BaseException | str) -> None:
+        """Something of the end went wrong; the end goes on."""
+        said = error if isinstance(error, str) else f"{type(error).__name__}: {error}"[:500]
+        self._failed_at_end.append(f"{source}: {said}")
+        self._note(ControlEvent("failed", self.clock.now(), source, said))
+
+    def _trip(self, supervisor: Supervisor) -> None:
+        """A guard has stopped motion: what its controller drives is stopped too, as declared."""
+        trip = supervisor.guard.tripped
+        assert trip is not None
+        if not trip.latched:
+            return
+        self._stopped[supervisor.name] = trip.reason
+        if self.drives and trip.action != "hold":
+            self.clock.call_soon(lambda: self._stop_driven(supervisor))
+
+    def _stop_driven(self, supervisor: Supervisor) -> None:
+        def over(stopping: Job) -> None:
+            if stopping.error is not None:
+                self._note(ControlEvent("failed", self.clock.now(), supervisor.name, str(stopping.error)))
+
+        stop_devices(self.clock, supervisor.name, self.driven(supervisor)).then(over)
+
+    def _watch(self) -> None:
+        """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
+        if self._phase != "running":
+            return
+        self.clock.call_in(WATCH, self._watch)
+        now = self.clock.now()
+        for supervisor in self.supervisors:
+            began = self._inside.get(supervisor.name, now)
+            if now - began <= self._dead_men.get(supervisor.name, now) or supervisor.name in self._stopped:
+                continue
+            reason = f"its step has not come back for {(now - began) / 1e9:.3f} s"
+            action = supervisor.guard.action
+            self._stopped[supervisor.name] = reason
+            supervisor.guard.trip(reason, action)
+            self._note(ControlEvent("trip", now, supervisor.name, f"{action}: {reason}"))
+            if self.drives and action != "hold":
+                self._stop_driven(supervisor)
+
+    def driven(self, supervisor: Supervisor) -> list[Device]:
+        """The devices that a controller gives set-points to; all of them where it does not say."""
+        names = {
+            self.rig.device(self.states.whole(name).partition(".")[0]).name
+            for name in supervisor.writes
+            if name in self.states
+        }
+        return [d for d in self.rig.devices.values() if not names or d.name in names]
+
+    # ------------------------------------------------------------------ running
+
+    def __enter__(self) -> Runner:
+        self.open()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        was_over = self._phase == "over" and not self._to_end
+        ended = self.stop("the program left it")
+        if ended.not_stopped and kind is None and not was_over:  # else `run` or `stop` has returned it
+            raise NotStoppedError(ended.not_stopped)
+
+    def open(self) -> None:
+        """Open the buses, and wait until every polled device has been heard or `HEARD_S` are over.
+
+        Whatever opening raises comes out, with all closed again.
+        """
+        self.bind()
+        try:
+            for begin in self.before:
+                begin()
+            self.clock.call(self._open_hosts)
+            if any(host.rate_hz for host in self.rig.hosts.values()):
+                polled = [device for device in self.rig.devices.values() if device.polls]
+                self.clock.wait(
+                    lambda: all(device.last_heard is not None for device in polled), round(HEARD_S * 1e9)
+                )
+        except BaseException:
+            self.stop("it could not be opened")
+            raise
+        self._phase = "ready"
+
+    def _open_hosts(self) -> None:
+        for name, host in self.rig.hosts.items():
+            try:
+                host.open()
+            except AcesError:
+                raise
+            except Exception as error:  # whatever a backend or the system may raise
+                said = " ".join(str(error).split()) or type(error).__name__
+                raise CallerError(f"bus {name} cannot be opened: {said}") from error
+
+    @property
+    def missing(self) -> list[str]:
+        """The polled devices that were never heard."""
+        return [d.name for d in self.rig.devices.values() if d.polls and d.last_heard is None]
+
+    def do(
+        self, action: str, timeout_s: float = 60.0, *, devices: Collection[Device | str] | None = None
+    ) -> list[str]:
+        """Have devices do something ("enable", "home") and wait; those that have it, by name.
+
+        `devices` None: all of the robot's; names may be those of joints. Raises `DeviceError` with who failed.
+        """
+        some = self.rig.devices.values() if devices is None else devices
+        found = dict.fromkeys(self.rig.device(one) if isinstance(one, str) else one for one in some)
+        able = [device for device in found if action in device.actions]
+
+        def begin() -> Any:
+            jobs = [getattr(device, action)() for device in able]
+            return together(
+                self.clock, f"{self.rig.robot.name} {action}", [job for job in jobs if job is not None]
+            )
+
+        self.clock.call(begin).wait(timeout_s)
+        return [device.name for device in able]
+
+    def start(self) -> None:
+        """Start controllers and loggers. Raises `UnknownNameError` for a state that the robot has not."""
+        self.bind()
+        for logger in self.loggers:  # files take their time
+            self._logging.append(logger)
+            logger.start(self.clock.now())
+        self._began = now = self.clock.now()
+        for supervisor in self.supervisors:
+            supervisor.start(now)
+        self._phase = "running"
+        self.tasks.start()
+        if isinstance(self.tasks, ThreadTasks):
+            self.clock.call_soon(self._watch)
+
+    def bind(self) -> None:
+        """Give controllers and loggers their states; may be done before the buses are opened. Raises as `start`."""
+        if not self._is_bound:
+            if self._phase == "new":
+                self._bind()
+            else:
+                self.clock.call(self._bind)
+            self._is_bound = True
+
+    def _bind(self) -> None:
+        for supervisor in self.supervisors:
+            for name in (*supervisor.states, *supervisor.writes):
+                self.states.whole(name)  # says best what is wrong with it
+            supervisor.bind(self.states)
+            for name in supervisor.writes:
+                state = self.states[name]
+                if not state.is_writable:
+                    raise CallerError(f"{supervisor.name} gives set-points for {name}, which is read-only")
+        for logger in self.loggers:
+            try:
+                logger.bind(self.states)
+            except UnknownNameError as error:
+                self.states.whole(error.name)
+                raise
+
+    @property
+    def seconds(self) -> float:
+        """How long it has been running."""
+        return (self.clock.now() - self._began) / 1e9 if self._phase == "running" else 0.0
+
+    def run(self, seconds: float | None = None, until: Callable[[], bool] | None = None) -> Ended:
+        """Start, let it run until its time is up, `until()` holds or every controller has been stopped, and stop.
+
+        `until` is asked every millisecond. What it raises comes out, with motion stopped and all closed.
+        """
+        try:
+            if self._phase == "new":
+                self.open()
+            self.start()
+            end = None if seconds is None else self._began + round(seconds * 1e9)
+
+            def is_over() -> bool:
+                if self._stopped and len(self._stopped) == len(self.supervisors):
+                    self._reason = "every controller was stopped"
+                    return True
+                return until is not None and until()
+
+            self._let_pass(is_over, (1 << 62) if end is None else end)
+        except BaseException as error:
+            self.stop(f"{type(error).__name__}: {error}".rstrip(": "))
+            raise
+        return self.stop(self._reason)
+
+    def _let_pass(self, is_over: Callable[[], bool], end: int) -> None:
+        clock = self.clock
+        if not isinstance(clock, VirtualClock):
+            clock.wait(is_over, max(0, end - clock.now()))
+            return
+        while not is_over():  # asked once a millisecond, not after each event
+            if clock.next_event is None and end >= 1 << 62:
+                raise CallerError("nothing will ever happen here, and the run has no end: give it one")
+            if clock.now() >= end:
+                return
+            clock.advance_to(min(end, clock.now() + LOOK))
+
+    def stop(self, reason: str = "") -> Ended:
+        """Stop controllers, motion, buses, logs; in this order, whatever fails on the way.
+
+        Called again after it was interrupted, it goes on where it was.
+        """
+        if self._phase != "over":
+            self._seconds, self._reason = self.seconds, reason or self._reason
+            was, self._phase = self._phase, "over"
+            now = self.clock.now()
+            if was == "running":
+                self._to_end.append(("tasks", self.tasks.stop))
+                self._to_end += [(one.name, partial(one.stop, now)) for one in self.supervisors]
+            if was != "new" and self.drives:
+                self._to_end.append(("stop", self._stop_motion))
+            self._to_end.append(("buses", lambda: self._in_time(self.rig.close)))
+            self._to_end += [("end", end) for end in self.after]
+            self._to_end += [(one.name, partial(self._close_log, one)) for one in self._logging]
+        interrupted: BaseException | None = None
+        while self._to_end:
+            source, action = self._to_end[0]
+            try:
+                action()
+            except Exception as error:  # whatever it is, the rest is done
+                self._fault(source, error)
+            except BaseException as error:  # Ctrl-C: the rest is done, and then it is told
+                interrupted = error
+            self._to_end.popleft()
+        if interrupted is not None:
+            raise interrupted
+        return self.ended(reason)
+
+    def _close_log(self, logger: RunLogger) -> None:
+        logger.stop(self.clock.now())
+
+    def _stop_motion(self) -> None:
+        stopping = self._in_time(
+            lambda: stop_devices(self.clock, self.rig.robot.name, self.rig.devices.values())
+        )
+        try:
+            wait_stopped(stopping)
+        except DeviceError as error:
+            if not isinstance(stopping.error, NotStoppedError):
+                self._fault("stop", str(error))
+        finally:
+            if isinstance(stopping.error, NotStoppedError):
+                self._not_stopped = stopping.error.devices
+                for name, why in self._not_stopped.items():
+                    self._fault(name, why)
+
+    def _in_time(self, action: Callable[[], T]) -> T:
+        """Do it on the buses' thread, which may hang or be gone: then, after a while, here."""
+        clock = self.clock
+        if not isinstance(clock, Loop):
+            return action()
+        done: Future[T] = Future()
+
+        def run() -> None:
+            if done.set_running_or_notify_cancel():
+                try:
+                    done.set_result(action())
+                except BaseException as error:  # it is raised where it was asked for
+                    done.set_exception(error)
+
+        clock.call_soon(run)
+        try:
+            return done.result(PATIENCE_S)
+        except TimeoutError:
+            if done.cancel():
+                return action()
+            raise
+
+    def ended(self, reason: str = "") -> Ended:
+        """How it ended."""
+        tripped = {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
+        return Ended(
+            reason or self._reason, tripped, self._seconds, list(self._failed_at_end), dict(self._not_stopped)
+        )
+
+    @property
+    def stopped(self) -> dict[str, str]:
+        """Controllers that were stopped, with why."""
+        return dict(self._stopped)
+
+    @property
+    def used(self) -> list[str]:
+        """The states that controllers read or write, as they call them."""
+        names = [name for s in self.supervisors for name in (*s.writes, *s.states)]
+        return list(dict.fromkeys(names))
+
+    def unknown_states(self) -> list[str]:
+        """Those states in use that have no fresh value."""
+        return [name for name, state in self.states._made.items() if state[0] is UNKNOWN]
+
+    @property
+    def clock_name(self) -> str:
+        """Which clock instants belong to."""
+        clock: EventClock = self.clock
+        return clock.name

@@ -1,0 +1,69 @@
+"""The complete Hubo 2+ in real time: controllers on threads, twins at a bus of this machine, a minute long.
+
+HYPOTHESIS_PROFILE=long pytest -s tests/robot/test_real_time.py
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+import pytest
+
+from aces_bus.controller import IGNORE, Player, Trajectory
+from aces_bus.hardware import CanGate, port_of
+from aces_bus.robot import run_real, simulate
+from aces_bus.runtime import Loop
+from aces_devices.robots import load_robot_by_name
+
+SECONDS = float(os.environ.get("ACES_REAL_SECONDS", "60"))
+RATE = 200.0
+
+
+@pytest.mark.long
+def test_hubo_runs_a_minute_in_real_time() -> None:
+    """200 Hz for 60 s: every deadline is a cycle or counted as missed; printed: lateness, and what host and twins cost."""
+    robot = load_robot_by_name("hubo2plus")
+    joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
+    rows = [[0.05 * (n % 2) for _ in joints] for n in range(round(SECONDS) + 2)]
+    rows = [
+        [min(max(v, j.lower or 0.0), j.upper or 0.0) for v, j in zip(row, joints, strict=True)]
+        for row in rows
+    ]
+    trajectory = Trajectory([j.name for j in joints], rows, rate_hz=1.0, interpolation="cubic")
+    player = Player("walk", trajectory, rate_hz=RATE)
+    options = {
+        bus: {"interface": "aces", "channel": f"minute-{bus}", "bitrate": 1_000_000} for bus in robot.buses
+    }
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(0.0005)  # as `aces run` has it
+    try:
+        with (
+            Loop() as loop,
+            simulate(robot, {bus: port_of(CanGate(o), loop) for bus, o in options.items()}),
+            run_real(
+                robot,
+                [player],
+                buses=options,
+                rate_hz=RATE,
+                reactions={"*": IGNORE},  # a busy machine is no fault
+            ) as run,
+        ):
+            assert run.missing == []
+            run.do("enable")
+            cpu, wall = time.process_time(), time.monotonic()
+            ended = run.run(SECONDS)
+            cpu, wall = time.process_time() - cpu, time.monotonic() - wall
+    finally:
+        sys.setswitchinterval(before)
+    (task,) = run.tasks.tasks
+    for name, host in run.rig.hosts.items():
+        c = host.counts
+        print(
+            f"\n{name}: {c.ticks} ticks, {c.ticks_missed} left out, {c.missed} unanswered, {c.latency_ns / 1e6:.1f} ms",
+            end="",
+        )
+    print(f"\n{task}\nCPU {cpu / wall:.0%} of one core; {ended}")
+    assert ended.tripped == {}
+    assert abs(task.ticks + task.missed - 1 - RATE * ended.seconds) <= 5

@@ -1,0 +1,299 @@
+"""How runs end, whatever goes wrong: who is stopped, in which order, what is told, and that nothing hangs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from aces_bus.controller import Controller, stop
+from aces_bus.errors import CallerError
+from aces_bus.hardware import CanGate, port_of
+from aces_bus.robot import run_real, run_virtual, simulate
+from aces_bus.runtime import Loop
+from tests.device.fan import ROBOT, drivers, robot_of
+
+SPEEDS = ["A.left", "A.right", "B.left", "B.right"]
+
+
+class Drive(Controller):
+    """Gives one speed to all fans; `during(now)` is called in each step."""
+
+    def __init__(self, during: Any = None, goal: float = 100.0, writes: list[str] = SPEEDS) -> None:
+        super().__init__("drive", rate_hz=50, writes=writes)
+        self.during, self.goal = during, goal
+
+    def step(self, now_ns: int) -> Mapping[str, float]:
+        if self.during is not None:
+            self.during(now_ns)
+        return dict.fromkeys(self.writes, self.goal)
+
+
+class Log:
+    """A logger that notes what is done with it, and fails where it is told to."""
+
+    name, rate_hz, states = "log", 50.0, ("A.left",)
+
+    def __init__(self, fails: str = "") -> None:
+        self.fails, self.did, self.rows = fails, list[str](), 0
+
+    def _do(self, what: str) -> None:
+        self.did.append(what)
+        if what == self.fails:
+            raise OSError(28, "no space left on device")
+
+    def bind(self, states: Mapping[str, Any]) -> None:
+        self.state = states["A.left"]
+
+    def start(self, now: int) -> None:
+        self._do("start")
+
+    def step(self, now: int) -> None:
+        self.rows += 1
+        self._do("step")
+
+    def stop(self, now: int) -> None:
+        self._do("stop")
+
+
+def test_a_controller_that_does_not_come_back_is_stopped() -> None:
+    """On threads, the buses' thread finds a step that hangs, stops its devices and ends the run, with the reason."""
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-hang", "bitrate": 500_000}
+    release = threading.Event()
+    with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers) as twins:
+
+        def hang(now: int) -> None:
+            if twins["A"].left > 0:  # type: ignore[attr-defined]
+                release.wait(20)
+
+        run = run_real(robot, [Drive(hang)], buses={"line": options}, load=drivers)
+        run.handlers.append(lambda event: release.set() if event.kind == "trip" else None)
+        ended = run.run(20.0)
+        assert ended.seconds < 5
+        assert "has not come back" in ended.tripped["drive"]
+        assert loop.wait(lambda: twins["A"].left == 0, 2_000_000_000)  # type: ignore[attr-defined]
+    assert ended.failed == []
+
+
+def test_the_end_goes_on_whatever_fails() -> None:
+    """A driver, a controller and a log that fail at the end are told, and keep nobody else from being stopped."""
+
+    class Sour(Drive):
+        def stop(self, now: int) -> None:
+            raise RuntimeError("not now")
+
+    logs = [Log("stop"), Log()]
+    logs[1].name = "other"
+    run = run_virtual(robot_of(ROBOT), [Sour()], load=drivers, loggers=logs)
+    with run:
+        run.start()
+        run.clock.wait(lambda: False, 200_000_000)
+
+        def broken() -> None:
+            raise ValueError("no such thing")
+
+        run.rig.devices["A"].stop_motion = broken  # type: ignore[method-assign]
+        assert run.world.twins["B"].left > 0
+        ended = run.stop("enough")
+    assert run.world.twins["B"].left == 0
+    assert [text.partition(":")[0] for text in ended.failed] == ["drive", "A", "log"]
+    assert "no such thing" in ended.failed[1]
+    assert logs[1].did[-1] == "stop"
+    assert ended.reason == "enough"
+    assert run.stop("again") is not ended
+    assert logs[1].did.count("stop") == 1
+
+
+def test_the_order_of_the_end() -> None:
+    """Controllers, motion, buses, logs: in this order, each once."""
+    order: list[str] = []
+
+    class Last(Drive):
+        def stop(self, now: int) -> None:
+            order.append("controller")
+
+    class Book(Log):
+        def stop(self, now: int) -> None:
+            order.append("log")
+
+    run = run_virtual(robot_of(ROBOT), [Last()], load=drivers, loggers=[Book()])
+    run.after.append(lambda: order.append("buses"))
+
+    def noted(stop_motion: Any) -> Any:
+        def do() -> Any:
+            order.append("motion")
+            return stop_motion()
+
+        return do
+
+    for device in run.rig.devices.values():
+        device.stop_motion = noted(device.stop_motion)  # type: ignore[method-assign]
+    run.run(0.2)
+    assert order == ["controller", "motion", "motion", "buses", "log"]
+
+
+def test_an_interrupt_ends_it_and_comes_out() -> None:
+    """KeyboardInterrupt in a controller or at the end passes on, after motion was stopped and the log closed."""
+
+    def interrupt(now: int) -> None:
+        if now > 300_000_000:
+            raise KeyboardInterrupt
+
+    log = Log()
+    run = run_virtual(robot_of(ROBOT), [Drive(interrupt)], load=drivers, loggers=[log])
+    with pytest.raises(KeyboardInterrupt):
+        run.run(10.0)
+    assert run.world.twins["A"].left == 0
+    assert log.did[-1] == "stop"
+    assert run.ended().reason == "KeyboardInterrupt"
+
+
+def test_what_a_log_cannot_take_stops_no_robot() -> None:
+    """A log that raises in each step is told of once a second, and motion goes on; unless it is declared otherwise."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers, loggers=[Log("step")])
+    ended = run.run(1.5)
+    told = [event for event in run.events if event.kind == "log-failed"]
+    assert (len(told), ended.tripped) == (2, {})
+    assert "no space left" in told[0].detail
+    run = run_virtual(
+        robot_of(ROBOT), [Drive()], load=drivers, loggers=[Log("step")], reactions={"log-failed": stop()}
+    )
+    ended = run.run(1.5)
+    assert "no space left" in ended.tripped["drive"]
+    assert ended.seconds < 0.1
+
+
+def test_a_log_that_cannot_begin_ends_the_run() -> None:
+    """What starting a log raises comes out, with all closed again."""
+    logs = [Log(), Log("start")]
+    logs[1].name = "other"
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers, loggers=logs)
+    with pytest.raises(OSError, match="no space"):
+        run.run(1.0)
+    assert logs[0].did == ["start", "stop"]
+    assert run.world.twins["A"].left == 0
+
+
+def test_a_bus_that_cannot_be_opened_is_named_and_leaves_nothing_behind() -> None:
+    """The error names the bus; no thread stays."""
+    before = threading.active_count()
+    options = {"interface": "aces", "channel": "unix:/no/such.sock", "bitrate": 500_000}
+    run = run_real(robot_of(ROBOT), [Drive()], buses={"line": options}, load=drivers)
+    with pytest.raises(CallerError, match="bus line"):
+        run.run(1.0)
+    assert threading.active_count() == before
+
+
+def test_missing_devices_are_named() -> None:
+    """A device that never answers is among `missing`; the others are not."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    run.world.simulation["B"].fault("silent")
+    with run:
+        assert run.missing == ["B"]
+
+
+def test_set_points_after_the_end_go_nowhere() -> None:
+    """A step that ends after the run sets nothing: what was stopped stays so."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    run.run(0.2)
+    supervisor = run.supervisors[0]
+    run._give(supervisor, {"A.left": 200.0})
+    assert not run.rig.devices["A"]._given
+
+
+def test_what_a_guard_changes_is_among_the_events() -> None:
+    """Set-points that are clipped are told, and counted by state."""
+
+    class Wild(Drive):
+        def step(self, now_ns: int) -> Mapping[str, float]:
+            return {"A.left": float("nan"), "A.right": 50.0}
+
+    run = run_virtual(robot_of(ROBOT), [Wild()], load=drivers)
+    run.run(0.2)
+    assert "not finite" in {event.kind for event in run.events}
+    assert run.supervisors[0].guard.clips["A.left"].not_finite > 5
+
+
+def test_only_what_a_controller_drives_is_enabled() -> None:
+    """`do` takes those devices that are named, and says which were able."""
+    run = run_virtual(robot_of(ROBOT), [Drive(writes=["A.left"])], load=drivers)
+    with run:
+        driven = run.driven(run.supervisors[0])
+        assert [device.name for device in driven] == ["A"]
+        assert run.do("off", devices=driven) == ["A"]
+        assert run.do("fly") == []
+
+
+def test_steps_are_given_the_instants_that_they_were_due() -> None:
+    """However late a thread wakes, the instants of a controller's steps are whole periods apart."""
+    seen: list[int] = []
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-due", "bitrate": 500_000}
+    with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
+        run = run_real(robot, [Drive(seen.append)], buses={"line": options}, load=drivers)
+        run.run(5.0, until=lambda: len(seen) > 6)
+    assert {(b - a) % 20_000_000 for a, b in pairwise(seen)} == {0}
+
+
+def test_what_raises_on_the_buses_thread_stops_motion() -> None:
+    """A driver's fault is told as "bug" with what it was, and ends the run."""
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-bug", "bitrate": 500_000}
+    with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
+        run = run_real(robot, [Drive()], buses={"line": options}, load=drivers)
+
+        def broken(record: Any, instant: int) -> None:
+            if run.set_points:
+                raise RuntimeError("off by one")
+
+        run.rig.devices["A"].heard = broken  # type: ignore[method-assign]
+        ended = run.run(5.0)
+    assert ended.tripped["drive"] == "buses: bug: RuntimeError: off by one"
+
+
+def test_users_code_is_never_on_a_receive_thread() -> None:
+    """Steps run on their controller's thread, handlers on that of the buses; neither on a gate's."""
+    threads: dict[str, set[str]] = {"step": set(), "handle": set()}
+
+    class Where(Drive):
+        def step(self, now_ns: int) -> Mapping[str, float]:
+            threads["step"].add(threading.current_thread().name)
+            return super().step(now_ns)
+
+        def handle(self, event: Any) -> None:
+            threads["handle"].add(threading.current_thread().name)
+
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-threads", "bitrate": 500_000}
+    with (
+        Loop("twins") as loop,
+        simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers) as twins,
+    ):
+
+        def silence(now: int) -> None:
+            if twins["A"].left > 0:  # type: ignore[attr-defined]
+                twins["A"].fault("silent")
+
+        run = run_real(robot, [Where(silence)], buses={"line": options}, load=drivers)
+        ended = run.run(10.0)
+    assert "silent" in ended.tripped["drive"]
+    assert threads == {"step": {"drive"}, "handle": {"aces loop"}}
+
+
+def test_every_deadline_is_a_step_or_missed() -> None:
+    """On threads, what a slow controller left out is counted, to the last deadline before the end."""
+    robot = robot_of(ROBOT)
+    options = {"interface": "aces", "channel": "test-count", "bitrate": 500_000}
+    with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
+        run = run_real(
+            robot, [Drive(lambda now: threading.Event().wait(0.05))], buses={"line": options}, load=drivers
+        )
+        ended = run.run(0.5)
+    (task,) = run.tasks.tasks
+    assert task.missed > 5
+    # On a busy machine some time passes between the last tick and the end.
+    assert abs(task.ticks + task.missed - 1 - 50 * ended.seconds) <= 5

@@ -1,0 +1,236 @@
+"""Find what answers on a bus, and write a robot's file of it.
+
+  aces scan -p hubo --bus can0 -i socketcan > found.toml
+  aces scan -p robotis --bus /dev/ttyUSB0 --baud 1000000
+  aces scan --robot hubo2plus            is everything there that should be?
+                                         1 when something is missing
+  aces scan --robot hubo2plus --virtual  the same, on its twins
+
+It asks each number in turn and reads: nothing is set, nothing moves. On a bus
+in use it adds traffic. The file has what devices say of themselves; gears,
+limits and names of joints are for you to add.
+
+  aces scan -p hubo --bus unix:can0 > found.toml
+  aces device JMC3 get -r found.toml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from aces_bus.errors import AcesError, CallerError
+
+from .console import Output, check_suffix, say, terminal_width
+from .device_show import credential_text
+from .live import LivePatience
+from .robot_arg import add_robot_arguments, bus_options, channel_of, check_channels, chosen_robot, open_host
+
+if TYPE_CHECKING:
+    from aces_bus.device import Driver, Host, Robot
+
+#: Seconds of the bus's time that a scan may take at most.
+LONGEST_S = 600
+
+EPILOG = """\
+exit status: 0; 1 when something is missing, nothing was found, or a bus could
+not be looked through; 2 a wrong call, or a bus that cannot be opened
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = EPILOG
+    add_robot_arguments(parser)
+    add = parser.add_argument
+    add("-p", "--protocol", metavar="NAME[:DIALECT]", help="without a robot: what is spoken on the bus")
+    add("-o", "--output", metavar="FILE.toml", help="write the robot's file there (default: stdout)")
+    add("--json", action="store_true", help="what was found, as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    check_suffix("--output", arguments.output, ".toml")
+    robot = _robot(arguments)
+    if arguments.output is not None and arguments.robot_given:
+        raise CallerError(
+            "--output is for what --protocol finds: the robot that --robot names has a file already"
+        )
+    scanners = _scanners(robot)
+    found: list[Any] = []
+    is_whole = True
+    with ExitStack() as stack:
+        patience = stack.enter_context(LivePatience())
+        for name, host in _hosts(robot, arguments, stack).items():
+            for driver in scanners:
+                if driver.protocol in host.variants and not patience.is_over:
+                    these = _scanned(name, host, driver, patience)
+                    is_whole = is_whole and these is not None
+                    found += these or []
+    expected = {(c.bus, tuple(sorted(c.credentials.items()))): c for c in robot.devices.values() if c.active}
+    there = {(c.bus, tuple(sorted(c.credentials.items()))) for c in found}
+    # Of what was not looked for to the end, nobody can say that it is missing.
+    missing = [config.name for key, config in expected.items() if key not in there and not patience.is_over]
+    if arguments.json:
+        listed = [
+            {
+                "bus": c.bus,
+                "driver": c.driver,
+                "credentials": c.credentials,
+                "channels": c.channels,
+                "model": c.model,
+                "kind": c.kind,
+            }
+            for c in found
+        ]
+        print(json.dumps({"found": listed, "missing": missing}, ensure_ascii=False, indent=2))
+    elif expected:
+        for config in found:
+            key = (config.bus, tuple(sorted(config.credentials.items())))
+            name = expected[key].name if key in expected else "not in the robot's file"
+            print(f"{config.bus}: {config.driver} {credential_text(config.credentials)}  {name}")
+        for name in missing:
+            config = robot.devices[name]
+            print(
+                f"{config.bus}: {config.driver} {credential_text(config.credentials)}  {name} does not answer"
+            )
+    elif found:
+        _write(robot, found, arguments)
+    else:
+        options = bus_options(robot, arguments)["bus"]
+        say(f"nobody answers on {options.get('channel')}: is it powered, and is the bit rate or baud right?")
+    say(f"found={len(found)} missing={len(missing)}" + (" (interrupted)" if patience.is_over else ""), who="")
+    return 1 if missing or not found or not is_whole else 0
+
+
+def _robot(arguments: argparse.Namespace) -> Robot:
+    """The robot of the call, or one without devices on the bus that is named."""
+    from aces_bus.device import Bus, Robot
+    from aces_bus.protocol import load_protocol
+
+    arguments.robot_given = arguments.protocol is None
+    if arguments.protocol is None:
+        return chosen_robot(arguments.robot)
+    if arguments.robot:
+        raise CallerError("--robot says what is spoken already; leave --protocol away")
+    if arguments.virtual:
+        raise CallerError("--virtual needs a robot whose twins are to be found: --robot NAME")
+    name, _, dialect = arguments.protocol.partition(":")
+    protocol = load_protocol(name)
+    protocol.variant(dialect or None)  # raises for one that does not exist
+    if not arguments.bus:
+        raise CallerError("which bus? --bus can0 -i socketcan, --bus unix:can0, --bus /dev/ttyUSB0")
+    if len(arguments.bus) > 1:
+        raise CallerError("one bus at a time: a protocol is looked for on one --bus")
+    bus = Bus(
+        name="bus",
+        link=protocol.link,
+        protocol=name,
+        dialect=dialect or None,
+        bitrate=protocol.bitrate if protocol.link == "can" else None,
+        baud=arguments.baud or protocol.baud if protocol.link == "serial" else None,
+    )
+    return Robot(name="found", buses={"bus": bus}, devices={}, joints={}, sensors={})
+
+
+def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Host]:
+    """A host without devices for each bus, open."""
+    from aces_bus.device import Host
+    from aces_bus.robot.rig import bus_variants
+
+    hosts: dict[str, Host] = {}
+    options: dict[str, dict[str, Any]] = {name: {} for name in robot.buses}
+    if arguments.virtual:
+        from aces_bus.robot import VirtualRobot
+
+        if arguments.bus or arguments.interface:
+            raise CallerError("--virtual has no buses; leave --bus and -i away")
+        virtual = VirtualRobot(robot, seed=arguments.seed)
+        stack.enter_context(virtual.simulation)
+        ports: dict[str, Any] = virtual.ports("scan")
+    else:
+        from aces_bus.protocol import load_protocol
+        from aces_bus.robot import gate_of, port_for
+        from aces_bus.runtime import Loop
+
+        loop = stack.enter_context(Loop())
+        options = bus_options(robot, arguments)
+        check_channels(robot, options)
+        used = {config.bus for config in robot.devices.values() if config.active} or set(robot.buses)
+        ports = {
+            name: port_for(gate_of(bus, load_protocol(bus.protocol), options[name]), bus, loop)
+            for name, bus in robot.buses.items()
+            if name in used
+        }
+    for name, port in ports.items():
+        hosts[name] = Host(port, bus_variants(robot, name), name=name)
+        stack.callback(hosts[name].close)
+        open_host(name, hosts[name], channel_of(robot, name, options))
+    return hosts
+
+
+def _scanners(robot: Robot) -> list[Driver]:
+    """The drivers that can find their devices on the robot's buses; one that cannot be loaded is said, and left out."""
+    from aces_bus.device import list_drivers, load_driver
+
+    wanted = {bus.protocol for bus in robot.buses.values()}
+    wanted |= {robot.protocol_of(config)[0] for config in robot.devices.values() if config.active}
+    found: list[Driver] = []
+    for name in list_drivers():
+        try:
+            driver = load_driver(name)
+        except AcesError as error:
+            say(f"{error}; its devices are not looked for")
+            continue
+        if driver.scan is not None and driver.protocol in wanted:
+            found.append(driver)
+    if not found:
+        raise CallerError(
+            f"no driver finds devices that speak {', '.join(sorted(wanted))}; `aces devices NAME` says which do"
+        )
+    return found
+
+
+def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any] | None:
+    """What a driver finds on a bus; None: it was interrupted, or failed."""
+    from msgspec.structs import replace
+
+    from aces_bus.device import Job
+
+    scan = driver.scan
+    assert scan is not None
+    job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))
+    is_shown = sys.stderr is not None and sys.stderr.isatty()
+    end = host.clock.now() + LONGEST_S * 1_000_000_000
+    while not job.is_over and host.clock.now() < end and not patience.is_over:
+        host.clock.wait(lambda: job.is_over or patience.is_over, 200_000_000)
+        if is_shown:
+            text = f"{name} {driver.name}: {job.progress:4.0%} {job.text:<20.20}"
+            print(f"\r{text:.{terminal_width() - 1}}", end="", file=sys.stderr, flush=True)
+    if is_shown:
+        print("\r" + " " * (terminal_width() - 1) + "\r", end="", file=sys.stderr, flush=True)
+    if not job.is_over:
+        host.clock.call(job.cancel)
+        if not patience.is_over:
+            say(f"{name}: {driver.name} is not through after {LONGEST_S} s")
+        return None
+    if job.error is not None:
+        say(f"{name}: {driver.name}: {job.error}")
+        return None
+    return [replace(config, bus=name) for config in job.result]
+
+
+def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> None:
+    from msgspec.structs import replace
+
+    from aces_bus.robot import print_robot
+
+    options = bus_options(robot, arguments)
+    bus = replace(
+        robot.buses["bus"], **{k: v for k, v in options["bus"].items() if k in ("channel", "interface")}
+    )
+    whole = replace(robot, buses={"bus": bus}, devices={config.name: config for config in found})
+    output = Output(arguments.output)
+    output.write(print_robot(whole).encode())
+    output.close()
