@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import degrees, radians, sin, tau
 
+from aces_bus import load_robot
 from aces_bus.controller import Controller, Limits, Player, Trajectory
 from aces_bus.controller.base import StateLike, known_value
 from aces_bus.robot import run_virtual
-from aces_devices.robots import load_robot_by_name
 
 RATE = 100.0
 
@@ -91,7 +91,7 @@ def main() -> dict[float, dict[str, float]]:
     pose = {**legs, "LAR": 0.0, "RAR": 0.0}
     stand = Trajectory(pose, [list(pose.values())] * 2, rate_hz=RATE, source="stand")
     compliant = AnkleCompliance(Player("stand", stand, rate_hz=RATE, gentle=Limits(1.5, 6.0)))
-    run = run_virtual(load_robot_by_name("hubo2").part(*pose, "LFFT", "RFFT"), [compliant])
+    run = run_virtual(load_robot("hubo2").part(*pose, "LFFT", "RFFT"), [compliant])
     given: dict[float, dict[str, float]] = {}
     with run:
         run.do("home")

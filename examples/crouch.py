@@ -8,10 +8,10 @@ After the original's demonstration (miniSM): 15 Hz, 0.02 rad a tick; there it wa
 
 from __future__ import annotations
 
+from aces_bus import load_robot
 from aces_bus.controller import Phase, StateMachine, Transition
 from aces_bus.robot import run_virtual
 from aces_devices.robotis_rx.driver import STEP
-from aces_devices.robots import load_robot_by_name
 
 BEND = """
     LHP[0] = a
@@ -50,7 +50,7 @@ def crouching() -> StateMachine:
 def main() -> None:
     machine = crouching()
     print(machine.mermaid())
-    run = run_virtual(load_robot_by_name("minihubo_2"), [machine], rate_hz=15)
+    run = run_virtual(load_robot("minihubo_2"), [machine], rate_hz=15)
     with run:
         run.do("enable", devices=machine.writes)
         shoulder = run.rig.robot.joint("RSP")

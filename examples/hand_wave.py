@@ -12,10 +12,10 @@ import sys
 from collections.abc import Sequence
 from math import pi, radians, sin
 
+from aces_bus import load_robot
 from aces_bus.controller import Player, Trajectory, read_trajectory
 from aces_bus.errors import CallerError
 from aces_bus.robot import run_virtual
-from aces_devices.robots import load_robot_by_name
 
 RATE = 10.0
 
@@ -40,7 +40,7 @@ def recorded(path: str) -> Trajectory:
 
 def main(arguments: Sequence[str]) -> None:
     motion = recorded(arguments[0]) if arguments else wave()
-    robot = load_robot_by_name("hubovia")
+    robot = load_robot("hubovia")
     turned: dict[str, list[float]] = {name: [] for name in motion.names}
 
     def look(row: dict[str, float]) -> None:

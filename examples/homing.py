@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from aces_bus import load_robot
 from aces_bus.device import Device, Job, Steps, together
 from aces_bus.errors import AcesError
 from aces_bus.robot import VirtualRobot
-from aces_devices.robots import load_robot_by_name
 
 #: Each phase with its limbs; limbs search together, the joints of a limb one after the other.
 PHASES: dict[str, list[str]] = {
@@ -91,7 +91,7 @@ class Homing:
 
 def main() -> list[str]:
     # Without a rate nothing is polled; a board is asked while it searches.
-    robot = VirtualRobot(load_robot_by_name("hubo2"))
+    robot = VirtualRobot(load_robot("hubo2"))
     knee, elbow = robot.twins["JMC2"], robot.twins["JMC11"]
     said: list[str] = []
 

@@ -12,16 +12,16 @@ import sys
 
 from msgspec.structs import replace
 
+from aces_bus import load_robot
 from aces_bus.device import Robot
 from aces_bus.robot import VirtualRobot
-from aces_devices.robots import load_robot_by_name
 
 RATE = 200.0
 
 
 def complete() -> Robot:
     """Hubo 2+ with its neck, which no program's table has active: it is polled, and driven by duty."""
-    robot = load_robot_by_name("hubo2plus")
+    robot = load_robot("hubo2plus")
     neck = {"EJMC2": replace(robot.devices["EJMC2"], active=True)}
     joints = {
         name: replace(joint, active=True, command="duty", max_duty=100.0)

@@ -12,11 +12,11 @@ import sys
 from collections.abc import Sequence
 from math import pi, sin
 
+from aces_bus import load_robot
 from aces_bus.controller import Player, Trajectory, read_trajectory
 from aces_bus.controller.motion_file import rate_in_name
 from aces_bus.errors import CallerError
 from aces_bus.robot import run_virtual
-from aces_devices.robots import load_robot_by_name
 
 RATE = 100.0
 JOINTS = ("WST", *(f"{side}{joint}" for side in "LR" for joint in ("HY", "HR", "HP", "KP", "AP", "AR")))
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
         pattern = read_trajectory(arguments[0], rate_hz=rate_in_name(arguments[0]) or RATE)
     else:
         pattern = stepping()
-    robot = load_robot_by_name("hubo2plus").part(*pattern.names)  # the arms stay off
+    robot = load_robot("hubo2plus").part(*pattern.names)  # the arms stay off
     worst = dict.fromkeys(pattern.names, 0.0)
     before: dict[str, float] = {}
 

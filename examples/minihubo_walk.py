@@ -12,11 +12,11 @@ import sys
 from collections.abc import Sequence
 from math import degrees
 
+from aces_bus import load_robot
 from aces_bus.controller import CartesianPath, Limits, Player, Trajectory, ViaPath
 from aces_bus.errors import CallerError
 from aces_bus.robot import run_virtual
 from aces_devices.kinematics.minihubo import JOINTS, MINIHUBO, POSTURE, WALK_HZ, read_walk
-from aces_devices.robots import load_robot_by_name
 
 STRIDE, LIFT, LEAN = 0.02, 0.02, 0.025  # m
 
@@ -57,7 +57,7 @@ def level(pattern: Trajectory) -> float:
 
 def main(arguments: Sequence[str]) -> dict[str, float]:
     pattern = read_walk(arguments[0]) if arguments else steps()
-    robot = load_robot_by_name("minihubo_2")
+    robot = load_robot("minihubo_2")
     print(f"{pattern!r}: soles level to {level(pattern):.0e} rad, {robot.name}")
     worst = dict.fromkeys(pattern.names, 0.0)
     before: dict[str, float] = {}

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import tau
 
+from aces_bus import load_robot
 from aces_bus.controller import controller
 from aces_bus.robot import run_virtual
-from aces_devices.robots import load_robot_by_name
 
 #: Seconds, forward, sideways, turn.
 MOVES = [
@@ -47,7 +47,7 @@ def drive(t: float) -> Mapping[str, float]:
 
 
 def main() -> list[tuple[float, float, float]]:
-    robot = load_robot_by_name("omnibot")
+    robot = load_robot("omnibot")
     way: list[tuple[float, float, float]] = []
     with run_virtual(robot, [drive]) as run:
         run.start()

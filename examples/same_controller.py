@@ -18,9 +18,8 @@ from walk_controller import LEGS, walk
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import Runner, VirtualRobot, load_robot, run_replay, run_virtual
-from aces_devices.robots import load_robot_by_name as load_shipped
 
-HUBO = load_shipped("hubo2plus").part(*walk.writes)  # its legs and waist
+HUBO = load_robot("hubo2plus").part(*walk.writes)  # its legs and waist
 MINIHUBO = load_robot(Path(__file__).with_name("minihubo_like_hubo.toml"))
 
 

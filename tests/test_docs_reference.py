@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
 from pathlib import Path
@@ -25,16 +24,7 @@ UNCALLED = {"FlagSet", "Part", "Record", "Scanner"}
 PASSED_ON = {"self", "args", "kwds", "kwargs", "protocol"}
 
 
-def public_names() -> list[str]:
-    """What `aces_bus.protocol` imports under its own name."""
-    tree = ast.parse(Path(aces_bus.protocol.__file__ or "").read_text(encoding="utf-8"))
-    return [
-        alias.asname
-        for node in tree.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-        if alias.asname is not None
-    ]
+NAMES = aces_bus.protocol.__all__
 
 
 def entries() -> dict[str, tuple[str, str]]:
@@ -47,7 +37,6 @@ def entries() -> dict[str, tuple[str, str]]:
     return found
 
 
-NAMES = public_names()
 ENTRIES = entries()
 
 

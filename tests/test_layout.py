@@ -44,7 +44,15 @@ FLOORS: dict[str, set[str]] = {
     "kinematics": set(),  # bodies as chains; numbers only
     "controller": {"runtime", "device", "state", "recordings", "kinematics"},  # touches no frame and no byte
     "access": {"runtime", "device", "state"},  # states for other programs
-    "robot": {"runtime", "protocol", "hardware", "device", "state", "controller", "recordings"},  # floors put together
+    "robot": {
+        "runtime",
+        "protocol",
+        "hardware",
+        "device",
+        "state",
+        "controller",
+        "recordings",
+    },  # floors put together
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
 EVERYONE = {"errors", "frames", "frame_table", "plain_text", "_lazy"}
@@ -153,7 +161,7 @@ def test_a_wrong_import_is_seen(module: str, source: str) -> None:
     [
         (
             "aces_bus.protocol.live.can",
-            "from ..spec import fields\nfrom ...frame import Frame\nimport aces_bus.errors",
+            "from ..spec import fields\nfrom ...frames import Frame\nimport aces_bus.errors",
         ),
         ("aces_bus.recordings.table", "from ..protocol import Protocol"),
         ("aces_protocols.hubo.spec", "from aces_bus import Protocol\nfrom .boards import BOARDS"),
@@ -167,10 +175,10 @@ def test_a_right_import_passes(module: str, source: str) -> None:
 
 def test_a_package_may_import_its_own_modules() -> None:
     """In an `__init__` one dot is the package itself."""
-    assert [name for _, name in imports_of("from .frame import Frame", "aces_bus", True)] == [
+    assert [name for _, name in imports_of("from .frames import Frame", "aces_bus", True)] == [
         "aces_bus.frames.Frame"
     ]
-    assert faults_of("from .frame import Frame\nfrom .protocol import Protocol", "aces_bus", True) == []
+    assert faults_of("from .frames import Frame\nfrom .protocol import Protocol", "aces_bus", True) == []
 
 
 def test_source_roots_are_folders_not_packages() -> None:

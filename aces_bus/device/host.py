@@ -104,7 +104,7 @@ class Host(BusEndpoint[Device]):
     # ------------------------------------------------------------------ devices
 
     def add(self, member: Device) -> Device:
-        """Put a device on the bus; its polls begin with the next tick. Raises `CallerError` as `Station.add`."""
+        """Put a device on the bus; its polls begin with the next tick. Raises `CallerError` as `BusEndpoint.add`."""
         super().add(member)
         if self.port.link == "serial" and any(
             name in member.credentials for m in member.variant.messages.values() for name in m.request_fields

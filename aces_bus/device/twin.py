@@ -306,7 +306,7 @@ class Twins(BusEndpoint[Twin]):
         super().close()
 
     def add(self, member: Twin) -> Twin:
-        """Put a twin on the bus. Raises `CallerError` as `Station.add`."""
+        """Put a twin on the bus. Raises `CallerError` as `BusEndpoint.add`."""
         if type(member).not_understood is not Twin.not_understood:
             self._ears.append(member)
         return super().add(member)

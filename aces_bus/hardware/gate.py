@@ -23,8 +23,7 @@ from ..errors import CallerError
 from ..runtime import Clock, RealClock
 from .events import BusEvent, BusEvents, Handler, Kind
 from .inbox import LIMIT, Inbox, Listener
-from .outbox import AGE_S, Fate, Outbox, Report
-from .outbox import OutboxItem as Outgoing
+from .outbox import AGE_S, Fate, Outbox, OutboxItem, Report
 
 Item = TypeVar("Item")
 
@@ -105,7 +104,7 @@ class Gate(ABC, Generic[Item]):
         self._outgoing = threading.Condition(threading.Lock())
         self._outbox: Outbox[Any] = Outbox()
         #: What the transmit thread has in hand.
-        self._in_hand: Outgoing[Any] | None = None
+        self._in_hand: OutboxItem[Any] | None = None
         self._transmitter: threading.Thread | None = None
         self._is_closing = False
         #: How long a bus stays open after the last word (ns), where its backend may hold it and does not say so.
@@ -303,8 +302,8 @@ class Gate(ABC, Generic[Item]):
         """Queue a word; False when the bus is lost and it is dropped. Raises `CallerError` as `send`."""
         self._check_may_send()
         until = self.clock.now() + round((AGE_S if age_s is None else age_s) * 1e9)
-        item = Outgoing(word, size, until, urgent=urgent, topic=topic, report=report)
-        overtaken: list[Outgoing[Any]] = []
+        item = OutboxItem(word, size, until, urgent=urgent, topic=topic, report=report)
+        overtaken: list[OutboxItem[Any]] = []
         with self._outgoing:
             self._check_may_send()  # it may have been closed meanwhile
             is_taken = urgent or self.state == "open"
@@ -357,14 +356,14 @@ class Gate(ABC, Generic[Item]):
                     if not self._outbox:
                         self._outgoing.notify_all()
 
-    def _expire(self, first: Outgoing[Any]) -> None:
+    def _expire(self, first: OutboxItem[Any]) -> None:
         """This one is too old, and others may be."""
         now = self.clock.now()
         with self._outgoing:
             others = self._outbox.take(lambda item: item.until < now and not item.urgent)
         self._settle_all([first, *others], "expired", "too old, they do not leave late")
 
-    def _settle(self, item: Outgoing[Any], fate: Fate, why: str) -> bool:
+    def _settle(self, item: OutboxItem[Any], fate: Fate, why: str) -> bool:
         """Count what became of a word, once, and report it."""
         with self._outgoing:
             if item.fate is not None:
@@ -379,7 +378,7 @@ class Gate(ABC, Generic[Item]):
                 self.events.failures += 1
         return True
 
-    def _settle_all(self, items: list[Outgoing[Any]], fate: Fate, why: str) -> None:
+    def _settle_all(self, items: list[OutboxItem[Any]], fate: Fate, why: str) -> None:
         """The same became of several, which is one event."""
         count = sum(item.size for item in items if self._settle(item, fate, why))
         if count:

@@ -40,7 +40,7 @@ LEAVES = round(AGE_S * 1e9)
 
 
 class CanPort:
-    """A CAN bus: a node on a `Wire`, or a `CanGate` with the `Loop` that its frames are handed to."""
+    """A CAN bus: a node on a `SimulatedBus`, or a `CanGate` with the `Loop` that its frames are handed to."""
 
     link: Literal["can"] = "can"
     half_duplex = False
@@ -138,7 +138,7 @@ class CanPort:
 
 
 class SerialPort:
-    """A serial line: a node on a `SerialWire`, or a `SerialGate` with its `Loop`."""
+    """A serial line: a node on a `SimulatedSerialLine`, or a `SerialGate` with its `Loop`."""
 
     link: Literal["serial"] = "serial"
 
@@ -220,7 +220,7 @@ class SerialPort:
 
 
 class DatagramPort:
-    """Datagrams: a node on a `DatagramWire`, or a `DatagramGate` with its `Loop`. They cost no time worth counting."""
+    """Datagrams: a node on a `SimulatedDatagrams`, or a `DatagramGate` with its `Loop`. They cost no time worth counting."""
 
     link: Literal["datagram"] = "datagram"
     half_duplex = False

@@ -9,7 +9,8 @@ from .._lazy import lazy_names
 if TYPE_CHECKING:
     from .buses import gate_of, open_gates, port_for
     from .ending import Ended
-    from .file import check_robot, is_robot, load_robot, make_robot, parse_robot
+    from .file import is_robot, make_robot, parse_robot
+    from .installed import check_robot, is_robot_path, list_robots, load_robot, robot_text
     from .problem import RobotError, RobotFileProblem
     from .replay import Replay
     from .rig import Rig, Simulation, connect, simulate
@@ -33,12 +34,15 @@ __all__ = [
     "connect",
     "gate_of",
     "is_robot",
+    "is_robot_path",
+    "list_robots",
     "load_robot",
     "make_robot",
     "open_gates",
     "parse_robot",
     "port_for",
     "print_robot",
+    "robot_text",
     "run_real",
     "run_replay",
     "run_virtual",
@@ -51,7 +55,8 @@ __getattr__, __dir__ = lazy_names(
     {
         ".buses": "gate_of open_gates port_for",
         ".ending": "Ended",
-        ".file": "check_robot is_robot load_robot make_robot parse_robot",
+        ".file": "is_robot make_robot parse_robot",
+        ".installed": "check_robot is_robot_path list_robots load_robot robot_text",
         ".problem": "RobotError RobotFileProblem",
         ".replay": "Replay",
         ".rig": "Rig Simulation connect simulate",

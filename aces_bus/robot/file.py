@@ -25,7 +25,7 @@ from msgspec.structs import FieldInfo, fields
 from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
 from ..errors import CallerError
 from .checks import check, near
-from .problem import RobotError, RobotFileProblem
+from .problem import RobotFileProblem
 from .toml_lines import KeyLines
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -47,19 +47,7 @@ BASIC: Final = {"link", "protocol", "dialect", "bus", "credentials", "channels",
 NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
 
-def load_robot(path: str | os.PathLike[str]) -> Robot:
-    """The robot of a TOML file.
-
-    Raises `RobotError`, a `CallerError`, with all that is wrong, one line each: `robot.toml:12: joints.RHY.gear: …`.
-    """
-    robot, problems = check_robot(path)
-    errors = [problem for problem in problems if not problem.is_warning]
-    if robot is None or errors:
-        raise RobotError(errors)
-    return robot
-
-
-def check_robot(
+def check_robot_file(
     path: str | os.PathLike[str], *, is_strict: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
     """The robot of a TOML file, and all that is wrong with it, in the file's order; no robot where something is an error.

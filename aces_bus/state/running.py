@@ -23,7 +23,7 @@ from .state import State
 if TYPE_CHECKING:
     from .filters import Filter, Step
 
-#: What becomes of uneven samples; see `Quantity.filtered`.
+#: What becomes of uneven samples; see `TimeSeries.filtered`.
 Uneven = Literal["resample", "refuse", "accept"]
 
 #: Samples are even when none is off by more than this share of the period.
@@ -81,7 +81,7 @@ class Running(State):
 
 
 class Integral(Running):
-    """The integral over time; see `Quantity.integral`."""
+    """The integral over time; see `TimeSeries.integral`."""
 
     def __init__(self, source: TimeSeries, start: float = 0.0, *, max_gap_s: float | None = None) -> None:
         super().__init__(source, f"integral({source.name})", units.multiplied(source.unit, "s"))
@@ -129,7 +129,7 @@ class Integral(Running):
 
 
 class Filtered(Running):
-    """A quantity behind a filter; see `Quantity.filtered`."""
+    """A quantity behind a filter; see `TimeSeries.filtered`."""
 
     def __init__(
         self, source: TimeSeries, kind: Filter | Callable[[float], float], *, uneven: Uneven = "resample"

@@ -32,7 +32,7 @@ class SampleWindow(NamedTuple):
 
 
 def window_of(quantity: TimeSeries, t0: float | None, t1: float, rate_hz: float | None) -> SampleWindow:
-    """See `Quantity.window`."""
+    """See `TimeSeries.window`."""
     import numpy as np
 
     origin, span = quantity.origin, quantity.span

@@ -124,7 +124,9 @@ def check_columns_agree(trial: Trial, modes: Iterable[tuple[bool, bool]]) -> Non
             include_unknown=include_unknown,
         )
         if said:
-            trial.fail(2, f"columns (raw={raw}, include_unknown={include_unknown}), cut at {trial.cuts}: {said}")
+            trial.fail(
+                2, f"columns (raw={raw}, include_unknown={include_unknown}), cut at {trial.cuts}: {said}"
+            )
 
 
 def first_difference(one: str, first: Sequence[Any], other: str, second: Sequence[Any]) -> str:

@@ -25,11 +25,11 @@ from typing import Any
 
 import can
 
+from aces_bus import load_robot
 from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.backend import message_to_frame
 from aces_bus.protocol import make_scanner
 from aces_bus.robot.rig import bus_variants
-from aces_devices.robots import load_robot_by_name
 from aces_tools.main import main as aces
 
 ROBOT, JOINT = "hubo2plus", "RHP"
@@ -95,7 +95,7 @@ class Stand:
     """The simulated robot, and a listener on the joint's bus."""
 
     def __init__(self) -> None:
-        self.robot = load_robot_by_name(ROBOT)
+        self.robot = load_robot(ROBOT)
         joint = self.robot.joints[JOINT]
         self.config = self.robot.devices[joint.device]
         self.board = self.config.credentials["board"]

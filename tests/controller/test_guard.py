@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import load_robot
 from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
 from aces_bus.errors import CallerError
-from aces_devices.robots import load_robot_by_name
 from tests.controller.fakes import fakes
 
 MS = 1_000_000
@@ -216,7 +216,7 @@ def test_odd_instants_do_no_harm(values: list[float], gaps: list[int]) -> None:
 
 def test_bounds_of_a_robot() -> None:
     """Limits as the file states them; what it does not state is not limited."""
-    robot = load_robot_by_name("hubo2plus")
+    robot = load_robot("hubo2plus")
     bounds = bounds_of(robot)
     knee = robot.joint("LKP")
     assert set(bounds) == {joint.name for joint in robot.joints.values() if joint.active}
@@ -224,7 +224,7 @@ def test_bounds_of_a_robot() -> None:
     assert (bounds[knee.name].rate, bounds[knee.name].acceleration) == (knee.max_speed, math.inf)
     gentle = bounds_of(robot, nominal=True, acceleration=True)[knee.name]
     assert (gentle.rate, gentle.acceleration) == (knee.nominal_speed, knee.nominal_acceleration)
-    assert bounds_of(load_robot_by_name("minihubo_1"))["LKP"] == Bounds()
+    assert bounds_of(load_robot("minihubo_1"))["LKP"] == Bounds()
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.errors import UnknownNameError
 from aces_bus.robot import VirtualRobot
-from aces_devices.robots import load_robot_by_name
 
 
 def test_a_bus_a_device_a_joint_a_sensor() -> None:
     """Each kind of name, aliases too, keeps its devices; joints and sensors of others are inactive."""
-    robot = load_robot_by_name("hubo2plus")
+    robot = load_robot("hubo2plus")
     part = robot.part("LKP", "JMC3", "RFFT")
     assert [name for name, one in part.devices.items() if one.active] == ["JMC3", "JMC6", "FT_RF"]
     assert [name for name, one in part.joints.items() if one.active] == ["LKN", "RAP", "RAR"]
@@ -25,12 +25,12 @@ def test_a_bus_a_device_a_joint_a_sensor() -> None:
 def test_unknown_names_are_told() -> None:
     """A name that is nothing of the robot is an error, with what it might have been."""
     with pytest.raises(UnknownNameError, match="JMC3"):
-        load_robot_by_name("hubo2plus").part("JMC33")
+        load_robot("hubo2plus").part("JMC33")
 
 
 def test_a_part_runs() -> None:
     """Only the buses and devices of the part are made."""
-    with VirtualRobot(load_robot_by_name("hubo2plus").part("RAP"), rate_hz=100) as ankle:
+    with VirtualRobot(load_robot("hubo2plus").part("RAP"), rate_hz=100) as ankle:
         ankle.advance(0.05)
         assert list(ankle.wires) == ["lower"]
         assert list(ankle.devices) == ["JMC3"]

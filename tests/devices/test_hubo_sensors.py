@@ -9,6 +9,7 @@ from math import radians, sin
 import msgspec
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.device import UNKNOWN, Robot, World
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.frames import Frame
@@ -21,7 +22,6 @@ from aces_devices.hubo_ft import driver as hubo_ft
 from aces_devices.hubo_imu import driver as hubo_imu
 from aces_devices.hubo_power import driver as hubo_power
 from aces_devices.hubo_sensors.body import BUILD, BodyPose
-from aces_devices.robots import load_robot_by_name
 
 test_ft = driver_tests(hubo_ft)
 test_imu = driver_tests(hubo_imu)
@@ -43,7 +43,7 @@ class Still:
 @cache
 def sensors_of(name: str) -> Robot:
     """A shipped robot's sensor and power boards; its motors are away, its joints are `Still`."""
-    robot = load_robot_by_name(name)
+    robot = load_robot(name)
     kept = {n: d for n, d in robot.devices.items() if d.driver in DRIVERS}
     return msgspec.structs.replace(robot, devices=kept)
 

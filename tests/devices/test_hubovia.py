@@ -7,13 +7,13 @@ from math import degrees, radians
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.device import Robot
 from aces_bus.errors import CallerError
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.hubovia import driver
 from aces_devices.hubovia.driver import angle_bytes
-from aces_devices.robots import load_robot_by_name
 
 test_hubovia = driver_tests(driver)
 
@@ -152,7 +152,7 @@ def test_a_joint_of_another_motor_is_refused() -> None:
 
 def test_the_shipped_robot() -> None:
     """Every joint of hubovia.toml is reached by its motor's number: the sheet's plus 10, but for wrists."""
-    sheet, via = load_robot_by_name("hubo2"), load_robot_by_name("hubovia")
+    sheet, via = load_robot("hubo2"), load_robot("hubovia")
     with assembled(via) as robot:
         for name, joint in via.joints.items():
             wrist = name in ("RWY", "LWY")

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from aces_bus import load_robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
 from aces_bus.robot import RobotError
-from aces_devices.robots import import_robot, load_robot_by_name
+from aces_devices.robots import import_robot
 
 TREE = """\
 include parts/boards.dd   # boards first
@@ -286,7 +287,7 @@ def test_a_home_table_alone_is_laid_over_a_robot_that_ships(tables: list[Path]) 
     tables[2].write_text(HOME + "LWR 0 1 3 0 20 raw\n")
     imported = import_robot(tables[2:])
     assert "laid over drc_hubo" in imported.notes[0]
-    assert list(imported.robot.joints) == list(load_robot_by_name("drc_hubo").joints)
+    assert list(imported.robot.joints) == list(load_robot("drc_hubo").joints)
     assert import_robot(tables[2:], base="hubo2").robot.joints["LW2"].home is not None
     with pytest.raises(UnknownNameError, match="hubo2plus"):
         import_robot(tables[2:], base="hubo3")

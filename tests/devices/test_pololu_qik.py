@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.pololu_qik import driver
 from aces_devices.pololu_qik.driver import timeout_code
-from aces_devices.robots import load_robot_by_name
 
 test_qik = driver_tests(
     driver, excused={"misbehaviour: * wrong_number": "an answer is one byte, which has no number"}
@@ -232,9 +232,7 @@ def test_a_mute_device_is_no_answer(robot: VirtualRobot) -> None:
 
 def test_omnibot_wheels() -> None:
     """The shipped robot: all four wheels turn as they are told, over two drivers on one line."""
-    with VirtualRobot(
-        load_robot_by_name("omnibot"), rate_hz=10, load={"pololu_qik": driver}.__getitem__
-    ) as robot:
+    with VirtualRobot(load_robot("omnibot"), rate_hz=10, load={"pololu_qik": driver}.__getitem__) as robot:
         robot.rig.each("enable").wait()
         for name, duty in (("M1", 127), ("M2", -127), ("M3", 64), ("M4", 0)):
             robot[f"{name}.duty"].set(duty)

@@ -11,8 +11,7 @@ import pytest
 from aces_bus.device import Joint, Robot
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
-from aces_bus.robot import parse_robot, print_robot
-from aces_devices.robots import list_robots, load_robot_by_name
+from aces_bus.robot import list_robots, load_robot, parse_robot, print_robot, robot_text
 
 NAMES = ["drc_hubo", "hubo2", "hubo2plus", "hubovia", "minihubo_1", "minihubo_2", "minihubo_3", "omnibot"]
 HUBOS = {"drc_hubo": "D12", "hubo2": "D08", "hubo2plus": "D12"}
@@ -20,7 +19,7 @@ HUBOS = {"drc_hubo": "D12", "hubo2": "D08", "hubo2plus": "D12"}
 
 @pytest.fixture(params=NAMES)
 def robot(request: pytest.FixtureRequest) -> Robot:
-    return load_robot_by_name(request.param)
+    return load_robot(request.param)
 
 
 # ---------------------------------------------------------------------- every robot
@@ -30,27 +29,27 @@ def test_the_list_is_the_folder() -> None:
     """By name, in order, read when asked for; an unknown name lists them."""
     assert list(list_robots()) == NAMES
     with pytest.raises(UnknownNameError, match="did you mean 'hubo2plus'"):
-        load_robot_by_name("hubo2pluss")
+        load_robot("hubo2pluss")
 
 
 def test_a_path_is_a_file(tmp_path: Path) -> None:
     """What ends in .toml, or holds a folder, is read from there."""
     path = tmp_path / "hubo2.toml"
-    path.write_text(list_robots()["omnibot"], encoding="utf-8")
-    assert load_robot_by_name(path).name == load_robot_by_name(str(path)).name == "omnibot"
+    path.write_text(robot_text("omnibot"), encoding="utf-8")
+    assert load_robot(path).name == load_robot(str(path)).name == "omnibot"
     with pytest.raises(CallerError, match="No such file"):
-        load_robot_by_name("hubo2plus.toml")
+        load_robot("hubo2plus.toml")
 
 
 def test_nothing_is_wrong_with_it(robot: Robot) -> None:
     """No error, and no warning but of what is not installed."""
-    _, problems = parse_robot(list_robots()[robot.name])
+    _, problems = parse_robot(robot_text(robot.name))
     assert [str(p) for p in problems if not (p.is_warning and "is not installed" in p.text)] == []
 
 
 def test_it_says_where_it_is_from(robot: Robot) -> None:
     """Name, doc and source; the file's head lists what is not known."""
-    text = list_robots()[robot.name]
+    text = robot_text(robot.name)
     assert robot.name in NAMES
     assert robot.doc
     assert robot.source
@@ -112,7 +111,7 @@ def test_names_are_the_same_everywhere(robot: Robot) -> None:
 @pytest.mark.parametrize(("name", "dialect"), HUBOS.items())
 def test_its_tables_are_the_protocols(name: str, dialect: str) -> None:
     """What the file says of its boards is the configuration of that name."""
-    hubo, robot = load_protocol("hubo"), load_robot_by_name(name)
+    hubo, robot = load_protocol("hubo"), load_robot(name)
     assert robot.tables(hubo) == hubo.configurations[name]
     assert robot.dialect("hubo") == dialect
     assert sorted(hubo.variant(dialect, robot.tables(hubo)).messages) == sorted(
@@ -123,7 +122,7 @@ def test_its_tables_are_the_protocols(name: str, dialect: str) -> None:
 @pytest.mark.parametrize("name", HUBOS)
 def test_a_sensor_board_has_both_numbers(name: str) -> None:
     """The sensor's id is the board's number less 0x2F."""
-    boards = [d.credentials for d in load_robot_by_name(name).devices.values() if "sensor" in d.credentials]
+    boards = [d.credentials for d in load_robot(name).devices.values() if "sensor" in d.credentials]
     assert [b["board"] for b in boards] == list(range(0x30, 0x37))
     assert all(b["sensor"] == b["board"] - 0x2F for b in boards)
 
@@ -133,7 +132,7 @@ def test_a_sensor_board_has_both_numbers(name: str) -> None:
 )
 def test_it_is_whole(name: str, joints: int, inactive: int) -> None:
     """18 motor boards, 7 or more sensors in use, two buses of 1 Mbit/s."""
-    robot = load_robot_by_name(name)
+    robot = load_robot(name)
     assert len(robot.joints) == joints
     assert [j.active for j in robot.joints.values()].count(False) == inactive
     assert len([d for d in robot.devices.values() if d.driver == "hubo_motor"]) == 18
@@ -168,7 +167,7 @@ COUNTS: dict[tuple[object, ...], float] = {
 @pytest.mark.parametrize("name", HUBOS)
 def test_every_gear_is_one_of_the_facts(name: str) -> None:
     """And gives the counts a rad of the worked table."""
-    for joint in load_robot_by_name(name).joints.values():
+    for joint in load_robot(name).joints.values():
         if joint.gear is None:
             assert joint.command == "duty"
             assert joint.counts_per_unit is None
@@ -186,7 +185,7 @@ def raw(joint: Joint, position: float) -> int:
 
 def test_worked_references_of_hubo() -> None:
     """The bytes that the facts give for board 0 and board 1."""
-    robot, hubo = load_robot_by_name("hubo2plus"), load_protocol("hubo")
+    robot, hubo = load_robot("hubo2plus"), load_protocol("hubo")
     hip = [raw(robot.joints["RHY"], 0.2), raw(robot.joints["RHR"], -0.05)]
     assert hubo.encode("Reference", board=0, position=hip).data.hex(" ").upper() == "56 7C 00 E0 3E 80"
     pitch = raw(robot.joints["RHP"], -0.1)
@@ -198,14 +197,14 @@ def test_worked_references_of_hubo() -> None:
 
 def test_the_neck_of_drc_hubo_is_three_servos() -> None:
     """4096 counts a turn, zero in the middle."""
-    robot = load_robot_by_name("drc_hubo")
+    robot = load_robot("drc_hubo")
     assert [raw(robot.joints[name], 0) for name in ("NKY", "NK1", "NK2")] == [2048] * 3
     assert raw(robot.joints["NKY"], 0.5) == math.floor((0.5 + math.pi) / math.tau * 4096)
 
 
 def test_drc_hubo_differs_from_hubo2plus_where_its_sources_say() -> None:
     """In these gears, limits and accelerations, and in neck and hands; in nothing else."""
-    new, old = load_robot_by_name("drc_hubo").joints, load_robot_by_name("hubo2plus").joints
+    new, old = load_robot("drc_hubo").joints, load_robot("hubo2plus").joints
     own = {"NKY", "NK1", "NK2", *(f"{s}{x}" for s in "LR" for x in ("WR", "F1", "F2", "F3", "F4", "F5"))}
     gears = {name: j.gear for name, j in new.items() if name not in own and j.gear != old[name].gear}
     assert gears == {
@@ -223,7 +222,7 @@ def test_drc_hubo_differs_from_hubo2plus_where_its_sources_say() -> None:
         assert (a.lower, a.upper) == limits
     assert set(new) - set(old) == {"LWR", "RWR"}
     assert set(old) - set(new) == {f"{s}F{n}" for s in "LR" for n in (3, 4, 5)}
-    assert load_robot_by_name("drc_hubo").sensors["RFFT"].signs == (-1, -1, 1)
+    assert load_robot("drc_hubo").sensors["RFFT"].signs == (-1, -1, 1)
     gains = new["REB"].compliance
     assert gains is not None
     assert (gains.kp, gains.kd, gains.max_pwm) == (50, 0, 5)
@@ -231,7 +230,7 @@ def test_drc_hubo_differs_from_hubo2plus_where_its_sources_say() -> None:
 
 def test_hubo2_has_what_its_scripts_have() -> None:
     """Directions, home offsets, search turns, z-phases, soft limits; the wrists' missing limits stay missing."""
-    joints = load_robot_by_name("hubo2").joints
+    joints = load_robot("hubo2").joints
     assert {name for name, joint in joints.items() if joint.direction == -1} == {
         *("RHY", "RAP", "LHY", "LHR", "LHP", "LKP", "RSY", "REB", "LSP"),
     }
@@ -263,7 +262,7 @@ def test_minihubo_servos() -> None:
         3: {"HY": (113, 2.60, -1), "LKP": (75, 1.04, 1), "REP": (104, 2.61, 1)},
     }
     for number, joints in scripts.items():
-        robot = load_robot_by_name(f"minihubo_{number}")
+        robot = load_robot(f"minihubo_{number}")
         assert len(robot.joints) == len(robot.devices) == 21
         for name, expected in joints.items():
             joint = robot.joints[name]
@@ -273,7 +272,7 @@ def test_minihubo_servos() -> None:
 
 def test_a_worked_servo_position() -> None:
     """Zero 2.605, direction −1: +0.5 → 411, 0 → 508, −0.5 → 606 counts of 300°/1023."""
-    joint = load_robot_by_name("minihubo_2").joints["HY"]
+    joint = load_robot("minihubo_2").joints["HY"]
     assert joint.zero is not None
     scale = 1023 / math.radians(300)
     assert [math.trunc((joint.direction * at + joint.zero) * scale) for at in (0.5, 0, -0.5)] == [
@@ -285,7 +284,7 @@ def test_a_worked_servo_position() -> None:
 
 def test_omnibot_wheels() -> None:
     """Four wheels on two drivers, wired as the script has them, −127…127."""
-    robot = load_robot_by_name("omnibot")
+    robot = load_robot("omnibot")
     wired = {j.name: (robot.devices[j.device].credentials["id"], j.channel) for j in robot.joints.values()}
     assert wired == {"M1": (1, 0), "M2": (2, 1), "M3": (2, 0), "M4": (1, 1)}
     assert {(j.type, j.command, j.max_duty) for j in robot.joints.values()} == {("continuous", "duty", 127)}

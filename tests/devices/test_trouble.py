@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import NoReplyError
 from aces_bus.robot import VirtualRobot
-from aces_devices.robots import load_robot_by_name
 from tests.conftest import PROFILE
 
 RATE = 200.0
@@ -29,7 +29,7 @@ def joints() -> tuple[str, ...]:
 @pytest.fixture
 def hubo(joints: tuple[str, ...]) -> Robot:
     """The file of Hubo 2+, in the short profile with these boards alone."""
-    robot = load_robot_by_name("hubo2plus")
+    robot = load_robot("hubo2plus")
     return robot if PROFILE == "long" else robot.part(*joints)
 
 

@@ -166,10 +166,9 @@ def test_one_controller_on_three_robots(names_of: Names) -> None:
 def test_the_example_robot_is_the_shipped_one() -> None:
     """The robot in Hubo's convention is MiniHubo 2 but for five directions."""
     from aces_bus.robot import load_robot
-    from aces_devices.robots import load_robot_by_name as load_shipped
 
     here = load_robot(Path(__file__).resolve().parents[2] / "examples" / "minihubo_like_hubo.toml")
-    there = load_shipped("minihubo_2")
+    there = load_robot("minihubo_2")
     assert list(here.joints) == list(there.joints)
     assert here.devices.keys() == there.devices.keys()
     turned = {

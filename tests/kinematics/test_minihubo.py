@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.errors import CallerError
 from aces_bus.kinematics import Goal, solve
 from aces_devices.kinematics.minihubo import (
@@ -19,7 +20,6 @@ from aces_devices.kinematics.minihubo import (
     read_walk,
     walk_columns,
 )
-from aces_devices.robots import load_robot_by_name
 
 TIPS = ("LF", "RF", "LW", "RW")
 
@@ -138,7 +138,7 @@ def test_a_knee_with_limits_bends_forwards() -> None:
 
 def test_joints_are_the_robots() -> None:
     """Every joint of the chains is a joint of the robot file, by its own name."""
-    assert set(JOINTS) == set(load_robot_by_name("minihubo_1").joints)
+    assert set(JOINTS) == set(load_robot("minihubo_1").joints)
     assert MINIHUBO.joints == JOINTS
 
 

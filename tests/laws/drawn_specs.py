@@ -322,7 +322,7 @@ class _Draw:
         one, two = self.payload(), self.payload()
         if way == "one":
             lines.append(
-                f'p.message("{names[0]}", id=0x100 + Capture("node", range(4)){fd}, payload={one[0]})'
+                f'p.message("{names[0]}", id=0x100 + IdField("node", range(4)){fd}, payload={one[0]})'
             )
             made.messages[None] = [(names[0], one[1], None)]
         elif way == "constants":
@@ -333,14 +333,14 @@ class _Draw:
                 node["items"].insert(0, (None, {"kind": "const", "bytes": lead}))
                 inside = text.removeprefix("Struct(")
                 text = f"Struct(Const({lead!r}){', ' if inside != ')' else ''}{inside}"
-                lines.append(f'p.message("{name}", id=0x100 + Capture("node", range(4)){fd}, payload={text})')
+                lines.append(f'p.message("{name}", id=0x100 + IdField("node", range(4)){fd}, payload={text})')
                 found.append((name, node, None))
             made.messages[None] = found
         elif way == "dialects":
             lines[0] = 'p = Protocol("p", link="can", dialects={"old": "", "new": ""}, dialect="new")'
             for dialect, (text, node) in (("old", one), ("new", two)):
                 lines.append(
-                    f'p.message("{names[0]}", id=0x100 + Capture("node", range(4)), dialect="{dialect}"{fd}, payload={text})'
+                    f'p.message("{names[0]}", id=0x100 + IdField("node", range(4)), dialect="{dialect}"{fd}, payload={text})'
                 )
                 made.messages[dialect] = [(names[0], node, None)]
         else:
@@ -351,7 +351,7 @@ class _Draw:
             found = []
             for letter, name, (text, node) in (("a", names[0], one), ("b", names[1], two)):
                 lines.append(
-                    f'p.message("{name}", id=0x100 + Capture("node", range(4)), when=kind("{letter}"){fd}, payload={text})'
+                    f'p.message("{name}", id=0x100 + IdField("node", range(4)), when=kind("{letter}"){fd}, payload={text})'
                 )
                 found.append((name, node, frozenset({0, 2} if letter == "a" else {1, 3})))
             made.messages[None] = found

@@ -337,7 +337,7 @@ def test_code_is_made_for_the_messages_that_come(tmp_path: Path, monkeypatch: py
         made.append(name)
         return load(source, name, names)
 
-    monkeypatch.setattr(loading, "load", counted)
+    monkeypatch.setattr(loading, "load_source", counted)
     body = "".join(f'BO_ {n} M{n}: 8 ECU\n SG_ a : 0|8@1+ (0.5,0) [0|0] "" Gate\n' for n in range(1, 300))
     found = imported(tmp_path, body)
     variant = found.protocol.variant()

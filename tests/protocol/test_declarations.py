@@ -485,7 +485,7 @@ def test_over_names_messages() -> None:
         SpecError, match=r"test_declarations.py:\d+: Typing is over 'Frist', and no message has that name"
     ):
         made.scanner()
-    with pytest.raises(SpecError, match=r"over names messages, as text; 3 does not"):
+    with pytest.raises(SpecError, match=r"overrides= names messages, as text; 3 does not"):
         made.message("Number", id=3, overrides=3)  # type: ignore[arg-type]
 
 

@@ -46,7 +46,7 @@ can.message("M", id=1, payload=Struct(
     ),
     "a field of the payload named like a captured part": (
         """
-can.message("M", id=0x10 + Capture("board", range(4)), payload=Struct(
+can.message("M", id=0x10 + IdField("board", range(4)), payload=Struct(
     "board" / Byte))""",
         r"{line 3}: field 'board' of M is there twice: in its payload and in its identifier",
     ),
@@ -82,28 +82,28 @@ can.message("M", id=1, length=4, payload=Struct("a" / Int64ul))""",
     ),
     "an identifier past 11 bits": (
         """
-can.message("M", id=0x7F0 + Capture("node", range(32)))""",
+can.message("M", id=0x7F0 + IdField("node", range(32)))""",
         r"{line 2}: M reaches identifier 0x80f, past 0x7ff; is it extended=True\?",
     ),
     "captures that share bits": (
         """
-can.message("M", id=Capture("node", range(64)) << 4 | Capture("command", range(32)))""",
+can.message("M", id=IdField("node", range(64)) << 4 | IdField("command", range(32)))""",
         r"{line 2}: node << 4 \| command share bit 4; shift them apart, or write \+",
     ),
     "a constant that shares bits with a capture": (
         """
-can.message("M", id=Capture("node", range(4)) << 4 | 0x18)""",
+can.message("M", id=IdField("node", range(4)) << 4 | 0x18)""",
         r"{line 2}: node << 4 \| 0x18 share bit 4; shift",
     ),
     "captures that share bits when added": (
         """
-can.message("M", id=(Capture("node", range(64)) << 4) + Capture("command", range(32)))""",
+can.message("M", id=(IdField("node", range(64)) << 4) + IdField("command", range(32)))""",
         r"{line 2}: capture 'command' shares bits",
     ),
     "two messages nobody can tell apart": (
         """
 can.message("First", id=0x100, payload=Struct("a" / Int16ul))
-can.message("Second", id=0x0F0 + Capture("node", range(32)), payload=Struct("b" / Int16sl))""",
+can.message("Second", id=0x0F0 + IdField("node", range(32)), payload=Struct("b" / Int16sl))""",
         r"{line 3}: message 'Second' is ambiguous with 'First' \({line 2}\): both accept 100#0000; say what tells",
     ),
     "two stream messages nobody can tell apart": (

@@ -11,11 +11,11 @@ import time
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.controller import IGNORE, Player, Trajectory
 from aces_bus.hardware import CanGate, port_of
 from aces_bus.robot import run_real, simulate
 from aces_bus.runtime import Loop
-from aces_devices.robots import load_robot_by_name
 
 SECONDS = float(os.environ.get("ACES_REAL_SECONDS", "60"))
 RATE = 200.0
@@ -24,7 +24,7 @@ RATE = 200.0
 @pytest.mark.long
 def test_hubo_runs_a_minute_in_real_time() -> None:
     """200 Hz for 60 s: every deadline is a cycle or counted as missed; printed: lateness, and what host and twins cost."""
-    robot = load_robot_by_name("hubo2plus")
+    robot = load_robot("hubo2plus")
     joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
     rows = [[0.05 * (n % 2) for _ in joints] for n in range(round(SECONDS) + 2)]
     rows = [

@@ -10,11 +10,11 @@ from functools import cache
 from math import sin, tau
 from typing import Any
 
+from aces_bus import load_robot
 from aces_bus.controller import Controller
 from aces_bus.controller.base import known_value
 from aces_bus.device import Robot
 from aces_bus.robot import Ended, Runner, VirtualRobot, run_virtual
-from aces_devices.robots import load_robot_by_name
 
 MS = 1_000_000
 CYCLE = 10 * MS
@@ -26,13 +26,13 @@ MINI = ("RHP", "RKP", "RAP")
 @cache
 def hubo_leg() -> Robot:
     """Four boards and a force sensor on CAN."""
-    return load_robot_by_name("hubo2plus").part(*HUBO, "RFFT")
+    return load_robot("hubo2plus").part(*HUBO, "RFFT")
 
 
 @cache
 def mini_leg() -> Robot:
     """Three servos on a serial line."""
-    return load_robot_by_name("minihubo_2").part(*MINI)
+    return load_robot("minihubo_2").part(*MINI)
 
 
 class Walk(Controller):

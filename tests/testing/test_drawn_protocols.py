@@ -37,7 +37,7 @@ def test_drawn_protocols_are_of_many_kinds() -> None:
         "stuffing=Cobs()",
         "Crc(",
         "Fletcher(",
-        "Capture(",
+        "IdField(",
         "extended=True",
         "fd=True",
         "BitLayout(",

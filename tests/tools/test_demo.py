@@ -16,12 +16,12 @@ from tests.tools.conftest import Aces
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """One little knee bend, of a robot that has only the boards of hips, knees and ankles."""
-    from aces_devices import robots
+    import aces_bus
 
-    whole = robots.load_robot_by_name(demo.ROBOT)
+    whole = aces_bus.load_robot(demo.ROBOT)
     used = {whole.joints[name].device for name in demo.knee_bends().names}
     devices = {name: replace(one, active=name in used) for name, one in whole.devices.items()}
-    monkeypatch.setattr(robots, "load_robot", lambda name: replace(whole, devices=devices))
+    monkeypatch.setattr(aces_bus, "load_robot", lambda name: replace(whole, devices=devices))
     monkeypatch.setattr(demo, "BENDS", (0.0, 0.1, 0.0))
     monkeypatch.setattr(demo, "MOVE_S", 0.35)
 

@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.device import Joint, Robot
 from aces_bus.protocol import load_protocol
-from aces_bus.robot import load_robot
-from aces_devices.robots import list_robots
-from aces_devices.robots import load_robot_by_name as load_named
+from aces_bus.robot import list_robots, load_robot, robot_text
 from aces_tools.protocols_arg import named_protocol, read_configuration
 
 from .conftest import Aces
@@ -157,7 +156,7 @@ def test_a_robots_file_configures_a_protocol(robot: Path) -> None:
 def test_a_shipped_file_and_the_configuration_of_its_name_agree(name: str, tmp_path: Path) -> None:
     """`-p hubo@hubo2plus.toml` decides as `-p hubo@hubo2plus`."""
     path = tmp_path / f"{name}.toml"
-    path.write_text(list_robots()[name], encoding="utf-8")
+    path.write_text(robot_text(name), encoding="utf-8")
     for dialect in ("D08", "D12"):
         ours, theirs = (
             named_protocol(f"hubo:{dialect}@{path}").variant(),
@@ -269,7 +268,7 @@ def test_the_tree_of_hubo2plus(aces: Aces, shared_captures: Path) -> None:
     assert {"meta": 1, "JMC": len(boards), "Joint": len(robot.joints), **kinds} == known["objects"]
     assert list(robot.joints) == known["joints_by_index"]
     assert Counter(board.model for board in boards) == known["jmc_types"]
-    shipped = load_named("hubo2plus")
+    shipped = load_robot("hubo2plus")
     for joint in robot.joints.values():
         ours = shipped.joint(joint.name)
         for key in Joint.__struct_fields__:
@@ -292,7 +291,7 @@ def test_the_joint_table_of_hubo2plus(aces: Aces, shared_captures: Path) -> None
     assert sum(joint.active for joint in robot.joints.values()) == known["active"]
     assert list(robot.joints) == known["names"]
     assert sorted(robot.devices) == known["boards"]
-    shipped = load_named("hubo2plus")
+    shipped = load_robot("hubo2plus")
     for joint in robot.joints.values():
         if joint.name in ("NKP", "LWR", "RWR"):
             assert not joint.active

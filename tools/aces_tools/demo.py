@@ -72,13 +72,13 @@ def knee_bends() -> ViaPath:
 
 def run(arguments: argparse.Namespace) -> int:
     has_figure = _can_draw(arguments.output)
+    from aces_bus import load_robot
     from aces_bus.controller import Player
     from aces_bus.robot import run_virtual
-    from aces_devices.robots import load_robot_by_name
 
     from .running.replay_log import Tape
 
-    robot = load_robot_by_name(ROBOT)
+    robot = load_robot(ROBOT)
     path = knee_bends()
     player = Player("knee bends", path, rate_hz=RATE)
     tape = Tape([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)

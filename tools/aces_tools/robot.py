@@ -21,7 +21,7 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from aces_bus.errors import AcesError, CallerError, UnknownNameError
+from aces_bus.errors import AcesError, CallerError
 from aces_bus.plain_text import printable
 
 from .console import Output, check_suffix, say
@@ -78,9 +78,11 @@ def _count(number: int, one: str) -> str:
 
 def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
     """Problems on stdout, as they are the result; the status says whether one is an error."""
+    from aces_bus.robot import check_robot
+
     status, objects = 0, list[dict[str, Any]]()
     for name in names:
-        robot, problems = _checked(name, arguments.strict)
+        robot, problems = check_robot(name, is_strict=arguments.strict)
         is_right = robot is not None
         status = status if is_right else 1
         objects.append(
@@ -111,18 +113,6 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
     return status
 
 
-def _checked(name: str, is_strict: bool = False) -> Any:
-    from aces_bus.robot import check_robot, parse_robot
-    from aces_devices.robots import is_path, list_robots
-
-    if is_path(name):
-        return check_robot(name, is_strict=is_strict)
-    texts = list_robots()
-    if name not in texts:
-        raise UnknownNameError("robot", name, texts)
-    return parse_robot(texts[name], f"{name}.toml", is_strict=is_strict)
-
-
 def _counts(robot: Any) -> dict[str, int]:
     return {
         "joints": len(robot.joints),
@@ -147,12 +137,12 @@ def _page(arguments: argparse.Namespace) -> Any:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from aces_devices.robots import list_robots, load_robot_by_name
+    from aces_bus.robot import list_robots, load_robot
 
     status, found = 0, list[Any]()
     for name in list_robots():
         try:
-            found.append(load_robot_by_name(name))
+            found.append(load_robot(name))
         except AcesError as error:
             say(str(error))
             status = 1
@@ -186,9 +176,9 @@ def _spoken(robot: Any) -> list[str]:
 
 
 def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
-    from aces_devices.robots import load_robot_by_name
+    from aces_bus import load_robot
 
-    robots = [load_robot_by_name(name) for name in names]
+    robots = [load_robot(name) for name in names]
     if arguments.json:
         import msgspec
 

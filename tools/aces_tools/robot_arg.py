@@ -58,15 +58,14 @@ def add_robot_arguments(parser: argparse.ArgumentParser, *, named: bool = True, 
 
 def chosen_robot(name: str | None) -> Robot:
     """The robot of a name, a file or the variable; raises `CallerError` when there is none, `RobotError` for a bad file."""
-    from aces_bus.robot import load_robot as load_file
-    from aces_devices.robots import is_path, list_robots, load_robot_by_name
+    from aces_bus.robot import list_robots, load_robot
 
     wanted = name or os.environ.get(VARIABLE)
     if not wanted:
         raise CallerError(
             f"which robot? --robot NAME or FILE.toml, or the variable {VARIABLE} ({', '.join(list_robots())})"
         )
-    return load_file(wanted) if is_path(wanted) else load_robot_by_name(wanted)
+    return load_robot(wanted)
 
 
 def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -4,7 +4,7 @@
 2. All of it runs on the server's one thread; there is no lock.
 
 A member's frames wait as records (`packets`) in a queue of its own; its connection sends them when its turn comes. With
-physics a member is a node of the `Wire`. Without, a frame is everybody's as soon as it has come, whatever the rates say.
+physics a member is a node of the `SimulatedBus`. Without, a frame is everybody's as soon as it has come, whatever the rates say.
 """
 
 from __future__ import annotations

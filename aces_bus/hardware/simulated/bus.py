@@ -63,9 +63,9 @@ class Load:
 
 
 class BusNode:
-    """A controller on a wire; made by `Wire.attach`.
+    """A controller on a wire; made by `SimulatedBus.attach`.
 
-    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each `WireEvent` of
+    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each `SimulatedBusEvent` of
     its own. Both are called from within the simulation: they may send, and must not block.
     """
 

@@ -20,7 +20,7 @@ STEP_S = 0.002
 
 
 class PtyPort:
-    """One end of a `SerialWire` as a port: `path` is what programs open.
+    """One end of a `SimulatedSerialLine` as a port: `path` is what programs open.
 
     with PtyPort(wire) as port: subprocess.run(["tool", port.path])
 

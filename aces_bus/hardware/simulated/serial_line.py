@@ -38,7 +38,7 @@ class Noise:
 
 
 class SerialNode:
-    """One end of a line; made by `SerialWire.attach`. `received` is called with bytes and the instant (ns) of their end."""
+    """One end of a line; made by `SimulatedSerialLine.attach`. `received` is called with bytes and the instant (ns) of their end."""
 
     def __init__(
         self,

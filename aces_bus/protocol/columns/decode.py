@@ -165,7 +165,7 @@ def _words(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | None, fl
         capture = [capture]
     elif isinstance(capture, str) or not hasattr(capture, "__iter__"):
         raise CallerError(
-            f"{type(capture).__name__} is no capture: open it (aces_bus.recordings.open_capture), give frames or bytes,"
+            f"{type(capture).__name__} is no capture: open it (aces_bus.recordings.open_recording), give frames or bytes,"
             " or call aces_bus.decode(path, protocol)"
         )
     frames: list[Any] = []

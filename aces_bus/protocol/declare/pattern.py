@@ -22,7 +22,7 @@ from .place import caller
 
 
 class Arithmetic:
-    """The operators that make a `Pattern` out of captures and constants."""
+    """The operators that make a `IdPattern` out of captures and constants."""
 
     def _pattern(self) -> IdPattern:
         raise NotImplementedError

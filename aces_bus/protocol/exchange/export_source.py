@@ -153,7 +153,7 @@ class _Printer:
         keywords = [("doc", python_literal(capture.doc))] if capture.doc else []
         values = capture.values if isinstance(capture.values, range) else tuple(capture.values)
         made = Call(
-            self._word("Capture"), (python_literal(capture.name), python_literal(values)), tuple(keywords)
+            self._word("IdField"), (python_literal(capture.name), python_literal(values)), tuple(keywords)
         )
         if made not in self.captures:
             self.captures[made] = unused(capture.name.capitalize(), self.taken)
@@ -253,7 +253,7 @@ class _Printer:
 
 #: What comes from aces_bus.protocol.
 _OURS = frozenset(
-    ("BitLayout", "Capture", "Enumeration", "Multiplexed", "Protocol", "Quantity", "bits", "float_bits")
+    ("BitLayout", "IdField", "Enumeration", "Multiplexed", "Protocol", "Quantity", "bits", "float_bits")
 )
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from aces_bus.device import Robot
-from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.robot import RobotError, RobotFileProblem, make_robot
+from aces_bus.errors import CallerError
+from aces_bus.robot import RobotError, RobotFileProblem, list_robots, make_robot, robot_text
 
 from . import _hubo, _hubo_ach, _hubocan
 from ._hubocan import Places
@@ -110,23 +110,18 @@ def _kind(path: Path) -> str:
 
 def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
     """The file of a robot that ships, which has the joints of a .home table."""
-    from . import list_robots
-
-    texts = list_robots()
     if base is not None:
-        if base not in texts:
-            raise UnknownNameError("robot", base, texts)
-        return tomllib.loads(texts[base])
+        return tomllib.loads(robot_text(base))
     wanted = {line.words[0] for line in _rows(read_lines(homes))}
-    for robot, text in texts.items():
-        content = tomllib.loads(text)
+    for robot in list_robots():
+        content = tomllib.loads(robot_text(robot))
         if wanted <= _names(content["joints"]) and any(
             b.get("protocol") == "hubo" for b in content["buses"].values()
         ):
             notes.append(f"{homes} is laid over {robot}, which has all its joints (--base chooses another)")
             return content
     raise CallerError(
-        f"{homes}: no robot that ships has all its joints; name --base ROBOT ({', '.join(texts)}), or a joint table too"
+        f"{homes}: no robot that ships has all its joints; name --base ROBOT ({', '.join(list_robots())}), or a joint table too"
     )
 
 

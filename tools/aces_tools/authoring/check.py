@@ -195,7 +195,7 @@ def _is_robot(name: str) -> bool:
         return True
     if name in list_protocols() or not re.fullmatch(r"[\w-]+", name):
         return False
-    from aces_devices.robots import list_robots
+    from aces_bus.robot import list_robots
 
     robots = list_robots()
     if name not in robots and not os.path.exists(name):
@@ -204,11 +204,9 @@ def _is_robot(name: str) -> bool:
 
 
 def _check_robot(name: str, result: Checked) -> None:
-    from aces_bus.robot import check_robot, parse_robot
-    from aces_devices.robots import is_path, list_robots
+    from aces_bus.robot import check_robot
 
-    shipped = f"{name}.toml"
-    robot, problems = check_robot(name) if is_path(name) else parse_robot(list_robots()[name], shipped)
+    robot, problems = check_robot(name)
     for problem in problems:
         text = f"{problem.key}: {problem.text}" if problem.key else problem.text
         result.findings.append(

@@ -29,7 +29,7 @@ LINKS = ("can", "serial", "datagram")
 #: What the skeletons call something of their own; packages that a spec's own module must not hide.
 # fmt: off
 TAKEN = frozenset((
-    "Array", "BitLayout", "Byte", "Capture", "Crc", "Enumeration", "Flags", "Frame", "Int16sl", "Int16ul", "Measurement",
+    "Array", "BitLayout", "Byte", "IdField", "Crc", "Enumeration", "Flags", "Frame", "Int16sl", "Int16ul", "Measurement",
     "Node", "Protocol", "Quantity", "Rate", "SAMPLE", "Sample", "SetRate", "State", "StreamScanner", "Struct", "Tare",
     "annotations", "bits", "command", "law_tests", "make_scanner", "packet", "record", "scanner", "this",
 ))

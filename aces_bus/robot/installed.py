@@ -1,0 +1,72 @@
+"""Robots by name: the files that installed packages bring, declared as entry points of `aces_bus.robots`.
+
+1. An entry point names a package whose folder holds a TOML file a robot: `[project.entry-points."aces_bus.robots"]`.
+2. A file is read when its robot is asked for, and not before.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import entry_points
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Final
+
+from ..device.config import Robot
+from ..errors import SpecError, UnknownNameError
+from .file import check_robot_file, parse_robot
+from .problem import RobotError, RobotFileProblem
+
+GROUP: Final = "aces_bus.robots"
+
+
+def list_robots() -> dict[str, Traversable]:
+    """The installed robots, in order of names: name → its file. Raises `SpecError` when two packages bring a name."""
+    found: dict[str, Traversable] = {}
+    for package in sorted({point.value for point in entry_points(group=GROUP)}):
+        for file in files(package).iterdir():
+            name, suffix = os.path.splitext(file.name)
+            if suffix == ".toml":
+                if name in found:
+                    raise SpecError(f"two packages bring a robot {name!r}; {package} is the second")
+                found[name] = file
+    return dict(sorted(found.items()))
+
+
+def robot_text(name: str) -> str:
+    """The content of an installed robot's file; raises `UnknownNameError` with the names that exist."""
+    known = list_robots()
+    if name not in known:
+        raise UnknownNameError("robot", name, known)
+    return known[name].read_text(encoding="utf-8")
+
+
+def check_robot(
+    name: str | os.PathLike[str], *, is_strict: bool = False
+) -> tuple[Robot | None, list[RobotFileProblem]]:
+    """What `parse_robot` gives for an installed robot, by its name, or for a file, by its path (see `is_robot_path`).
+
+    Raises `UnknownNameError` with the names that exist.
+    """
+    if is_robot_path(name):
+        return check_robot_file(name, is_strict=is_strict)
+    return parse_robot(robot_text(str(name)), f"{name}.toml", is_strict=is_strict)
+
+
+def load_robot(name: str | os.PathLike[str]) -> Robot:
+    """An installed robot by its name, or that of a TOML file by its path (see `is_robot_path`).
+
+    Raises `UnknownNameError` with the names that exist, and `RobotError`, a `CallerError`, with all that is wrong with a
+    file, one line each: `robot.toml:12: joints.RHY.gear: …`.
+    """
+    robot, problems = check_robot(name)
+    errors = [problem for problem in problems if not problem.is_warning]
+    if robot is None or errors:
+        raise RobotError(errors)
+    return robot
+
+
+def is_robot_path(name: str | os.PathLike[str]) -> bool:
+    """Whether this is a file's path, not the name of an installed robot: it ends in `.toml`, or holds a folder."""
+    return not isinstance(name, str) or name.lower().endswith(".toml") or len(Path(name).parts) > 1
