@@ -6,7 +6,7 @@
 
     from aces_bus.export import open_export
 
-    with open_capture("walk.log", link="can") as capture, open_export("walk.parquet", variants=[variant]) as export:
+    with open_recording("walk.log", link="can") as capture, open_export("walk.parquet", variants=[variant]) as export:
         scanner = make_column_scanner([variant])
         for frames in capture.tables():
             export.write(scanner.feed(frames))

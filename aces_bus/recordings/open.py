@@ -91,7 +91,7 @@ _ENOUGH, _MAGIC = 4096, 16
 
 
 def formats() -> dict[str, str]:
-    """The formats that can be read: the name that `open_capture(format=)` takes, and what it is in words."""
+    """The formats that can be read: the name that `open_recording(format=)` takes, and what it is in words."""
     return {form.name: form.words for form in FORMATS}
 
 
@@ -137,11 +137,11 @@ def open_recording(
 
     >>> import io
     >>> log = io.BytesIO(b"(0.001) can0 060#0A00\\noops\\n")
-    >>> with open_capture(log) as capture:
+    >>> with open_recording(log) as capture:
     ...     [(hex(frame.arbitration_id), frame.data.hex()) for frame in capture]
     ...     capture.problems
     [('0x60', '0a00')]
-    [Problem(line=2, reason='not a line of candump', excerpt='oops')]
+    [UnreadableEntry(line=2, reason='not a line of candump', excerpt='oops')]
     """
     if link not in ("can", "serial", None):
         raise CallerError(f"no capture format for a {link!r} link yet; there are formats for can and serial")

@@ -239,8 +239,8 @@ def test_few_bytes_may_become_packed_ones(head: bytes) -> None:
 def test_standard_input_may_be_packed() -> None:
     """`aces decode … - < walk.log.gz`, also through a pipe."""
     program = (
-        "from aces_bus.recordings import open_capture\n"
-        "capture = open_capture('-', link='can')\n"
+        "from aces_bus.recordings import open_recording\n"
+        "capture = open_recording('-', link='can')\n"
         "print(sum(map(len, capture.tables())), capture.live)\n"
     )
     root = Path(__file__).resolve().parents[2]

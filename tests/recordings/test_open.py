@@ -239,8 +239,8 @@ def test_reading_that_fails_is_a_capture_error() -> None:
 def test_standard_input_is_a_source() -> None:
     """`candump can0 | aces decode … -`."""
     program = (
-        "from aces_bus.recordings import open_capture\n"
-        "for frame in open_capture('-', link='can'): print(frame.channel, hex(frame.arbitration_id))\n"
+        "from aces_bus.recordings import open_recording\n"
+        "for frame in open_recording('-', link='can'): print(frame.channel, hex(frame.arbitration_id))\n"
     )
     root = Path(__file__).resolve().parents[2]
     done = subprocess.run(
