@@ -102,9 +102,9 @@ class StateMachine(Controller):
     ...         Phase("up", each="a -= 0.5 \\n LKP[0] = 2*a"),
     ...     ],
     ...     table=[
-    ...         Row("wait", "down", after_s=0.1),
-    ...         Row("down", "up", "a >= 1"),
-    ...         Row("up", "down", "a <= 0"),
+    ...         Transition("wait", "down", after_s=0.1),
+    ...         Transition("down", "up", "a >= 1"),
+    ...         Transition("up", "down", "a <= 0"),
     ...     ])
     >>> crouch.start(0)
     >>> [dict(crouch.step(n * 66_666_667)) for n in range(5)]

@@ -41,7 +41,7 @@ SUFFIXES: Mapping[str, str] = {
 def export_format(path: str | os.PathLike[str]) -> str | None:
     """The format that a path asks for, None when it asks for none of these.
 
-    >>> format_of("walk.parquet"), format_of("walk.csv/"), format_of("walk.csv")
+    >>> export_format("walk.parquet"), export_format("walk.csv/"), export_format("walk.csv")
     ('parquet', 'csv', None)
     """
     text = os.fspath(path)

@@ -89,7 +89,7 @@ def merge_by_time(
     >>> from aces_bus.frames import Frame
     >>> a = FrameTable.from_frames([Frame(1, timestamp=0.0), Frame(1, timestamp=2.0)])
     >>> b = FrameTable.from_frames([Frame(2, timestamp=1.0), Frame(2, timestamp=3.0)])
-    >>> [int(id) for table in merged([[a], [b]]) for id in table.id]
+    >>> [int(id) for table in merge_by_time([[a], [b]]) for id in table.id]
     [1, 2, 1, 2]
     """
     shared = relabel or Relabel({})

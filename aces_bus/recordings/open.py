@@ -141,7 +141,7 @@ def open_recording(
     ...     [(hex(frame.arbitration_id), frame.data.hex()) for frame in capture]
     ...     capture.problems
     [('0x60', '0a00')]
-    [Problem(line=2, reason='not a line of candump', excerpt='oops')]
+    [UnreadableEntry(line=2, reason='not a line of candump', excerpt='oops')]
     """
     if link not in ("can", "serial", None):
         raise CallerError(f"no capture format for a {link!r} link yet; there are formats for can and serial")

@@ -64,7 +64,7 @@ def multiplied(left: str | None, right: str | None, power: int = 1) -> str | Non
 def raise_unit(unit: str | None, power: float) -> str | None:
     """The unit to a power; None where that is not a whole one.
 
-    >>> raised("m/s", 2), raised("m²", 0.5), raised("m", 0.5)
+    >>> raise_unit("m/s", 2), raise_unit("m²", 0.5), raise_unit("m", 0.5)
     ('m²/s²', 'm', None)
     """
     if unit is None:

@@ -442,8 +442,8 @@ def test_a_record_of_no_group() -> None:
 _CHILD = """
 import io, resource, sys
 import numpy as np
-from aces_bus.recordings import mf4
-from aces_bus.recordings.source import Source
+from aces_bus.recordings.mf4 import reader as mf4
+from aces_bus.recordings.source import ByteSource
 from aces_bus.errors import CaptureError
 
 class Left(Exception):
@@ -466,7 +466,7 @@ for number in range(int(sys.argv[2])):
         at = int(rng.integers(16, len(content)))
         content[at] = (content[at] ^ 1 << int(rng.integers(8))) if number % 2 else int(rng.choice([0, 1, 0x7F, 0xFF]))
     try:
-        with mf4.Mf4Capture(Source(io.BytesIO(content), "x")) as capture:
+        with mf4.Mf4Capture(ByteSource(io.BytesIO(content), "x")) as capture:
             for table in capture.tables():
                 done += len(table)
             assert capture.lines == capture.frames + capture.lines_unreadable + sum(capture.others.values())

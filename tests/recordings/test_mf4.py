@@ -341,7 +341,7 @@ def test_bombs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         ("import os; os._exit(3)", r"ended early \(status 3\)"),
         (
             "import json, sys; sys.path[:] = json.loads(sys.argv[1]); sys.modules['asammdf'] = None;"
-            " from aces_bus.recordings.mf4.child import main; main(sys.argv[2:])",
+            " from aces_bus.recordings.mf4.child import run_child; run_child(sys.argv[2:])",
             r"in a state, that is not known here; such files need asammdf: pip install 'aces-bus\[mf4\]'",
         ),
     ],

@@ -1,6 +1,6 @@
 """Common lines of a candump log as columns: `(1436509052.249713) can0 044#2A366C2BBA R`, many at once.
 
-1. What is given here is what the line pattern of `candump` and `candump_line` give, to the last digit. Every other line
+1. What is given here is what the line pattern of `candump` and `line.py` give, to the last digit. Every other line
    is handed back as it stands.
 2. Nothing is believed: every byte of a line is checked against its layout, or the line is handed back.
 3. Memory is that of one block, whatever it holds.

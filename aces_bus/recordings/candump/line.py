@@ -10,7 +10,7 @@
 
      (1436509052.249713)  can0  RX - -  123   [2]  41 42   'AB'      screen: -t a|d|z|A, -x, -a, -c, -e, -i, -S, -8
 
-1. A line gives a frame that can exist, or `Unreadable` with the reason; nothing else is raised.
+1. A line gives a frame that can exist, or `UnreadableLine` with the reason; nothing else is raised.
 2. The bytes that `[n]` announces are there, no more and no fewer; the log states no length, and a whole number of bytes is
    all that can be asked of it.
 3. Numbers stay as written: a delta or zero-based time stamp is not made absolute.
@@ -70,7 +70,7 @@ class ChannelNames(dict[bytes, str]):
 
 
 def read_line(text: bytes, names: ChannelNames | None = None) -> Frame:
-    """The frame of one stripped line; raises `Unreadable`."""
+    """The frame of one stripped line; raises `UnreadableLine`."""
     names = ChannelNames() if names is None else names
     if b"\x1b" in text:
         text = COLOUR.sub(b"", text).strip()

@@ -2,11 +2,11 @@
 
 1. Every line is one of: frame, unreadable (with its reason), comment, blank.
 2. One pattern consumes one line a match: its first alternative is the common log line, its last takes any line. What
-   the first accepts always makes a frame; all else goes the slow way (`candump_line`), which alone knows the whole
+   the first accepts always makes a frame; all else goes the slow way (`line.py`), which alone knows the whole
    language.
 3. Frames, counters and problems do not depend on the way: as objects, as columns, in whatever blocks.
 
-Line by line the common log line takes 1 to 1.5 µs, any other 4 to 6 µs; as columns (`candump_columns`) it takes 0.05 to
+Line by line the common log line takes 1 to 1.5 µs, any other 4 to 6 µs; as columns (`columns.py`) it takes 0.05 to
 0.1 µs, and 0.5 µs more to become an object. So files are read as columns, in which uncommon lines go line by line and
 are merged back to their places; live sources, which come in small blocks, are read line by line unless columns are
 wanted.

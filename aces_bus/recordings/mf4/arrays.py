@@ -1,13 +1,13 @@
 """MDF 4 bus logs, read here and in arrays.
 
-1. What cannot be read here is told before the first frame, as `Unusual`; `mf4.py` then has another reader.
+1. What cannot be read here is told before the first frame, as `UnusualFile`; `reader.py` then has another reader.
 2. Memory is bounded: of each group some ten thousand records are at hand, of packed ones a block, and the streams that mix
    groups are sorted in a file on disk, which is bounded too.
 3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, stand.
 4. What a file says of itself is held against what is there: more or fewer records than announced are counted and said.
 
 Here are found the records: of fixed size, one group's or several's with their numbers in front, plain or deflated, finished
-or cut, and bytes of variable length in blocks or records of their own. What they mean is said in `_mf4_group.py`, also where
+or cut, and bytes of variable length in blocks or records of their own. What they mean is said in `group.py`, also where
 asammdf finds the records: later versions than 4.2, lists of columns, offsets or lists that were never finished, and more.
 """
 
@@ -61,7 +61,7 @@ class FrameGroup(NamedTuple):
 class BusLog:
     """An ordinary bus log, of which nothing but the tree was read.
 
-    `file` is that of the capture, of `size` bytes. Raises `Unusual` and `Damaged` when it is not ordinary or not one.
+    `file` is that of the capture, of `size` bytes. Raises `UnusualFile` and `Damaged` when it is not ordinary or not one.
     """
 
     def __init__(self, file: BinaryIO, size: int) -> None:

@@ -1,10 +1,10 @@
-"""Reads an MF4 file with asammdf in a process of its own, and sends the frames to `mf4.py` as tables.
+"""Reads an MF4 file with asammdf in a process of its own, and sends the frames to `reader.py` as tables.
 
 1. Only this process imports asammdf, and it runs nothing else. What a hostile file may cost is this process: its memory, the
    files it writes and, through the one who waits, its time.
 2. Everything it says goes through one pipe as messages: a letter, a length, the bytes. Nothing is sent as a pickle.
 3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, stand.
-4. asammdf finds the groups and their records; what these mean is said by `_mf4_group.py` alone, which refuses by name what
+4. asammdf finds the groups and their records; what these mean is said by `group.py` alone, which refuses by name what
    it does not read. No conversion of asammdf's is used: it evaluates formulas, and gives numbers for what it cannot.
 
 Frames of all groups come in the order of their times (of their own numbers, where `write/mf4.py` wrote them), and within a

@@ -8,10 +8,10 @@
    group.
 5. What is not understood is refused by name. A group of frames with a channel that cannot be read as the file means it (a
    formula as its conversion, an unknown data type) is unreadable, record by record; so is a record with a field that has
-   no value, or that is not in the file. `_mf4_group.py` decides that for both ways, and it alone.
+   no value, or that is not in the file. `group.py` decides that for both ways, and it alone.
 
 Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read;
-`mdf4.py` says which need asammdf. A channel is named by its number, "1", as with python-can; in
+`arrays.py` says which need asammdf. A channel is named by its number, "1", as with python-can; in
 files of our own it has the name it had.
 """
 

@@ -2,10 +2,10 @@
 
 1. Nothing is believed: a block is looked at only where it lies within the file, each group, channel and data block once, and
    no more of them than `BLOCKS`. So this ends soon on any file, in memory that the file's size bounds.
-2. What is damaged is `Damaged`; what is in order and not told here is `Unusual`, and another reader's.
-3. Records are not touched; `_mdf_data.py` reads them.
+2. What is damaged is `Damaged`; what is in order and not told here is `UnusualFile`, and another reader's.
+3. Records are not touched; `data.py` reads them.
 4. Nothing that changes what a number means is left out: a channel has its data type, its invalidation bit and its
-   conversion. What of these is not read is refused by `_mf4_group.py`, with the channel's name.
+   conversion. What of these is not read is refused by `group.py`, with the channel's name.
 
 A file is a tree. Its header leads to data groups, each a stream of records and the channel groups whose records they are; a
 channel group leads to its channels, and a channel to its parts: CAN_DataFrame to CAN_DataFrame.ID and so on. *Facts*: the
@@ -169,7 +169,7 @@ class _Block(NamedTuple):
 
 
 def tree_of(file: BinaryIO, size: int) -> MdfTree:
-    """The tree of a file of `size` bytes. Raises `Unusual`, `Damaged` and `OSError`."""
+    """The tree of a file of `size` bytes. Raises `UnusualFile`, `Damaged` and `OSError`."""
     return Blocks(file, size).tree()
 
 
@@ -373,7 +373,7 @@ class Blocks:
         return channel, following, 0 if is_array else parts
 
     def conversion(self, at: int) -> ChannelConversion:
-        """The conversion that is there. Raises `Unusual` and `OSError`."""
+        """The conversion that is there. Raises `UnusualFile` and `OSError`."""
         if (known := self._conversions.get(at)) is not None:
             return known
         try:

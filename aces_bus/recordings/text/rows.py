@@ -69,7 +69,7 @@ class LineCapture(CanRecording):
 
     @abstractmethod
     def _line(self, text: bytes) -> FrameRow | None:
-        """The frame of a line without blanks around; None when the line was counted. Raises `Unreadable`."""
+        """The frame of a line without blanks around; None when the line was counted. Raises `UnreadableRow`."""
 
     def _quick(self, block: bytes) -> tuple[npt.NDArray[np.bool_], FrameTable] | None:
         """Which of the lines are usual, and their frames in a table, one each; None when none can be, as things are."""
@@ -214,9 +214,9 @@ class LineCapture(CanRecording):
 
 
 def decimal_ns(text: bytes, unit: int = 1_000_000_000) -> int:
-    """A decimal number of units of so many nanoseconds, exact to the last digit. Raises `Unreadable`.
+    """A decimal number of units of so many nanoseconds, exact to the last digit. Raises `UnreadableRow`.
 
-    >>> nanoseconds(b"1.25"), nanoseconds(b"-17.5", 1_000_000), nanoseconds(b"1e-06")
+    >>> decimal_ns(b"1.25"), decimal_ns(b"-17.5", 1_000_000), decimal_ns(b"1e-06")
     (1250000000, -17500000, 1000)
     """
     whole, _, fraction = text.partition(b".")
@@ -244,7 +244,7 @@ def _any_number(text: bytes, unit: int) -> int:
 
 
 def integer(text: bytes, base: int, what: str) -> int:
-    """Digits of a base, without sign. Raises `Unreadable`."""
+    """Digits of a base, without sign. Raises `UnreadableRow`."""
     digits = text
     if base == 16 and text[:2] in (b"0x", b"0X"):
         digits = text[2:]
@@ -260,7 +260,7 @@ _BASES = {10: "decimal", 16: "hexadecimal"}
 
 
 def hex_data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
-    """`size` bytes of cells with a number each; raises `Unreadable` when there are fewer, or one is none."""
+    """`size` bytes of cells with a number each; raises `UnreadableRow` when there are fewer, or one is none."""
     there = next((place for place, cell in enumerate(cells) if not cell), len(cells))
     if there < size:
         raise UnreadableRow(f"{size} bytes are announced, {there} are there")

@@ -109,7 +109,7 @@ FORMATS: Mapping[str, FormatOut] = {
         FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True),
         FormatOut("mf4", (".mf4",), "ASAM MDF 4", "can", ".mf4", "Mf4Writer", needs_seek=True),
         FormatOut("pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter"),
-        FormatOut("slog", (".slog",), "serial log of aces-bus", "serial", "..serial_log", "SerialLogWriter"),
+        FormatOut("slog", (".slog",), "serial log of aces-bus", "serial", "..serial.slog", "SerialLogWriter"),
         FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter"),
         FormatOut(
             "dxconf",
@@ -130,7 +130,7 @@ def writer_format(path: str, link: Link | None = None) -> FormatOut:
 
     Raises `CallerError`, with the suffixes that there are, when it means none.
 
-    >>> format_of("logs/walk.asc.gz").name
+    >>> writer_format("logs/walk.asc.gz").name
     'asc'
     """
     name = os.path.basename(path).lower()

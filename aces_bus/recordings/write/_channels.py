@@ -88,7 +88,7 @@ class ChannelNumbers(_Map):
 class WrittenChannels(_Map):
     """Names → names without blanks, at most `limit` bytes each: those of interfaces.
 
-    >>> names = ChannelNames()
+    >>> names = WrittenChannels()
     >>> names.row(Channels(["can0", "1", "vcan4", None, "CAN 1"]), 4)
     ['can0', 'can1', 'vcan4', 'can2', 'CAN_1']
     >>> names.lost
