@@ -497,7 +497,7 @@ def test_long_packets_among_short_ones_keep_their_place() -> None:
     assert columns.counts.records == 6000
 
 
-@pytest.mark.parametrize("everything", [False, True])
+@pytest.mark.parametrize("include_unknown", [False, True])
 @pytest.mark.parametrize("pattern", [b"\xfe", b"\xfe\x00", bytes(range(256)), b"\xfe\xff\x01\x02\x03\x1e"])
 def test_headers_without_end(pattern: bytes, include_unknown: bool) -> None:
     """A stream that is nothing but headers is decided in bounded time, as the live scanner decides it."""

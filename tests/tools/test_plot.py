@@ -576,7 +576,7 @@ def test_a_figure_shows_what_was_asked_for(
         draw(picture, made)
         shown.append(made)
 
-    monkeypatch.setattr(figure, "draw", keep)
+    monkeypatch.setattr(figure, "draw_figure", keep)
     arguments = ["Encoder.position.0:r--", ",", "State.load", "-", "State.mode", "-", "State.error"]
     labels = ["--title", "A $walk", "--ylim", "0:5", "--xlabel", "now", "--ylabel", "steps", "--ylabel", "A"]
     result = aces("plot", walk, *arguments, "-p", arm, "-o", walk.with_name("a.png"), *labels)

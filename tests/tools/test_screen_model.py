@@ -160,7 +160,7 @@ def test_without_protocols_nothing_is_unknown() -> None:
 
 def test_a_scanner_that_leaves_frames_out_is_refused() -> None:
     """Frames and records have to stand side by side."""
-    with pytest.raises(CallerError, match="everything"):
+    with pytest.raises(CallerError, match="include_unknown"):
         Model(make_scanner([arm.variant()]))
 
 

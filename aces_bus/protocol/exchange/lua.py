@@ -19,7 +19,7 @@ _NAMES = frozenset((
 # fmt: on
 
 
-def quoted(text: str | bytes) -> str:
+def lua_string(text: str | bytes) -> str:
     """A string literal; characters beyond ASCII as their UTF-8 bytes."""
     data = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     out = []
@@ -29,7 +29,7 @@ def quoted(text: str | bytes) -> str:
     return '"' + "".join(out) + '"'
 
 
-def literal(value: Any, indent: int = 0) -> str:
+def lua_literal(value: Any, indent: int = 0) -> str:
     """A value as a Lua expression: tables over several lines where they are long."""
     flat = _flat(value)
     if len(flat) + indent <= WIDTH or not isinstance(value, (Mapping, Sequence)) or isinstance(value, str):
@@ -39,9 +39,9 @@ def literal(value: Any, indent: int = 0) -> str:
     if isinstance(value, Mapping):
         for key, one in value.items():
             if one is not None:
-                lines.append(f"{pad}{_key(key)} = {literal(one, indent + 2)},")
+                lines.append(f"{pad}{_key(key)} = {lua_literal(one, indent + 2)},")
     else:
-        lines = [f"{pad}{literal(one, indent + 2)}," for one in value]
+        lines = [f"{pad}{lua_literal(one, indent + 2)}," for one in value]
     return "\n".join(["{", *lines, "  " * (indent // 2) + "}"])
 
 
@@ -55,7 +55,7 @@ def _flat(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, (str, bytes)):
-        return quoted(value)
+        return lua_string(value)
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
     else:
@@ -69,4 +69,4 @@ def _key(key: Any) -> str:
     return f"[{_flat(key)}]"
 
 
-__all__ = ["literal", "quoted"]
+__all__ = ["lua_literal", "lua_string"]

@@ -265,7 +265,7 @@ class Model:
         self._pages: OfKind[Callable[[Any], Hashable] | None] = OfKind(
             lambda kind: attrgetter(*one.page) if (one := fields[kind]) is not None and one.page else None
         )
-        if self.scanner is not None and not getattr(scanner, "everything", True):
+        if self.scanner is not None and not getattr(scanner, "include_unknown", True):
             raise CallerError("the screen's scanner has to be made with include_unknown=True")
         self.events: deque[BusEvent] = deque(maxlen=EVENTS)
         self.event_counts: dict[str, int] = {}
