@@ -1,0 +1,173 @@
+"""The front door: what is public, under which name, and that one name means one thing.
+
+1. The public surface is what packages list in `__all__`; `golden/surface.txt` pins it, with the parameters of callables.
+   `pytest tests/test_surface.py --update-golden` rewrites it: read the difference before committing it.
+2. A name with an underscore in front is the own of its package: of a floor of `aces_bus`, or of an import package beside it.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pkgutil
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from enum import Enum
+from importlib import import_module
+from pathlib import Path
+from types import FunctionType, MethodType, ModuleType
+from typing import Any
+
+import aces_bus
+from tests.test_layout import PACKAGES, imports_of, module_name
+
+ROOT = Path(__file__).resolve().parent.parent
+
+#: Public names that more than one module defines, with the reason.
+TWICE: dict[str, str] = {
+    "add_arguments": "each verb of the command line has one",
+    "run": "each verb of the command line has one",
+}
+
+
+def sources() -> Iterator[tuple[str, bool, ast.Module]]:
+    """Each module of ours: its name, whether it is a package's `__init__`, its syntax tree."""
+    for folder, _ in PACKAGES.values():
+        for path in sorted(folder.rglob("*.py")):
+            yield *module_name(path), ast.parse(path.read_text(encoding="utf-8"))
+
+
+SOURCES = list(sources())
+
+
+def packages() -> list[str]:
+    """The packages whose names users import: those that list any, without the command line's."""
+    found = ["aces_bus"]
+    for one in pkgutil.walk_packages(aces_bus.__path__, "aces_bus."):
+        if one.ispkg and "._" not in one.name and getattr(import_module(one.name), "__all__", None):
+            found.append(one.name)
+    return found
+
+
+def parameters(thing: Callable[..., Any]) -> str:
+    """What a callable takes, without annotations; defaults only where they are the same on every machine."""
+    if fields := getattr(
+        thing, "__struct_fields__", None
+    ):  # its signature would look for types that only checkers import
+        return f"({', '.join(fields)})"
+    try:
+        signature = inspect.signature(thing)
+    except (TypeError, ValueError, NameError):  # NameError: of types that only checkers import
+        return "(…)"
+    parts: list[str] = []
+    star = False
+    for one in signature.parameters.values():
+        if one.kind is one.KEYWORD_ONLY and not star:
+            star = True
+            parts.append("*")
+        star = star or one.kind is one.VAR_POSITIONAL
+        prefix = {one.VAR_POSITIONAL: "*", one.VAR_KEYWORD: "**"}.get(one.kind, "")
+        parts.append(f"{prefix}{one.name}{'' if one.default is one.empty else '=…'}")
+    return f"({', '.join(part for part in parts if part != 'self')})"
+
+
+def lines_of(name: str, thing: Any) -> Iterator[str]:
+    """A public name, and if it is a class of ours its public members."""
+    if isinstance(thing, ModuleType):
+        yield f"{name}: module"
+    elif inspect.isclass(thing):
+        yield f"{name}{'' if issubclass(thing, (BaseException, Enum)) else parameters(thing)}"
+        for member, value in sorted(vars(thing).items()):
+            if not member.startswith("_"):
+                value = value.__func__ if isinstance(value, classmethod | staticmethod) else value
+                called = isinstance(value, FunctionType | MethodType)
+                yield f"    .{member}{parameters(value) if called else ''}"
+    else:
+        yield f"{name}{parameters(thing) if callable(thing) else ''}"
+
+
+def test_the_public_surface(golden: Callable[[str, str], None]) -> None:
+    """Nothing becomes public, changes its parameters or goes without the golden file saying so."""
+    text: list[str] = []
+    for package in packages():
+        module = import_module(package)
+        text += ["", package]
+        for name in module.__all__:
+            text += [f"  {line}" for line in lines_of(name, getattr(module, name))]
+    golden("surface.txt", "\n".join(text[1:]) + "\n")
+
+
+def test_a_package_lists_what_it_exports() -> None:
+    """An `__init__` that binds public names lists them in `__all__`, each once and there."""
+    wrong: list[str] = []
+    for name, is_package, tree in SOURCES:
+        if not is_package:
+            continue
+        binds = {
+            bound.asname or bound.name
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and node.level
+            for bound in node.names
+            if not (bound.asname or bound.name).startswith("_")
+        } | {
+            node.name
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+        }
+        listed = getattr(import_module(name), "__all__", None)
+        if binds and listed is None:
+            wrong.append(f"{name} exports {', '.join(sorted(binds))} without __all__")
+        elif listed is not None and len(listed) != len(set(listed)):
+            wrong.append(f"{name}: __all__ has a name twice")
+        elif listed is not None:
+            wrong += [f"{name}.{one} is not there" for one in listed if not hasattr(import_module(name), one)]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_the_root_is_complete() -> None:
+    """`dir(aces_bus)` has every public name, before and after its use."""
+    assert set(aces_bus.__all__) <= set(dir(aces_bus))
+
+
+def test_importing_all_names_binds_no_module() -> None:
+    """`from aces_bus.protocol import *` gives classes and functions, no module of ours."""
+    names: dict[str, Any] = {}
+    exec("from aces_bus.protocol import *", names)
+    assert [name for name, value in names.items() if isinstance(value, ModuleType)] == []
+
+
+def test_one_name_has_one_meaning() -> None:
+    """No public class or function is defined under the same name in two modules, but for those above."""
+    where: dict[str, list[str]] = defaultdict(list)
+    for module, _, tree in SOURCES:
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                if not node.name.startswith("_"):
+                    where[node.name].append(module)
+    twice = {name: sorted(set(modules)) for name, modules in where.items() if len(set(modules)) > 1}
+    assert sorted(twice) == sorted(TWICE), {name: twice.get(name) for name in set(twice) ^ set(TWICE)}
+
+
+def owner(module: str) -> str:
+    """What a private name belongs to: a floor of the core, a driver, a protocol, the command line."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] != "aces_tools" and len(parts) > 1 else parts[0]
+
+
+def test_private_modules_stay_at_home() -> None:
+    """No module imports a private module or name of another package."""
+    wrong: list[str] = []
+    known = {module: is_package for module, is_package, _ in SOURCES}
+    for folder, _ in PACKAGES.values():
+        for path in sorted(folder.rglob("*.py")):
+            module, is_package = module_name(path)
+            for line, name in imports_of(path.read_text(encoding="utf-8"), module, is_package):
+                parts = name.split(".")
+                private = next(
+                    (i for i, part in enumerate(parts) if part.startswith("_") and part[:2] != "__"), None
+                )
+                if private is None or parts[0] not in PACKAGES or parts[:2] == ["aces_bus", "_lazy"]:
+                    continue
+                if owner(".".join(parts)) != owner(module) and ".".join(parts[:private]) in known:
+                    wrong.append(f"{module}:{line} imports {name}")
+    assert not wrong, "\n".join(wrong)
