@@ -69,7 +69,12 @@ class Trajectory:
         source: str = "",
     ) -> None:
         self.names = tuple(names)
-        self.rows: Floats = np.array(rows, dtype=np.float64, ndmin=2)
+        try:
+            self.rows: Floats = np.array(rows, dtype=np.float64, ndmin=2)
+        except (TypeError, ValueError) as error:
+            raise CallerError(
+                f"{source or 'trajectory'}: rows are numbers, as many in each: {error}"
+            ) from error
         self.rows.setflags(write=False)
         self.rate_hz = float(rate_hz)
         self.interpolation = interpolation

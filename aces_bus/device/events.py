@@ -8,6 +8,8 @@ from typing import Literal
 
 import msgspec
 
+from ..errors import CallerError
+
 Kind = Literal[
     "silent",  # does not answer any more
     "answers",  # does again
@@ -77,6 +79,8 @@ class EventLog:
     """Handlers, counts a kind and device, and the last events. What a handler raises is kept in `failures`."""
 
     def __init__(self, keep: int = 1024) -> None:
+        if keep < 0:
+            raise CallerError(f"keep is a number of events, not {keep!r}")
         self.handlers: list[Callable[[DeviceEvent], None]] = []
         self.last: deque[DeviceEvent] = deque(maxlen=keep)
         self.counts: Counter[tuple[str, str]] = Counter()

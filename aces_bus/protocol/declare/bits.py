@@ -23,6 +23,8 @@ from .fields import Multiplexed, innermost, number_runs, plain_number
 from .place import caller
 
 #: `struct` formats of numbers of so many bits (IEEE 754 binary16, binary32, binary64).
+#: Bytes of a layout: far more than any frame, few enough for a bound on the work.
+LARGEST = 4096
 FLOATS = {16: ">e", 32: ">f", 64: ">d"}
 
 
@@ -180,6 +182,8 @@ class BitLayout(Construct):
         self.place = caller()
         if order not in ("lsb", "msb"):
             raise SpecError(f"{self.place}: bit order is 'lsb' or 'msb', not {order!r}")
+        if not 0 <= size <= LARGEST:
+            raise SpecError(f"{self.place}: a BitLayout has 0 to {LARGEST} bytes, not {size!r}")
         self.size = size
         self.order = order
         self.overlapping = overlapping

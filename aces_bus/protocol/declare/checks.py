@@ -23,6 +23,8 @@ from ...errors import SpecError
 from .place import caller
 
 Order = Literal["little", "big"]
+#: Bytes of a check; the widest CRC of the catalogue has 64 bits.
+LARGEST = 8
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Check:
         text: str | None = None,
     ) -> None:
         self.place = caller()
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST:
+            raise SpecError(f"{self.place}: a check has 1 to {LARGEST} bytes, not {size!r}")
         self.bytes = size
         self.order: Order = order
         self.field = field
@@ -255,6 +259,11 @@ class Crc(Check):
             width = _catalogue_width(name)
         if width is None:
             raise SpecError(f"{caller()}: a CRC needs a name of the catalogue or width and poly")
+        if not 1 <= width <= 8 * LARGEST:
+            raise SpecError(f"{caller()}: a CRC has 1 to {8 * LARGEST} bits, not {width}")
+        for what, number in {"poly": poly, "init": init, "xorout": xorout}.items():
+            if not 0 <= number < 1 << width:
+                raise SpecError(f"{caller()}: {what} has {width} bits, and {number:#x} does not fit")
         super().__init__((width + 7) // 8, **more)
         self.name = name or f"CRC-{width} poly {poly:#x}"
         self.parameters = (width, poly, init, refin, refout, xorout)

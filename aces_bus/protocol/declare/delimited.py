@@ -158,7 +158,9 @@ class Delimited(Construct):
     ) -> None:
         super().__init__()
         self.place = caller()
-        self.separator = separator.encode("latin-1")
+        if not separator.isascii() or not separator:
+            raise SpecError(f"{self.place}: a separator is ASCII characters, not {separator!r}")
+        self.separator = separator.encode("ascii")
         self.fields = list(fields)
         self.lead = lead
         self.least = len(fields) - optional

@@ -290,9 +290,9 @@ class SignMagnitude(Field):
 
     def __init__(self, subcon: Construct | int, order: str = "little") -> None:
         if isinstance(subcon, int):
-            if subcon % 8:
+            if subcon % 8 or not 8 <= subcon <= 64:
                 raise SpecError(
-                    f"{caller()}: {subcon} bits are not whole bytes; put SignMagnitude(bits({subcon})) in a BitLayout"
+                    f"{caller()}: {subcon} bits are not 1 to 8 whole bytes; others are SignMagnitude(bits(…)) in a BitLayout"
                 )
             self.width = subcon
             subcon = BytesInteger(subcon // 8, swapped=order == "little")
@@ -469,6 +469,8 @@ _OF_INTEGERS = (SignMagnitude, Enumeration, Flags, Counter)
 
 def Reserved(size: int) -> Construct:
     """`size` bytes that mean nothing: zero when we send, kept as they are when we receive."""
+    if size < 0:
+        raise SpecError(f"{caller()}: Reserved takes a number of bytes, not {size}")
     return Default(Bytes(size), bytes(size))
 
 
