@@ -66,7 +66,7 @@ def parameters(thing: Callable[..., Any]) -> str:
             star = True
             parts.append("*")
         star = star or one.kind is one.VAR_POSITIONAL
-        prefix = {one.VAR_POSITIONAL: "*", one.VAR_KEYWORD: "**"}.get(one.kind, "")
+        prefix = "*" if one.kind is one.VAR_POSITIONAL else "**" if one.kind is one.VAR_KEYWORD else ""
         parts.append(f"{prefix}{one.name}{'' if one.default is one.empty else '=…'}")
     return f"({', '.join(part for part in parts if part != 'self')})"
 

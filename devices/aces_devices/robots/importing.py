@@ -121,7 +121,8 @@ def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
             notes.append(f"{homes} is laid over {robot}, which has all its joints (--base chooses another)")
             return content
     raise CallerError(
-        f"{homes}: no robot that ships has all its joints; name --base ROBOT ({', '.join(list_robots())}), or a joint table too"
+        f"{homes}: no installed robot has all its joints; name --base ROBOT ({', '.join(list_robots())}),"
+        " or a joint table too"
     )
 
 
