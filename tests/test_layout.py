@@ -181,6 +181,84 @@ def test_a_package_may_import_its_own_modules() -> None:
     assert faults_of("from .frames import Frame\nfrom .protocol import Protocol", "aces_bus", True) == []
 
 
+#: Imports that go back on purpose, from a file into a folder, with the reason. They are inside functions or for types only.
+BACK: dict[tuple[str, str], str] = {
+    (
+        "aces_bus.protocol.declare.protocol",
+        "aces_bus.protocol",
+    ): "a variant makes its own scanner, encoder and tables",
+    (
+        "aces_bus.protocol.declare.ambiguity",
+        "aces_bus.protocol.plan",
+    ): "messages are compared by their plans",
+}
+
+
+def folder_of(module: str, is_package: bool) -> str:
+    return module if is_package else module.rpartition(".")[0]
+
+
+def file_graph() -> tuple[dict[str, set[str]], dict[str, str]]:
+    """Which module imports which, names taken from where they are defined and not from the package that exports them; and
+    the folder of each module.
+    """
+    kinds = {
+        name: (path, is_package)
+        for folder, _ in PACKAGES.values()
+        for path in sorted(folder.rglob("*.py"))
+        for name, is_package in [module_name(path)]
+    }
+    imported = {
+        module: [name for _, name in imports_of(path.read_text(encoding="utf-8"), module, is_package)]
+        for module, (path, is_package) in kinds.items()
+    }
+    exported = {
+        module: {name.rpartition(".")[2]: name for name in imported[module]}
+        for module, (_, is_package) in kinds.items()
+        if is_package
+    }
+
+    def definer(name: str) -> str | None:
+        for _ in range(10):
+            if name in kinds:
+                return name
+            base, _, last = name.rpartition(".")
+            if not base:
+                return None
+            name = exported.get(base, {}).get(last, base) if base in kinds else base
+        return None
+
+    folders = {module: folder_of(module, is_package) for module, (_, is_package) in kinds.items()}
+    graph: dict[str, set[str]] = {module: set() for module in kinds if module not in PACKAGES}
+    for module in graph:
+        for name in imported[module]:
+            target = definer(name)
+            if target in graph and target != module:
+                if not any(module == one and target.startswith(f"{into}.") for one, into in BACK):
+                    graph[module].add(target)
+    return graph, folders
+
+
+def test_no_circle_between_folders() -> None:
+    """No file imports, through others, a file that imports it, unless all of them are in one folder."""
+    graph, folders = file_graph()
+    reach: dict[str, set[str]] = {}
+    for module in graph:
+        seen: set[str] = set()
+        queue = [module]
+        while queue:
+            queue += (new := graph[queue.pop()] - seen)
+            seen |= new
+        reach[module] = seen
+    circles = sorted(
+        f"{one} → {other}"
+        for one in graph
+        for other in graph[one]
+        if one in reach[other] and folders[one] != folders[other]
+    )
+    assert not circles, "\n".join(circles)
+
+
 def test_source_roots_are_folders_not_packages() -> None:
     """No `__init__.py` directly inside a source root; each import package carries `py.typed`."""
     roots = ["protocols", "devices", "tools", "tests", "examples"]
