@@ -62,13 +62,17 @@ class Record(msgspec.Struct, frozen=True, gc=False):
     #: The message it is a record of.
     _declared: ClassVar[Message]
 
+    if TYPE_CHECKING:
+        # A checker sees what every record has; a message's own fields it knows from the types that `aces spec stubs` writes.
+        def __getattr__(self, name: str) -> Any: ...
+
     @property
     def meta(self) -> Meta:
         """Time, channel, identifier or offset, raw bytes: see `Meta`."""
         kind = type(self)
-        head = (kind._protocol, kind.__name__, self._time, self._channel, kind._direction, self._raw)  # type: ignore[attr-defined]
-        key: int = self._key  # type: ignore[attr-defined]
-        is_rx: bool | None = self._rx  # type: ignore[attr-defined]
+        head = (kind._protocol, kind.__name__, self._time, self._channel, kind._direction, self._raw)
+        key: int = self._key
+        is_rx: bool | None = self._rx
         if kind._is_stream:
             return Meta(*head, is_rx=is_rx, offset=key, size=len(head[-1]))
         return Meta(*head, key & 0x1FFF_FFFF, bool(key & EXTENDED), bool(key & FD), bool(key & REMOTE), is_rx)
@@ -82,14 +86,14 @@ class Part(msgspec.Struct, frozen=True, gc=False):
     """The base of nested records."""
 
 
-class Unknown(msgspec.Struct, frozen=True, gc=False):
-    """Bytes or a frame that no message claims, with the reason: nothing vanishes.
+class Unknown(Record, frozen=True, gc=False):
+    """A record of bytes or of a frame that no message claims, with the reason: nothing vanishes.
 
     `reason` is "unknown", "unknown: needs request A|B", "malformed: <why>", "skipped", "pending" or "error frame".
     """
 
     reason: str
-    meta: Meta
+    meta: Meta  # pyright: ignore[reportIncompatibleMethodOverride]  # a field, as it is at hand
 
     @property
     def kind(self) -> str:

@@ -42,7 +42,7 @@ def told(protocol: Protocol, *frames: Frame) -> list[tuple[str, dict[str, Any]]]
             continue
         fields = {name: getattr(record, name) for name in field_names(type(record))}
         assert rows[number] == (record.meta.message, fields)
-        found.append((record.meta.message, fields))
+        found.append((type(record).__name__, fields))
     return found
 
 

@@ -70,7 +70,7 @@ Decoded = tuple[str, Any] | None
 
 def by_scanner(variant: Variant, frames: Sequence[Frame]) -> list[Decoded]:
     records = make_scanner([variant], include_unknown=True, raw=True).feed(frames)
-    return [None if isinstance(one, Unknown) else (one.meta.message, one) for one in records]
+    return [None if isinstance(one, Unknown) else (type(one).__name__, one) for one in records]
 
 
 def by_reference(variant: Variant, frames: Sequence[Frame]) -> list[Decoded]:

@@ -201,7 +201,7 @@ def check_can(folder: Path, variant: Variant, words: Sequence[Frame]) -> set[str
             continue
         assert len(messages) == 1, (frame, one, messages)
         compared += compare(variant, one, meant, messages[0])
-        seen.add(one.meta.message)
+        seen.add(type(one).__name__)
     assert compared
     return seen
 

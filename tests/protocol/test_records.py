@@ -62,7 +62,7 @@ def test_a_type_has_the_records_of_every_dialect() -> None:
     assert not isinstance(A, Mode)
     assert not isinstance("Level", Level)
     match B:
-        case Level(level=level, more=more):  # type: ignore[misc]  # made at run time
+        case Level(level=level, more=more):
             assert (level, more) == (-3, 1)
         case _:
             pytest.fail("no match")

@@ -23,7 +23,7 @@ from ..declare.message import Direction, Message
 from ..declare.packet import ContentError, LengthError, WrongCheckError, can_image
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE, key_of
-from ..record import Meta, Unknown
+from ..record import Meta, Record, Unknown
 from .decide import REMEMBERED, Decider, Decode
 
 #: By the two highest flags of a frame table, RX and TX: whether a frame was received.
@@ -231,7 +231,7 @@ class CanScanner:
         counts.missed = sum(wire.missed for wire in self.wires)
         return counts
 
-    def feed(self, frames: Iterable[Any], /) -> list[Any]:
+    def feed(self, frames: Iterable[Any], /) -> list[Record]:
         """Records of `frames`, in order; see the class."""
         return self._make_feed()(frames)
 
@@ -267,7 +267,7 @@ class CanScanner:
 
         return feed
 
-    def feed_table(self, frames: FrameTable, /) -> list[Any]:
+    def feed_table(self, frames: FrameTable, /) -> list[Record]:
         """The same for frames as columns: what `feed(frames.frames())` gives, without an object a frame in between."""
         if not len(frames):
             return []
@@ -370,10 +370,10 @@ class CanScanner:
             if wire.note(message, data, key, frame.timestamp, frame.channel, data):
                 return
 
-    def idle(self, time: float | None = None) -> list[Any]:
+    def idle(self, time: float | None = None) -> list[Record]:
         """Frames are whole: silence decides nothing on CAN."""
         return []
 
-    def close(self) -> list[Any]:
+    def close(self) -> list[Record]:
         """Frames are whole: the end of a capture decides nothing on CAN."""
         return []

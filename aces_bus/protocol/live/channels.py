@@ -19,6 +19,7 @@ from ..columns.table import Array, MessageTable
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Variant
+from ..record import Record
 from .can import CanScanner
 
 #: Channels with scanners of their own; the frames of more channels share the one of unbound protocols.
@@ -89,7 +90,7 @@ class ChannelScanner(_Channels[CanScanner]):
             lambda mine: CanScanner(mine, direction=direction, include_unknown=include_unknown, raw=raw),
         )
 
-    def feed(self, frames: Iterable[Any], /) -> list[Any]:
+    def feed(self, frames: Iterable[Any], /) -> list[Record]:
         """Records of `frames`, in order."""
         out: list[Any] = []
         for channel, some in groupby(frames, key=lambda frame: frame.channel):
@@ -104,11 +105,11 @@ class ChannelScanner(_Channels[CanScanner]):
         """Our own transmission: a request that replies on its channel may hang on."""
         self.of(frame.channel).sent(frame)
 
-    def idle(self, time: float | None = None) -> list[Any]:
+    def idle(self, time: float | None = None) -> list[Record]:
         """Frames are whole: silence decides nothing on CAN."""
         return []
 
-    def close(self) -> list[Any]:
+    def close(self) -> list[Record]:
         """Frames are whole: the end of a capture decides nothing on CAN."""
         return []
 

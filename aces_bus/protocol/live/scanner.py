@@ -16,6 +16,7 @@ from ...errors import CallerError, SpecError, UnknownNameError
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Protocol, Variant
+from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
 
@@ -34,7 +35,7 @@ class Scanner(typing.Protocol):
         """`can`, `serial` or `datagram`."""
         ...
 
-    def feed(self, words: Any, /) -> list[Any]:
+    def feed(self, words: Any, /) -> list[Record]:
         """Records of frames (CAN) or of bytes (streams), in order."""
         ...
 
@@ -43,11 +44,11 @@ class Scanner(typing.Protocol):
         """Where every byte or frame went so far."""
         ...
 
-    def idle(self, time: float | None = None) -> list[Any]:
+    def idle(self, time: float | None = None) -> list[Record]:
         """The line fell silent: what is incomplete never will be."""
         ...
 
-    def close(self) -> list[Any]:
+    def close(self) -> list[Record]:
         """The capture has ended."""
         ...
 

@@ -22,7 +22,7 @@ from ..declare.protocol import Variant
 from ..declare.stuffing import Insert
 from ..generate.load import load_source
 from ..generate.scan import plain_cover, print_stream, seek_pattern
-from ..record import Meta, Unknown
+from ..record import Meta, Record, Unknown
 from .decide import Decider
 from .overlaps import Overlaps
 
@@ -160,7 +160,7 @@ class StreamScanner:
 
     # ------------------------------------------------------------------ feeding
 
-    def feed(self, data: bytes, time: float | None = None) -> list[Any]:
+    def feed(self, data: bytes, time: float | None = None) -> list[Record]:
         """Records that `data` completes, in order; with `include_unknown`, `Unknown` for what was lost.
 
         `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
@@ -168,7 +168,7 @@ class StreamScanner:
         self._counts.total += len(data)
         return self._advance(bytes(data), time if time is not None else self._time, silent=False)
 
-    def idle(self, time: float | None = None) -> list[Any]:
+    def idle(self, time: float | None = None) -> list[Record]:
         """The line is silent: what is incomplete never will be.
 
         With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since the last bytes
@@ -178,11 +178,11 @@ class StreamScanner:
             return []
         return self._advance(b"", time if time is not None else self._time, silent=True)
 
-    def datagram(self, data: bytes, time: float | None = None) -> list[Any]:
+    def datagram(self, data: bytes, time: float | None = None) -> list[Record]:
         """Records of one datagram: what it leaves incomplete, the next one does not continue."""
         return [*self.feed(data, time), *self._advance(b"", self._time, silent=True)]
 
-    def close(self) -> list[Any]:
+    def close(self) -> list[Record]:
         """The stream has ended. A packet cut off by the end stays pending; what stands behind a false one is found."""
         return self._advance(b"", self._time, silent=True, closing=True)
 
