@@ -166,7 +166,8 @@ def test_calls_raise_errors_of_ours(thing: Callable[..., Any], arguments: Argume
     check()
 
 
-#: Packages whose methods are not called: connections and buses open and wait; fields have hooks that construct calls and answers for.
+#: Packages whose methods are not called: connections and buses open and wait; fields have hooks that construct calls, and
+#: answers for.
 CONSTRUCTORS_ONLY = ("aces_bus.access", "aces_bus.hardware", "aces_bus.protocol")
 
 
