@@ -23,7 +23,6 @@ from .generate.encode import CALLED, NoEncoder, print_encoder
 from .generate.load import load_source
 from .generate.names import NameScope
 from .generate.source import comment_line
-from .plan.flatten import flatten
 
 
 class UnusualValue(Exception):
@@ -178,7 +177,7 @@ def quick_encoders(
     others: dict[str, str] = {}
     for message in variant.messages.values():
         try:
-            functions[message.name], printed = print_encoder(message, flatten(message), names)
+            functions[message.name], printed = print_encoder(message, message.plan, names)
         except NoEncoder as reason:
             others[message.name] = str(reason)
             continue

@@ -9,9 +9,10 @@ Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from math import isfinite
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
@@ -107,15 +108,38 @@ def field_names(kind: type[msgspec.Struct]) -> tuple[str, ...]:
 
 def as_dict(record: msgspec.Struct) -> dict[str, Any]:
     """A record's fields as plain values: nested records as dicts, tuples as lists."""
-    return {name: _plain(getattr(record, name)) for name in field_names(type(record))}
+    return {name: plain_value(getattr(record, name)) for name in field_names(type(record))}
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """A value of a record or of a construct: nested records and containers as dicts of their fields, tuples as lists."""
     if isinstance(value, msgspec.Struct):
         return as_dict(value)
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): plain_value(item) for name, item in value.items() if not str(name).startswith("_")}
+    if isinstance(value, (tuple, list)):
+        return [plain_value(item) for item in value]
     return value
+
+
+def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
+    """Reads what stands at the end of `way` in a record; None where a part of the way is not there."""
+    if len(way) == 1 and isinstance(way[0], str):
+        return attrgetter(way[0])
+
+    def get(value: Any) -> Any:
+        for step in way:
+            if value is None:
+                return None
+            if isinstance(step, int):
+                value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
+            elif isinstance(value, Mapping):
+                value = value.get(step)
+            else:
+                value = getattr(value, step, None)
+        return value
+
+    return get
 
 
 def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
@@ -132,4 +156,15 @@ def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type]
     return value
 
 
-__all__ = ["FlagSet", "Meta", "Part", "Record", "Unknown", "as_dict", "field_names", "from_container"]
+__all__ = [
+    "FlagSet",
+    "Meta",
+    "Part",
+    "Record",
+    "Unknown",
+    "as_dict",
+    "field_names",
+    "from_container",
+    "getter",
+    "plain_value",
+]

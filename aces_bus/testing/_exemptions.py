@@ -17,7 +17,6 @@ from ..protocol.declare.bits import FLOATS, BitLayout, Bits
 from ..protocol.declare.fields import Multiplexed, SignMagnitude
 from ..protocol.declare.message import Message
 from ..protocol.plan import nodes as p
-from ..protocol.plan.flatten import flatten
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def _bits(message: Message) -> dict[str, frozenset[int]]:
             for field in node.fields:
                 visit(field.node, f"{path}.{field.name}")
 
-    plan = flatten(message)
+    plan = message.plan
     for field in plan.fields:
         visit(field.node, field.name)
     return {path: frozenset(bits) for path, bits in found.items()}
@@ -141,7 +140,7 @@ def are_excused(message: Message, image: bytes, rebuilt: bytes) -> bool:
     if not listed:
         return False
     framing = message.framing
-    if not flatten(message).is_flat or (framing is not None and framing.stuffing is not None):
+    if not message.plan.is_flat or (framing is not None and framing.stuffing is not None):
         return True
     start = 5 if framing is None else 0
     one, other = image[start:], rebuilt[start:]

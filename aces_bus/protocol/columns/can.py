@@ -24,7 +24,6 @@ from ..declare.order import ordered
 from ..declare.protocol import Variant
 from ..live.can import CanScanner
 from ..live.decide import REMEMBERED
-from ..plan.flatten import flatten
 from .rows import PacketRows, RowDecoder
 from .scanner import LOST, RecordColumns
 from .table import Array, Column, ColumnKind, MessageTable
@@ -154,7 +153,7 @@ class CanColumns:
         name = (number, message.name)
         if name not in self._decoders:
             variant = self.variants[number]
-            decoder = RowDecoder(flatten(message), raw=self.raw, message=message)
+            decoder = RowDecoder(message.plan, raw=self.raw, message=message)
             self._decoders[name] = _Candidate(message, decoder, variant.name, number)
         return self._decoders[name]
 

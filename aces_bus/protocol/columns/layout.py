@@ -27,8 +27,7 @@ from ...frame_table import NO_TIME, Channels
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
 from ..plan import nodes as p
-from ..plan.flatten import flatten
-from .gather import dtype_of, kinds_of, value_paths
+from .gather import dtype_of, kinds_of
 from .table import Array, Column, ColumnKind, MessageTable
 
 Holds = Literal["number", "bool", "time", "label", "bytes", "text", "integer", "wide", "json"]
@@ -319,7 +318,7 @@ def size_of(block: Block) -> int:
 
 def objects_of(plan: p.MessagePlan) -> dict[str, Holds]:
     """What the columns of Python objects of a message hold, by the name of the column."""
-    return {path: _held(node) for path, _, node, _, _ in value_paths(plan) if dtype_of(node) is None}
+    return {leaf.path: _held(leaf.node) for leaf in plan.leaves if dtype_of(leaf.node) is None}
 
 
 def _held(node: p.Node) -> Holds:
@@ -339,7 +338,7 @@ class Objects:
         self._known: dict[tuple[str, str], list[tuple[tuple[ColumnKind, ...], dict[str, Holds]]]] = {}
         for variant in variants:
             for name, message in variant.messages.items():
-                plan = flatten(message)
+                plan = message.plan
                 found = objects_of(plan)
                 if found:
                     self._known.setdefault((variant.name, name), []).append((kinds_of(plan), found))
@@ -370,8 +369,8 @@ def objects_by_values(table: MessageTable) -> dict[str, Holds]:
 
 def empty_table(variant: Variant, name: str) -> MessageTable:
     """A table of a message without rows: what its dataset looks like where the message does not occur."""
-    plan = flatten(variant.messages[name])
-    dtypes = {path: dtype_of(node) for path, _, node, _, _ in value_paths(plan)}
+    plan = variant.messages[name].plan
+    dtypes = {leaf.path: dtype_of(leaf.node) for leaf in plan.leaves}
     is_stream = variant.link != "can"
     none = np.zeros(0, np.int64)
     return MessageTable(

@@ -17,7 +17,6 @@ from ..declare.message import Message
 from ..generate.load import records_of
 from ..live.decide import Decider
 from ..plan.choose import Choice, choose
-from ..plan.flatten import flatten
 from .gather import Gatherer
 from .packet_rows import packet_rows, take_rows
 from .rows import PacketRows, RowDecoder
@@ -113,7 +112,7 @@ class _Kind:
     def __init__(self, message: Message, decider: Decider, *, raw: bool) -> None:
         variant = decider.variant
         self.message = message
-        self.plan = flatten(message)
+        self.plan = message.plan
         self.decoder = RowDecoder(self.plan, raw=raw)
         #: Asked of one packet after the other, where rows will not do.
         self.decode: Callable[..., Any] | None = (

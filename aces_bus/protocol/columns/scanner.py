@@ -17,7 +17,6 @@ from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Variant
 from ..live.scanner import Scanner, make_scanner
-from ..plan.flatten import flatten
 from ..record import Record, Unknown
 from .gather import Gatherer
 from .table import Array, Column, ColumnKind, MessageTable
@@ -147,7 +146,7 @@ class RecordColumns:
     def _gatherer(self, kind: type[Record]) -> Gatherer:
         found = self._gatherers.get(kind)
         if found is None:
-            found = self._gatherers[kind] = Gatherer(kind, flatten(kind._declared), raw=self._raw)
+            found = self._gatherers[kind] = Gatherer(kind, kind._declared.plan, raw=self._raw)
         return found
 
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:

@@ -11,6 +11,7 @@ bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for C
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from operator import index
 from typing import TYPE_CHECKING, Any
 
@@ -121,10 +122,30 @@ class PacketStruct(Construct):
                 raise NotThisError("a constant is another", path=path)
         if short or (message.lengths is not None and len(data) not in message.lengths):
             raise LengthError(f"length {len(data)}", path=path)
+        self._fields(values, data, end, context, path)
+        check = message.check
+        if check is not None and check.field is not None:
+            found = values.pop(check.field)
+            if found != check.compute(message.covered(data, identifier)):
+                raise WrongCheckError("checksum", path=path)
+        return values
+
+    def look(self, data: bytes, end: int) -> Container:
+        """The fields of a packet's bytes up to `end`, in physical units, as far as they can be read: whether it is whole,
+        and its check, are not asked."""
+        values, context = Container(), Container(raw=False)
+        context._params = context
+        with suppress(Exception):  # whatever a construct raises, its own or somebody else's
+            self._fields(values, data, end, context, "(looking)")
+        return values
+
+    def _fields(self, values: Container, data: bytes, end: int, context: Any, path: str) -> None:
+        """Read head fields and payload into `values`."""
+        message = self.message
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False
         )
-        for head in heads:
+        for head in message.heads:
             self._read_head(head, data, context, values, f"{path} -> {head.name}")
         inner.update(values)
         for head in message.heads_written:
@@ -141,12 +162,6 @@ class PacketStruct(Construct):
             raise LengthError("bytes left over", path=path)
         for name in message.payload_names:
             values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
-        check = message.check
-        if check is not None and check.field is not None:
-            found = values.pop(check.field)
-            if found != check.compute(message.covered(data, identifier)):
-                raise WrongCheckError("checksum", path=path)
-        return values
 
     @staticmethod
     def _read_head(head: Head, data: bytes, context: Any, values: Container, path: str) -> None:

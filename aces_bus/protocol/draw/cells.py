@@ -102,9 +102,7 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
 
 def _free(layers: list[_Cells], node: p.Node) -> _Cells:
     """The first picture in which no other field has the bits of this one; a new one where there is none."""
-    bits: Sequence[int] = node.bits if isinstance(node, p.Scalar) else ()
-    if isinstance(node, p.Scalar) and node.kind == "float" and not bits:
-        bits = range(8 * node.offset, 8 * (node.offset + (node.size or 0)))
+    bits = node.place if isinstance(node, p.Scalar) and not node.is_bytes else ()
     for cells in layers:
         # Only numbers share bits; bytes of open size stand behind them.
         if cells.taken.isdisjoint(bits):
@@ -177,12 +175,7 @@ def span_of(node: p.Node) -> tuple[int, int] | None:
         if node.bits and len(node.bits) != 8 * node.size:
             return None
         return node.offset, node.size
-    items: list[p.Node] = []
-    if isinstance(node, p.Many):
-        items = list(node.items)
-    elif isinstance(node, p.NestedRecord):
-        items = [one.node for one in node.fields]
-    spans = [span_of(item) for item in items]
+    spans = [span_of(inner.node) for _, inner in node.children]
     if not spans or spans[0] is None:
         return None
     start = end = spans[0][0]
@@ -201,12 +194,10 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
         assert span is not None
         cells.blocks[span[0]] = _Block(*span, f"{label}.0…{len(node.items) - 1}")
     elif isinstance(node, p.FromIdentifier) and node.number is not None:
-        bits = node.number.bits
-        if node.is_alone:
-            text = f"{label}" if not node.constant and not node.shift else f"{node.constant:#04x} + {label}"
-            cells.claim(text if not node.shift else f"{text} << {node.shift}", bits)
-        else:
-            cells.claim(label, bits[node.shift : node.shift + node.width])
+        text = label
+        if node.is_alone and (node.constant or node.shift):
+            text = f"{node.constant:#04x} + {label}" + (f" << {node.shift}" if node.shift else "")
+        cells.claim(text, node.place)
     elif isinstance(node, p.DelimitedField):
         cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
     elif isinstance(node, p.MoreCells):
@@ -214,29 +205,22 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
 
 
 def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) -> None:
-    if node.kind in ("bytes", "text"):
+    if node.is_bytes:
         if node.size == 1:
             cells.claim(label, range(8 * node.offset, 8 * node.offset + 8))
         else:
             cells.blocks[node.offset] = _Block(node.offset, node.size, label)
         return
     assert node.size is not None
-    bits = node.bits
-    if not bits:  # a float
-        little = tuple(range(8 * node.offset, 8 * (node.offset + node.size)))
-        bits = little if node.order == "little" else p.big_endian_bits(node.offset, node.size)
-    is_flags = any(isinstance(step, p.FlagBits) for step in node.steps)
+    bits = node.place
     is_whole = not node.bits if node.kind == "float" else node.is_whole
-    if is_brief and node.size > 1 and not is_flags and is_whole:
+    if is_brief and node.size > 1 and not node.flags and is_whole:
         order = "low" if bits[0] < bits[-1] else "high"
         cells.blocks[node.offset] = _Block(
             node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True
         )
         return
-    flags = {
-        number: name for step in node.steps if isinstance(step, p.FlagBits) for name, number in step.bits
-    }
-    for number, name in flags.items():
+    for name, number in node.flags.items():
         cells.claim(name, (bits[number],))
     cells.claim(label, bits)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ..declare.message import Message
-from ..plan.flatten import flatten
 from .canvas import FAINT, FILLS, INK, OPEN, PAPER, Canvas, fitted, text_width
 from .cells import BIT, ROW, LayoutPanel, marks_of, panels
 
@@ -26,7 +25,7 @@ def picture_svg(messages: Iterable[Message]) -> str:
             canvas.text(0, top + 32, fitted(doc, FRONT + 8 * WIDE, 11), FAINT, size=11)
         top += 44 if doc else 26
         fills: dict[str, str] = {}
-        for panel in panels(flatten(message), marks_of(message)):
+        for panel in panels(message.plan, marks_of(message)):
             top = _panel(canvas, panel, top, fills) + 12
         top += 16
     return canvas.svg(", ".join(names))

@@ -16,8 +16,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import CallerError
-from .leaves import Loss
-from .problems import ImportedProtocol, ImportProblem
+from .problems import ImportedProtocol, ImportProblem, Loss
 
 #: What files are taken for, by their suffix.
 SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf")

@@ -38,7 +38,7 @@ from ..declare.message import Message
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
-from .import_names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from .problems import ImportProblem, clean_text
 
 #: The field of the bytes behind the declared ones.

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 from ...errors import CallerError
 from .import_build import build
-from .import_names import unused
 from .import_statements import (
     MESSAGE,
     Statement,
@@ -28,6 +27,7 @@ from .import_statements import (
     split_statements,
     usable,
 )
+from .names import unused
 from .problems import ImportedProtocol, ImportProblem, excerpt
 
 #: Bytes of the largest file that is read.

@@ -25,7 +25,7 @@ from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
 from .import_build import TRAILING
 from .import_dbc import protocol_name, read_text
-from .import_names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from .problems import ImportedProtocol, ImportProblem, clean_text, excerpt
 
 #: PDOs of a device (CiA 301, 7.5.1), and the identifiers of the first four where the file gives none (7.3.5).

@@ -38,6 +38,19 @@ class ImportProblem:
 
 
 @dataclass(frozen=True)
+class Loss:
+    """What another form cannot say of a field ("" for the whole message), of a message ("" for all), and what is done."""
+
+    message: str
+    field: str
+    reason: str
+
+    def __str__(self) -> str:
+        where = ".".join(filter(None, (self.message, self.field)))
+        return f"{where}: {self.reason}" if where else self.reason
+
+
+@dataclass(frozen=True)
 class ImportedProtocol:
     """A foreign file as a protocol. `statements` counts what the file consists of: of a DBC statements and signals, of
     an EDS sections, of the others messages."""
@@ -79,4 +92,6 @@ def clean_text(text: str) -> str:
     return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
 
 
-__all__ = ["ImportProblem", "ImportedProtocol", "clean_text", "excerpt"]
+def one_line(text: str) -> str:
+    """A text from elsewhere as part of a comment: printable, without line ends."""
+    return " ".join(clean_text(text).split())

@@ -1,41 +1,27 @@
-"""The reference, watched: each of its decisions as an `Attempt`.
+"""The reference's decisions, each as an `Attempt`.
 
-1. What is decided is the reference's own doing: this class only keeps what it decided on, and asks each template
-   afterwards, word by word. So the records explained are those of every scanner (law 2).
+1. What is decided, and by what, is in the reference's items: this class asks each template afterwards, byte by byte. So
+   the records explained are those of every scanner (law 2).
 2. Attempts are explained when they are looked at; deciding costs what the reference costs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 from ..declare.framing import Framing, Judgement, Verdict
-from ..declare.message import Direction, Message
+from ..declare.message import Direction
 from ..declare.packet import can_image
 from ..declare.protocol import Variant
-from ..live.context import Context
-from ..reference import Reference, ReferenceItem
+from ..reference import PastRequest, Reference, ReferenceItem
 from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace
 from .template import Template
 from .words import captures, frame_cell, frame_death, unchosen, words_of
 
-#: Under this name a remembered request says which message it was.
-_ASKED = "_message"
 #: Words of one attempt that are explained; of longer packets the first ones and the last.
 WORDS = 160
-
-
-@dataclass(frozen=True)
-class _Decided:
-    """What the reference decided at one place: how much it knew, and what it was asked before."""
-
-    start: int
-    known: int
-    is_silent: bool
-    found: ReferenceItem
-    request: tuple[str, Mapping[str, Any]] | None
 
 
 class Tracer(Reference):
@@ -45,13 +31,10 @@ class Tracer(Reference):
         self, variants: Sequence[Variant], *, direction: Direction | Literal["both"] | None = None
     ) -> None:
         super().__init__(variants, direction=direction)
-        self._decided: list[_Decided] = []
-        self._request: tuple[str, Mapping[str, Any]] | None = None
         is_alone = len({variant.name for variant in variants}) == 1
         self.templates: list[Template] = []
         self._extras: dict[Framing, dict[int, bytes]] = {}
-        for variant, messages, _, context in self.sides:
-            _mark_requests(context)
+        for variant, messages, _, _ in self.sides:
             for message in messages:
                 name = message.name if is_alone else f"{variant.name}.{message.name}"
                 self.templates.append(Template(message, name))
@@ -65,27 +48,6 @@ class Tracer(Reference):
         for _, _, contextual, context in self.sides:
             found |= set(contextual) | set(context.requests) | set(context.answers)
         return frozenset(found)
-
-    # ------------------------------------------------------------------ watching
-
-    def _accepted(
-        self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
-    ) -> tuple[str, Message, Any]:
-        if request is not None:
-            asked = {name: value for name, value in request.items() if not name.startswith("_")}
-            self._request = (str(request.get(_ASKED, "?")), asked)
-        return super()._accepted(context, message, image, channel, time, request)
-
-    def _until(self, data: bytes, start: int, found: list[ReferenceItem], *, silent: bool) -> int:
-        while start < len(data):
-            self._request = None
-            item = self._at(data, start, silent=silent)
-            if item is None:
-                break
-            self._decided.append(_Decided(start, len(data), silent, item, self._request))
-            found.append(item)
-            start += item.size
-        return start
 
     # ------------------------------------------------------------------ streams
 
@@ -103,45 +65,33 @@ class Tracer(Reference):
         `wanted` are the offsets that matter: attempts that touch none of them are left out. Bytes that are skipped one
         after the other for the same reason are one attempt.
         """
-        self._decided = []
-        found = self.stream(data, idle_at=idle_at, sent_at=sent_at)
-        decided = self._decided[: len(found)]
-        if decided and decided[-1].found != found[-1]:  # what was incomplete is pending now
-            decided[-1] = replace(decided[-1], found=found[-1])
         attempts: list[Attempt] = []
-        last: tuple[str, bool] | None = None
-        for one in decided:
-            if wanted is not None and not _touches(one, base, wanted):
+        for item in self.stream(data, idle_at=idle_at, sent_at=sent_at):
+            start = base + item.offset
+            if wanted is not None and not (start < wanted.stop and wanted.start < start + item.size):
                 continue
-            kind = (one.found.reason, one.found.message is None and one.found.reason == "skipped")
-            if kind[1] and last == kind and attempts:
-                before = attempts[-1]
-                if before.start + before.run == base + one.start:
-                    attempts[-1] = replace(
-                        before,
-                        run=before.run + 1,
-                        resumes=base + one.start + 1,
-                        raw=before.raw + data[one.start : one.start + 1],
-                    )
-                    continue
-            attempts.append(self._explain(data, one, base))
-            last = kind
+            before = attempts[-1] if attempts else None
+            is_again = before is not None and before.found.reason == "skipped" == item.reason
+            if before is not None and is_again and before.start + before.run == start:
+                raw = before.raw + data[item.offset : item.offset + 1]
+                attempts[-1] = replace(before, run=before.run + 1, resumes=start + 1, raw=raw)
+            else:
+                attempts.append(self._explain(data, item, base))
         return attempts
 
-    def _explain(self, data: bytes, one: _Decided, base: int) -> Attempt:
-        end = one.known
-        found = one.found
+    def _explain(self, data: bytes, found: ReferenceItem, base: int) -> Attempt:
+        start, end, past = found.offset, found.known, found.request
         steps: list[Step] = []
         alive = list(self.templates)
         dead: dict[str, tuple[int, str]] = {}
         sizes: dict[Framing, int] = {}
         size: int | None = found.size if found.message is not None else None
         traces: list[tuple[int, bytes, list[Death], list[Template]]] = []
-        at = one.start
+        at = start
         left_out = 0
         while alive and at < end:
             at += 1
-            prefix = data[one.start : at]
+            prefix = data[start:at]
             is_last = at == end or (size is not None and len(prefix) == size)
             died: list[Death] = []
             verdicts: dict[Framing, Judgement] = {}
@@ -150,7 +100,7 @@ class Tracer(Reference):
                 assert framing is not None
                 if framing not in verdicts:
                     verdicts[framing] = framing.judge(
-                        prefix, 0, silent=at == end and one.is_silent, extras=self._extras.get(framing)
+                        prefix, 0, silent=at == end and found.is_silent, extras=self._extras.get(framing)
                     )
                     known = _size_of(framing, prefix)
                     if known is not None:
@@ -160,9 +110,9 @@ class Tracer(Reference):
                 if why is None and template.message.name != found.message:
                     is_whole = judged.verdict is Verdict.WHOLE
                     if is_whole:
-                        why = template.last_word(prefix, one.request[1] if one.request is not None else None)
-                        why = why or unchosen(template, found, one.request)
-                    elif at == end and one.is_silent and found.reason != "pending":
+                        why = template.last_word(prefix, past.values if past is not None else None)
+                        why = why or unchosen(template, found, past)
+                    elif at == end and found.is_silent and found.reason != "pending":
                         why = "incomplete", "the line falls silent before it is whole"
                     elif is_last and found.message is not None:
                         why = "order", f"{found.message} is complete"
@@ -170,7 +120,7 @@ class Tracer(Reference):
                     died.append(Death(template.name, *why))
                     dead[template.name] = len(traces), why[0]
                     alive.remove(template)
-            traces.append((at - one.start - 1, prefix, died, list(alive)))
+            traces.append((at - start - 1, prefix, died, list(alive)))
             if is_last:
                 break
             if len(traces) == WORDS and alive:
@@ -178,7 +128,7 @@ class Tracer(Reference):
                 reach = size or max(
                     sizes.get(t.framing) or t.framing.max_size for t in alive if t.framing is not None
                 )
-                last = min(end, one.start + reach)
+                last = min(end, start + reach)
                 left_out = max(0, last - at - 1)
                 at += left_out
         lead = self._lead(found, traces)
@@ -188,7 +138,7 @@ class Tracer(Reference):
             what = lead.label(offset, size if size is not None else known, prefix)
             steps.append(
                 Step(
-                    str(base + one.start + offset),
+                    str(base + start + offset),
                     f"{prefix[-1]:02X}",
                     what,
                     tuple(died),
@@ -199,15 +149,15 @@ class Tracer(Reference):
         steps = _completed(steps, found, lead)
         rows = self._rows([t[0] for t in traces], dead, sizes, size, found, lead)
         return Attempt(
-            base + one.start,
+            base + start,
             tuple(t.name for t in self.templates),
             tuple(steps),
             rows,
             replace(found, offset=base + found.offset),
-            base + one.start + found.size,
-            one.request,
+            base + start + found.size,
+            _asked(past),
             left_out=left_out,
-            raw=data[one.start : one.start + found.size],
+            raw=data[start : start + found.size],
         )
 
     def _lead(
@@ -254,9 +204,8 @@ class Tracer(Reference):
 
     def explain_frame(self, frame: Any, number: int = 0) -> Attempt:
         """What a frame is, and why; frames must come in their order, since replies hang on requests."""
-        self._request = None
         (found,) = self.frames([frame])
-        found = replace(found, offset=number)
+        found, past = replace(found, offset=number), found.request
         data = bytes(frame.data)
         image = can_image(
             frame.arbitration_id,
@@ -278,10 +227,8 @@ class Tracer(Reference):
                 why = frame_death(template, frame, data, words[index])
                 is_over = index == len(words) - 1 and why is None
                 if is_over and template.message.name != found.message:
-                    request = self._request[1] if self._request is not None else None
-                    why = template.last_word(image, request)
-                    if why is None:
-                        why = unchosen(template, found, self._request)
+                    why = template.last_word(image, past.values if past is not None else None)
+                    why = why or unchosen(template, found, past)
                 if why is not None:
                     died.append(Death(template.name, *why))
                     dead[template.name] = index, why[0]
@@ -318,7 +265,7 @@ class Tracer(Reference):
             tuple(rows),
             found,
             number + 1,
-            self._request,
+            _asked(past),
             is_can=True,
             frame=frame,
             raw=data,
@@ -329,19 +276,8 @@ class Tracer(Reference):
         return [self.explain_frame(frame, number) for number, frame in enumerate(frames)]
 
 
-def _mark_requests(context: Context) -> None:
-    """Let the requests that a context remembers say which message they were."""
-    note = context.note
-
-    def noted(name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
-        note(name, channel, time, {**values, _ASKED: name})
-
-    setattr(context, "note", noted)  # noqa: B010 - a method of one object, on purpose
-
-
-def _touches(one: _Decided, base: int, wanted: range) -> bool:
-    start = base + one.start
-    return start < wanted.stop and wanted.start < start + one.found.size
+def _asked(past: PastRequest | None) -> tuple[str, Mapping[str, Any]] | None:
+    return (past.name, past.values) if past is not None else None
 
 
 def _size_of(framing: Framing, prefix: bytes) -> int | None:
@@ -372,6 +308,3 @@ def _completed(steps: list[Step], found: ReferenceItem, lead: Template) -> list[
         if name.partition(".")[0] not in shown and not name.startswith("_")
     ]
     return [*steps[:-1], replace(steps[-1], read=(*steps[-1].read, *rest))]
-
-
-__all__ = ["WORDS", "Tracer"]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from ..declare.message import Message
-from ..plan import nodes as p
-from ..reference import ReferenceItem
+from ..reference import PastRequest, ReferenceItem
 from .attempt import FieldRead
-from .template import Template, stepped
+from .template import Template
 
 #: Place, text, and of a byte its offset.
 Word = tuple[str, str, int | None]
@@ -55,14 +54,12 @@ def _kind(message: Message) -> str:
     return ", ".join(kind for kind, given in kinds if given) or "a plain data frame"
 
 
-def unchosen(
-    template: Template, found: ReferenceItem, request: tuple[str, Mapping[str, Any]] | None
-) -> tuple[str, str] | None:
+def unchosen(template: Template, found: ReferenceItem, request: PastRequest | None) -> tuple[str, str] | None:
     """Why a template whose bytes fit is not what the frame is."""
     asks = [*template.message.reply_to, *template.message.after]
     if found.message is not None:
         if request is not None and asks:
-            return "request", f"what was asked last, {request[0]}, gives {found.message}"
+            return "request", f"what was asked last, {request.name}, gives {found.message}"
         return "order", f"{found.message} is tried first"
     if asks and found.reason.startswith("unknown: needs"):
         names = "|".join(dict.fromkeys(request.message.name for request in asks))
@@ -71,14 +68,13 @@ def unchosen(
 
 
 def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[FieldRead, ...]:
-    read: list[FieldRead] = []
     raws = lead.message.identifier.match(frame.arbitration_id) or {}
     name = "" if len(living) <= 1 else lead.name
-    for field in lead.plan.fields:
-        node = field.node
-        if isinstance(node, p.FromIdentifier) and node.number is None and field.name in raws:
-            read.append(FieldRead(name, field.name, stepped(node, raws[field.name]), node.unit))
-    return tuple(read)
+    return tuple(
+        FieldRead(name, one.name, one.to_physical(raws[one.name]), one.unit)
+        for one in lead.message.identifier.captures
+        if one.name in raws
+    )
 
 
 def frame_cell(template: Template, word: Word) -> str:
@@ -92,6 +88,3 @@ def frame_cell(template: Template, word: Word) -> str:
         return message.describe_lengths.removesuffix(" bytes")
     assert offset is not None
     return template.cell(offset, None)
-
-
-__all__ = ["Word", "captures", "frame_cell", "frame_death", "unchosen", "words_of"]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..declare.bits import runs_of
 from ..declare.pattern import bounds
 from ..plan import nodes as p
 from .names import NameScope, is_plain, literal
-from .runs import FORMATS, clusters, compact, in_one_byte, is_balanced, run_order, runs_of, struct_format
+from .runs import clusters, compact, in_one_byte, is_balanced, run_order
 from .source import SourceText, comment_line
 
 TRANSPORT = "time, channel, key, raw, rx"
@@ -149,37 +150,16 @@ class Decoder:
 
     # -------------------------------------------------- fetching
 
-    def _scalars(self) -> list[tuple[p.Scalar, bool]]:
-        """Every scalar, with whether it is always present."""
-        found: list[tuple[p.Scalar, bool]] = []
-
-        def visit(node: p.Node, always: bool) -> None:
-            if isinstance(node, p.Scalar):
-                found.append((node, always))
-            elif isinstance(node, p.Many):
-                for item in node.items:
-                    visit(item, always)
-            elif isinstance(node, p.NestedRecord):
-                for field in node.fields:
-                    visit(field.node, always and field.when is None)
-
-        for field in self.plan.fields:
-            visit(field.node, field.when is None)
-        return found
-
     def _fetch(self) -> None:
         """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
-        present = [s for s, always in self._scalars() if always]
+        leaves = self.plan.leaves
+        present = [leaf.node for leaf in leaves if isinstance(leaf.node, p.Scalar) and not leaf.whens]
         whole: list[p.Scalar] = []
         taken: list[tuple[int, int]] = []
         for s in dict.fromkeys(present):
             end = s.offset + (s.size or 0)
             # Of numbers that share bytes, one is fetched so; the others read for themselves.
-            if (
-                s.size is not None
-                and struct_format(s)
-                and not any(a < end and s.offset < b for a, b in taken)
-            ):
+            if s.size is not None and s.format and not any(a < end and s.offset < b for a, b in taken):
                 whole.append(s)
                 taken.append((s.offset, end))
         chunks: list[tuple[int, int, str, p.Scalar | None]] = [
@@ -205,8 +185,8 @@ class Decoder:
                 name = self.names.new(f"word{len(self.cells)}")
                 self.cells.append(FetchedBytes(name, start, end, order or "little"))
                 self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
-        for node in self._rests():
-            if (node.offset, node.size) in self.words:
+        for node in (leaf.node for leaf in leaves):
+            if not isinstance(node, p.Rest) or (node.offset, node.size) in self.words:
                 continue
             name = self.words[node.offset, node.size] = self.names.new(f"all{node.offset}")
             cell = FetchedBytes(name, node.offset, node.offset + node.size, "little")
@@ -225,7 +205,7 @@ class Decoder:
             name = self.names.new(f"v{len(self.cells)}")
             size = end - start
             if scalar is not None:
-                text += struct_format(scalar)
+                text += scalar.format
                 names.append(name)
                 self.atoms[scalar] = name
             elif size == 3:
@@ -236,7 +216,7 @@ class Decoder:
                     f"{name} = {one} << 16 | {other}" if order == "big" else f"{name} = {one} | {other} << 16"
                 )
             else:
-                text += FORMATS["uint", size]
+                text += p.FORMATS["uint", size]
                 names.append(name)
             is_unsigned = scalar is None or scalar.kind == "uint"
             self.cells.append(FetchedBytes(name, start, end, order or "little", is_unsigned))
@@ -261,24 +241,6 @@ class Decoder:
             ):
                 return cell
         return None
-
-    def _rests(self) -> list[p.Rest]:
-        """Every rest, also those of each nested record in an array."""
-        found: list[p.Rest] = []
-
-        def visit(node: p.Node) -> None:
-            if isinstance(node, p.Rest):
-                found.append(node)
-            elif isinstance(node, p.Many):
-                for item in node.items:
-                    visit(item)
-            elif isinstance(node, p.NestedRecord):
-                for field in node.fields:
-                    visit(field.node)
-
-        for field in self.plan.fields:
-            visit(field.node)
-        return found
 
     def _slice(self, start: int, end: int) -> str:
         if start == 0 and self.plan.lengths == (end,):
@@ -382,7 +344,7 @@ class Decoder:
         raise AssertionError(node)
 
     def _scalar(self, scalar: p.Scalar, name: str) -> str:
-        if scalar.kind in ("bytes", "text"):
+        if scalar.is_bytes:
             end = (
                 f"{scalar.offset + scalar.size}"
                 if scalar.size is not None
@@ -408,13 +370,13 @@ class Decoder:
     def _lone(self, scalar: p.Scalar, name: str) -> str:
         """A float that is not always there."""
         mark = "<" if scalar.order == "little" else ">"
-        made = f'Struct("{mark}{FORMATS["float", scalar.size or 0]}").unpack_from'
+        made = f'Struct("{mark}{p.FORMATS["float", scalar.size or 0]}").unpack_from'
         return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
 
     def _scattered(self, scalar: p.Scalar) -> str:
         """A float whose bits do not stand in whole bytes."""
         size = len(scalar.bits) // 8
-        helper = self._table(f"_float{8 * size}", f'Struct("<{FORMATS["float", size]}").unpack')
+        helper = self._table(f"_float{8 * size}", f'Struct("<{p.FORMATS["float", size]}").unpack')
         return f'{helper}(({self._integer(scalar)}).to_bytes({size}, "little"))[0]'
 
     def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:

@@ -13,12 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ..declare.bits import runs_of
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
 from ..plan import nodes as p
 from .names import NameScope, is_plain, literal
-from .runs import compact, runs_of, struct_format
+from .runs import compact
 from .source import SourceText, comment_line
 
 #: What encoders call, given to every module of them.
@@ -182,9 +183,9 @@ class _Encoder:
             if scalar.kind == "float" and scalar.bits:
                 raise NoEncoder("a float that does not stand in whole bytes")
             number = self._raw(scalar, name, value)
-            if struct_format(scalar):
+            if scalar.format:
                 order = "" if scalar.size == 1 else "<" if scalar.order == "little" else ">"
-                cells.append(_Packed(scalar.offset, scalar.size, order, struct_format(scalar), number))
+                cells.append(_Packed(scalar.offset, scalar.size, order, scalar.format, number))
                 continue
             self._fits(scalar, number)
             first, last = min(scalar.bits) // 8, max(scalar.bits) // 8 + 1
@@ -271,7 +272,6 @@ class _Encoder:
         number = self._temporary()
         text = value
         steps = scalar.steps
-        magnitude = next((s for s in steps if isinstance(s, p.Magnitude)), None)
         for step in reversed(steps):
             if isinstance(step, p.Scale):
                 if step.names:
@@ -287,13 +287,13 @@ class _Encoder:
                 self.out.line("    raise Unusual")
                 text = f"int({variable})"
         self.out.line(f"{number} = {text}")
-        if magnitude is not None:
-            half = 1 << magnitude.width - 1
-            self.out.line(f"if {number}.__class__ is not int or not {-half + 1} <= {number} <= {half - 1}:")
+        if scalar.is_magnitude and scalar.raw_range is not None:
+            low, high = scalar.raw_range
+            self.out.line(f"if {number}.__class__ is not int or not {low} <= {number} <= {high}:")
             self.out.line("    raise Unusual")
             self.out.line(f"if {number} < 0:")
-            self.out.line(f"    {number} = {half:#x} - {number}")
-        elif scalar.kind != "float" and not struct_format(scalar):
+            self.out.line(f"    {number} = {high + 1:#x} - {number}")
+        elif scalar.kind != "float" and not scalar.format:
             self.out.line(f"if {number}.__class__ is not int:")
             self.out.line("    raise Unusual")
         return number

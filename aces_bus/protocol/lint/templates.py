@@ -12,7 +12,6 @@ from ..declare.ambiguity import Demands, conflict, demands, needing_context, sol
 from ..declare.message import Message, Request
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Protocol, Variant
-from ..plan.flatten import flatten
 from .finding import Finding, Level
 
 #: Patterns of more numbers than this are not walked.
@@ -173,13 +172,8 @@ def _values(message: Message, name: str) -> range | frozenset[int] | None:
             if capture.name == name:
                 values = capture.values
                 return values if isinstance(values, range) else frozenset(values)
-    for field in flatten(message).fields:
-        bits = getattr(field.node, "bits", ())
-        kind = getattr(field.node, "kind", "")
-        if field.name == name and bits and kind in ("uint", "int"):
-            low = -(1 << len(bits) - 1) if kind == "int" else 0
-            return range(low, low + (1 << len(bits)))
-    return None
+    spans = [field.node.raw_range for field in message.plan.fields if field.name == name]
+    return range(spans[0][0], spans[0][1] + 1) if spans and spans[0] is not None else None
 
 
 def _fits(variant: Variant, message: Message, request: Request) -> bool:
@@ -240,7 +234,7 @@ def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
 
 def _covers(first: Message, other: Message) -> bool:
     """Whether every packet of `other` is one of `first`; False when that is not proved."""
-    plan = flatten(first)
+    plan = first.plan
     if plan.opaque or plan.split is not None or first.check is not None or first.framing is not other.framing:
         return False
     if (first.extended, first.remote) != (other.extended, other.remote):
@@ -254,7 +248,7 @@ def _covers(first: Message, other: Message) -> bool:
             return False
         lengths: list[int | None] = [*(other.lengths or ())]
     else:
-        theirs = flatten(other)
+        theirs = other.plan
         if plan.lengths is not None and plan.lengths != theirs.lengths:
             return False
         if plan.lengths is None and theirs.least < plan.least:

@@ -18,7 +18,6 @@ from ..generate.load import codec, load_source
 from ..generate.scan import print_choice
 from ..generate.source import SourceText
 from ..plan.choose import Choice, choose
-from ..plan.flatten import flatten
 from ..record import field_names
 from .context import Context
 
@@ -92,7 +91,7 @@ class Decider:
         if len(plain) == 1:
             decode = functions[plain[0].name]
         elif plain:
-            choice: Choice = choose([flatten(m) for m in plain])
+            choice: Choice = choose([m.plan for m in plain])
             out = SourceText()
             name = f"choose_{len(self._chosen)}"
             print_choice(out, name, choice)
