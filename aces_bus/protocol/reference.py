@@ -17,10 +17,9 @@ from typing import Any, Literal
 from construct import ConstructError
 
 from ..errors import AcesError
-from .declare.ambiguity import needing_context, request_names
+from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
 from .declare.message import Direction, Message, Request
-from .declare.order import ordered
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, can_image
 from .declare.protocol import Variant
 
@@ -327,11 +326,7 @@ class Reference:
         for variant, messages, _, _ in self.sides:
             framings = dict.fromkeys(m.framing for m in messages if m.framing is not None)
             for framing in framings:
-                extras: dict[int, bytes] | None = None
-                for message in messages:
-                    if message.framing is framing and message.extras is not None:
-                        extras = {**(extras or {}), **message.extras}
-                judged = framing.judge(data, start, silent=silent, extras=extras)
+                judged = framing.judge(data, start, silent=silent, extras=framing.extras_of(messages))
                 if judged.verdict is Verdict.MORE:
                     if not silent:
                         return None

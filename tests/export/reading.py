@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus.protocol import Unknown, Variant, make_scanner
-from aces_bus.protocol.columns.gather import kinds_of
 from aces_bus.protocol.columns.layout import objects_of, plain_json
+from aces_bus.protocol.columns.table import kinds_of
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan.flatten import flatten
 from aces_bus.protocol.record import getter, plain_value

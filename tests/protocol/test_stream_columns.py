@@ -32,13 +32,12 @@ from aces_bus.protocol import (
     make_scanner,
 )
 from aces_bus.protocol.columns import stream as stream_columns
-from aces_bus.protocol.columns.crc import CrcColumns, done_alone
-from aces_bus.protocol.columns.packet_rows import cells_of, packet_rows
+from aces_bus.protocol.columns.checks import CrcColumns, done_alone
 from aces_bus.protocol.columns.packets import Batch
 from aces_bus.protocol.columns.scanner import RecordColumns, make_column_scanner
 from aces_bus.protocol.columns.stream import StreamColumns
-from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.protocol.live.find import Survey
+from aces_bus.protocol.columns.survey import Survey
+from aces_bus.protocol.columns.table import MessageTable, cells_of, packet_rows
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
 from tests.specs.cases import STREAMS
@@ -497,7 +496,7 @@ def test_long_packets_among_short_ones_keep_their_place() -> None:
     assert columns.counts.records == 6000
 
 
-@pytest.mark.parametrize("everything", [False, True])
+@pytest.mark.parametrize("include_unknown", [False, True])
 @pytest.mark.parametrize("pattern", [b"\xfe", b"\xfe\x00", bytes(range(256)), b"\xfe\xff\x01\x02\x03\x1e"])
 def test_headers_without_end(pattern: bytes, include_unknown: bool) -> None:
     """A stream that is nothing but headers is decided in bounded time, as the live scanner decides it."""

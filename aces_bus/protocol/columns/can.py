@@ -11,7 +11,7 @@ in an array for 11-bit identifiers, in a sorted list for all other keys.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,14 +19,14 @@ import numpy as np
 from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable
 from ...frame_table import REMOTE as REMOTE_FLAG
 from ..counts import ScanCounts
+from ..declare.ambiguity import ordered
 from ..declare.message import Direction, Message
-from ..declare.order import ordered
 from ..declare.protocol import Variant
-from ..live.can import CanScanner
+from ..live.can import CanScanner, ChannelScanners
 from ..live.decide import REMEMBERED
 from .rows import PacketRows, RowDecoder
-from .scanner import LOST, RecordColumns
-from .table import Array, Column, ColumnKind, MessageTable
+from .scanner import RecordColumns
+from .table import Array, Column, ColumnKind, MessageTable, lost_table, object_array
 
 STANDARD = 0x800
 
@@ -334,32 +334,19 @@ class CanColumns:
 
     def _lost_table(self, batch: _Batch, lost: Sequence[_Lost]) -> MessageTable:
         places = np.concatenate([one.places for one in lost])
-        reasons = np.empty(len(places), object)
-        reasons[:] = [reason for one in lost for reason in one.reasons]
         by_place = np.argsort(places, kind="stable")
-        places, reasons = places[by_place], reasons[by_place]
+        places = places[by_place]
         some = batch.table.take(places)
-
-        def make(kind: ColumnKind) -> Column:
-            if kind.name == "reason":
-                return Column(kind, reasons)
-            raw = np.empty(len(some), object)
-            raw[:] = [frame.data for frame in some.frames()]
-            return Column(kind, raw)
-
-        return MessageTable(
-            "",
-            "",
-            None,
-            False,
-            some.time,
-            some.channel,
-            some.channels,
-            some.key,
-            batch.numbers[places],
-            _way(some.flags),
-            LOST,
-            make,
+        return lost_table(
+            object_array([reason for one in lost for reason in one.reasons])[by_place],
+            lambda: object_array([frame.data for frame in some.frames()]),
+            is_stream=False,
+            time=some.time,
+            channel=some.channel,
+            channels=some.channels,
+            key=some.key,
+            row=batch.numbers[places],
+            rx=_way(some.flags),
         )
 
     # ------------------------------------------------------------------ rolling counters
@@ -503,3 +490,55 @@ def merge_tables(tables: list[MessageTable]) -> MessageTable:
     whole = MessageTable.concat(tables)
     order = np.argsort(whole.row, kind="stable")
     return whole.take(order)
+
+
+class ChannelColumns(ChannelScanners[CanColumns]):
+    """The column scanner of several channels; made by `make_column_scanner` when a protocol is bound to one."""
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        include_unknown: bool = False,
+        raw: bool = False,
+        defer: bool = False,
+    ) -> None:
+        super().__init__(
+            variants,
+            lambda mine: CanColumns(
+                mine, direction=direction, include_unknown=include_unknown, raw=raw, defer=defer
+            ),
+        )
+        self._fed = 0
+
+    def hand_over(self) -> dict[str | None, Handover]:
+        """What has been seen since the last call, by channel; see `CanColumns.hand_over`."""
+        given = {channel: scanner.hand_over() for channel, scanner in self._scanners.items()}
+        frames, self._fed = self._fed, 0
+        return {channel: replace(one, frames=frames) for channel, one in given.items()}
+
+    def adopt(self, given: Mapping[str | None, Handover]) -> list[MessageTable]:
+        """Go on behind a piece that another process has decoded: the tables of the frames that it left."""
+        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        for channel, one in given.items():
+            scanner = self.of(channel)
+            for table in scanner.adopt(one, self._fed):
+                tables.setdefault((table.protocol, table.message), []).append(table)
+        self._fed += max((one.frames for one in given.values()), default=0)
+        return [merge_tables(some) for some in tables.values()]
+
+    def feed(self, table: FrameTable, /) -> list[MessageTable]:
+        """The tables of a piece of a capture, one a message that occurs in it."""
+        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        for number in np.unique(table.channel).tolist():
+            places: Array = np.flatnonzero(table.channel == number)
+            scanner = self.of(table.channels.names[number])
+            for one in scanner.feed(table.take(places), places + self._fed):
+                tables.setdefault((one.protocol, one.message), []).append(one)
+        self._fed += len(table)
+        return [merge_tables(some) for some in tables.values()]
+
+    def close(self) -> list[MessageTable]:
+        """Frames are whole: the end of a capture decides nothing on CAN."""
+        return []

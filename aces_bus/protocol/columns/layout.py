@@ -27,8 +27,7 @@ from ...frame_table import NO_TIME, Channels
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
 from ..plan import nodes as p
-from .gather import dtype_of, kinds_of
-from .table import Array, Column, ColumnKind, MessageTable
+from .table import Array, Column, ColumnKind, MessageTable, dtype_of, join_pieces, kinds_of, object_array
 
 Holds = Literal["number", "bool", "time", "label", "bytes", "text", "integer", "wide", "json"]
 Role = Literal["source", "time", "channel", "id", "extended", "fd", "remote", "offset", "size", "rx", "field"]
@@ -219,8 +218,9 @@ class DatasetLayout:
             made: Array = np.array(values, np.int64)
         else:
             convert = _CONVERSIONS[slot.holds]
-            made = np.empty(len(values), object)
-            made[:] = [None if away else convert(value) for value, away in zip(values, gone, strict=True)]
+            made = object_array(
+                [None if away else convert(value) for value, away in zip(values, gone, strict=True)]
+            )
         return ColumnValues(made, np.array(gone, bool) if any(gone) else None)
 
 
@@ -284,15 +284,7 @@ def concat(blocks: Sequence[Block]) -> Block:
     """One block of several of a layout, in order."""
     if len(blocks) == 1:
         return blocks[0]
-    joined: Block = []
-    for pieces in zip(*blocks, strict=True):
-        absent = None
-        if any(piece.absent is not None for piece in pieces):
-            absent = np.concatenate(
-                [p.absent if p.absent is not None else np.zeros(len(p.values), bool) for p in pieces]
-            )
-        joined.append(ColumnValues(np.concatenate([piece.values for piece in pieces]), absent))
-    return joined
+    return [ColumnValues(*join_pieces(pieces)) for pieces in zip(*blocks, strict=True)]
 
 
 def cut_runs(block: Block, start: int, stop: int) -> Block:

@@ -20,9 +20,7 @@ from ..declare.bits import runs_of, whole_bits
 from ..declare.message import Message
 from ..plan import nodes as p
 from .checks import can_compute, check_holds
-from .gather import dtype_of, kinds_of
-from .packet_rows import ByteColumn, cells_of
-from .table import Array, Column, ColumnKind
+from .table import Array, ByteColumn, Column, ColumnKind, cells_of, dtype_of, kinds_of
 
 #: Integers up to here are exact in float64.
 EXACT = 1 << 53

@@ -6,6 +6,7 @@
    construct of both messages must confirm it; none found is `undecided`, which a spec settles with `overrides=`.
 3. What a spec says beside the bytes (direction, dialect, configuration, request) separates two messages only when no
    situation has both.
+4. Messages are tried as declared, but one goes before those it overrides (`ordered`).
 """
 
 from __future__ import annotations
@@ -382,3 +383,25 @@ def _accepts(message: Message, packet: bytes) -> bool:
     except (ConstructError, AcesError):
         return False
     return True
+
+
+def ordered(messages: Iterable[Message]) -> list[Message]:
+    """The messages in the order of trial."""
+    left = list(messages)
+    if not any(message.overrides for message in left):
+        return left
+    names = {m.name for m in left}
+    done: list[Message] = []
+    placed: set[str] = set()
+    while left:
+        # The first one that nothing left has to go before.
+        for message in left:
+            if not any(message.name in other.overrides for other in left if other is not message):
+                break
+        else:
+            message = left[0]
+        left.remove(message)
+        done.append(message)
+        placed.add(message.name)
+    assert placed == names
+    return done

@@ -376,6 +376,3 @@ class BitLayout(Construct):
 
     def _sizeof(self, context: Any, path: str) -> int:
         return self.size
-
-
-__all__ = ["BitLayout", "Bits", "LayoutSlot", "Split", "Tuple", "bits", "float_bits", "runs_of", "whole_bits"]

@@ -128,6 +128,3 @@ def as_examples(given: Iterable[Any], place: SourceLine, *, is_can: bool) -> tup
         except ValueError as error:
             raise SpecError(f"{place}: example {error}") from None
     return tuple(found)
-
-
-__all__ = ["Example", "ExampleFrame", "as_examples", "frame_text", "parse_word"]

@@ -119,6 +119,3 @@ def heads_of(struct: Struct | None, offset: int, place: SourceLine, what: str) -
         found.append(Head(name, body, offset, size, order, signed, is_text, pattern))
         offset += size
     return tuple(found)
-
-
-__all__ = ["Head", "enumeration_of", "heads_of"]

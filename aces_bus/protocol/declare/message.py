@@ -24,11 +24,10 @@ from .examples import Example
 from .fields import Counter, Enumeration, Multiplexed, innermost
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
-from .normalise import check_name, normalised, sizes
+from .normalise import check_name, check_selectors, normalised, sizes
 from .packet import PacketStruct
 from .pattern import IdPattern, describe_values
 from .place import SourceLine
-from .selectors import check_selectors
 
 if TYPE_CHECKING:
     from ..plan.nodes import MessagePlan

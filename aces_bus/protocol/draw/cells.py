@@ -338,18 +338,3 @@ def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
 def listed(values: Sequence[int]) -> str:
     """Numbers one by one, or many as their runs."""
     return ", ".join(map(str, values)) if len(values) <= 4 else number_runs(values)
-
-
-__all__ = [
-    "BIT",
-    "ROW",
-    "LayoutPanel",
-    "Mark",
-    "Row",
-    "is_long",
-    "listed",
-    "marks_of",
-    "panels",
-    "range_text",
-    "span_of",
-]

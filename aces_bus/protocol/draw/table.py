@@ -190,6 +190,3 @@ def _short(number: float) -> str:
     if float(number).is_integer() and abs(number) < 1e12:
         return str(int(number))
     return f"{number:.6g}"
-
-
-__all__ = ["FieldRow", "bits_place", "captured_values", "field_table", "row_of"]

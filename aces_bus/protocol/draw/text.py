@@ -88,6 +88,3 @@ def _rule(above: set[int], below: set[int], *, is_first: bool = False, is_last: 
         for at in range(1, ROW + 1)
     ]
     return f"      {left}{''.join(middle)}{right}"
-
-
-__all__ = ["draw_text", "picture"]

@@ -18,9 +18,9 @@ from itertools import pairwise
 from typing import Any
 
 from ...errors import CallerError
+from ..declare.ambiguity import ordered
 from ..declare.bits import BitLayout, runs_of, whole_bits
 from ..declare.message import Message
-from ..declare.order import ordered
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
 from ..plan import nodes as p

@@ -321,6 +321,3 @@ def _anchors(headings: Iterable[str]) -> list[str]:
         seen[anchor] = count + 1
         found.append(f"{anchor}-{count}" if count else anchor)
     return found
-
-
-__all__ = ["print_markdown"]

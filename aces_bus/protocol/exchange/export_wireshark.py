@@ -15,12 +15,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Literal
 
-from ..declare.ambiguity import needing_context, request_names
+from ..declare.ambiguity import needing_context, ordered, request_names
 from ..declare.bits import runs_of, whole_bits
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
 from ..declare.framing import Framing
 from ..declare.message import Direction, Message
-from ..declare.order import ordered
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
 from ..declare.stuffing import Cobs, Insert, Slip

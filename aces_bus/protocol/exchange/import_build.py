@@ -34,7 +34,6 @@ from ...frames import FD_LENGTHS
 from ...plain_text import without_controls
 from ..declare.bits import BitLayout, bits, float_bits
 from ..declare.fields import Enumeration, Multiplexed, Quantity
-from ..declare.message import Message
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
@@ -532,6 +531,3 @@ def _number(conversion: Any, raw: int) -> int:
     if conversion.choices and raw in conversion.choices:
         return raw
     return int(raw * conversion.scale + conversion.offset)
-
-
-__all__ = ["Message", "build"]

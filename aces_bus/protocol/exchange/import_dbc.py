@@ -396,6 +396,3 @@ class _Search:
         if signal is not None:
             at = max(at, self._text.find(signal.name, at))
         return self._text.count("\n", 0, at) + 1 if at else 0
-
-
-__all__ = ["FORMATS", "load_dbc", "protocol_name", "read_text"]

@@ -351,6 +351,3 @@ class _Builder:
         doc = f"object {index:04X}h/{sub}"
         said = clean_text(getattr(one, "description", "") or "")
         return c.Renamed(place, newname=unused(text, taken), newdocs=f"{said} ({doc})" if said else doc)
-
-
-__all__ = ["load_eds"]

@@ -281,15 +281,3 @@ def _combinations(name: str, by_parent: dict[str, dict[str, int]], depth: int) -
         count * (1 + _combinations(child, by_parent, depth + 1))
         for child, count in by_parent.get(name, {}).items()
     )
-
-
-__all__ = [
-    "MESSAGE",
-    "Statement",
-    "grouped",
-    "join_statements",
-    "resplit",
-    "safe_statements",
-    "split_statements",
-    "usable",
-]

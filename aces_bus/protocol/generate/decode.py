@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from ..declare.bits import runs_of
 from ..declare.pattern import bounds
 from ..plan import nodes as p
-from .names import NameScope, is_plain, literal
 from .runs import clusters, compact, in_one_byte, is_balanced, run_order
-from .source import SourceText, comment_line
+from .source import NameScope, SourceText, comment_line, is_plain, literal
 
 TRANSPORT = "time, channel, key, raw, rx"
 #: What decoders call, given to every module of them.
@@ -77,7 +76,7 @@ class Decoder:
             out.line(f"# through construct: {comment_line(plan.opaque)}")
             self.opaque = self.module.new(f"opaque_{plan.name}", avoid=self.names)
             out.line(f"return {self.opaque}(data, key, time, channel, raw, rx, request)")
-            return self.setup, out.lines
+            return self.setup, out.printed
         self._fetch()
         tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by
         if self.guard or tests or not self.is_exact:
@@ -85,8 +84,10 @@ class Decoder:
         self._constants()
         if plan.is_checked:
             self.holds = self.module.new(f"holds_{plan.name}", avoid=self.names)
-            out.line(f"if not {self.holds}(data, key):")
-            out.line("    return None")
+            out.lines(
+                f"if not {self.holds}(data, key):",
+                "    return None",
+            )
         if plan.split is not None:
             self._split(plan.split)
         for line in self.unpacks:
@@ -96,8 +97,10 @@ class Decoder:
         if plan.lengths_by is not None:
             selector, table, other = plan.lengths_by
             lengths = self._table(f"_lengths_{plan.name}", literal(dict(table)))
-            out.line(f"if len(data) != {lengths}.get({self.present[selector]}, {other}):")
-            out.line("    return None")
+            out.lines(
+                f"if len(data) != {lengths}.get({self.present[selector]}, {other}):",
+                "    return None",
+            )
         made = self._type(plan.name)
         arguments = [self._value(field) for field in plan.fields]
         if sum(map(len, arguments)) + len(plan.name) < 60:
@@ -106,9 +109,11 @@ class Decoder:
             out.line(f"return {made}(")
             for field, argument in zip(plan.fields, arguments, strict=True):
                 out.line(f"    {argument},  # {field.name}")
-            out.line(f"    {TRANSPORT},")
-            out.line(")")
-        return self.setup, out.lines
+            out.lines(
+                f"    {TRANSPORT},",
+                ")",
+            )
+        return self.setup, out.printed
 
     def _lengths(self) -> None:
         plan, out = self.plan, self.body
@@ -145,8 +150,10 @@ class Decoder:
                     f"not {low} <= {number} <= {high}" if run else f"{number} not in {literal(values)}"
                 )
         for test in tests:
-            self.body.line(f"if {test}:")
-            self.body.line("    return None")
+            self.body.lines(
+                f"if {test}:",
+                "    return None",
+            )
 
     # -------------------------------------------------- fetching
 
@@ -502,27 +509,29 @@ class Decoder:
         out = self.body
         end = f"-{split.end}" if split.end else ""
         if split.lead:
-            out.line(
-                f"if not data.startswith({literal(split.separator)}, {split.start}, len(data) - {split.end}):"
+            out.lines(
+                f"if not data.startswith({literal(split.separator)}, {split.start}, len(data) - {split.end}):",
+                "    return None",
             )
-            out.line("    return None")
         start = split.start + (len(split.separator) if split.lead else 0)
-        out.line(f"cells = data[{start}:{end}].split({literal(split.separator)})")
-        out.line("count = len(cells)")
-        out.line(
+        out.lines(
+            f"cells = data[{start}:{end}].split({literal(split.separator)})",
+            "count = len(cells)",
             f"if count < {split.least}:"
             if split.most is None
-            else f"if not {split.least} <= count <= {split.most}:"
+            else f"if not {split.least} <= count <= {split.most}:",
+            "    return None",
         )
-        out.line("    return None")
         for field in self.plan.fields:
             node = field.node
             if isinstance(node, p.DelimitedField) and node.form:
                 made = f"re.compile({literal(node.form.encode())}).fullmatch"
                 helper = self._table(f"_form_{field.name}_{self.plan.name}", made)
                 guard = f"count > {node.index} and " if node.optional else ""
-                out.line(f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):")
-                out.line("    return None")
+                out.lines(
+                    f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):",
+                    "    return None",
+                )
 
     def _cell(self, cell: p.DelimitedField, name: str) -> str:
         text = f"cells[{cell.index}]"

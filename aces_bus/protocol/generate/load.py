@@ -24,9 +24,8 @@ from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
 from ..record import Part, Record, from_container
 from .decode import CALLED, Decoder
-from .names import NameScope
 from .records import part_names, print_records
-from .source import comment_line
+from .source import NameScope, comment_line
 
 Decode = Callable[..., Any]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from ..plan import nodes as p
-from .names import NameScope
-from .source import SourceText, comment_line
+from .source import NameScope, SourceText, comment_line
 
 #: What the text of record classes calls.
 CALLED = ("Record", "Part", "FlagSet", "Any")
@@ -102,8 +101,10 @@ def print_records(
     out = SourceText()
     names = NameScope(CALLED)
     types = {} if types is None else types
-    out.line(f'"""Records of {comment_line(label)}: generated from its spec."""')
-    out.line()
+    out.lines(
+        f'"""Records of {comment_line(label)}: generated from its spec."""',
+        "",
+    )
     for plan in plans:
         for group in groups_of(plan.fields):
             name = types[plan.name, group.type_name] = names.new(group.type_name)
@@ -126,8 +127,10 @@ def print_records(
         name = types[plan.name, plan.name] = names.new(plan.name)
         out.line(f"class {name}(Record, frozen=True, gc=False):")
         out.depth += 1
-        out.line(f'"""{comment_line(plan.doc) or plan.name}"""')
-        out.line()
+        out.lines(
+            f'"""{comment_line(plan.doc) or plan.name}"""',
+            "",
+        )
         for field in plan.fields:
             _annotate(out, field, plan, types)
         for private, kind in PRIVATE:

@@ -19,9 +19,8 @@ from ..declare.protocol import Protocol
 from ..draw import row_of
 from ..plan import nodes as p
 from ..plan.flatten import NotFlat, scalar_of
-from .names import NameScope
 from .records import type_of
-from .source import SourceText
+from .source import NameScope, SourceText
 
 #: What a stub's annotations call.
 WORDS = frozenset(
@@ -75,14 +74,20 @@ def print_stub(protocol: Protocol, variable: str) -> str:
     )
     if any(len(line) > LONGEST for line in body.split("\n")):
         head.line("# ruff: noqa: E501")
-    head.line("# fmt: off")
-    head.line()
+    head.lines(
+        "# fmt: off",
+        "",
+    )
     if typing:
-        head.line(f"from typing import {', '.join(typing)}")
-        head.line()
-    head.line(f"from aces_bus.protocol import {', '.join(ours)}")
-    head.line()
-    head.line(f"{variable}: Protocol")
+        head.lines(
+            f"from typing import {', '.join(typing)}",
+            "",
+        )
+    head.lines(
+        f"from aces_bus.protocol import {', '.join(ours)}",
+        "",
+        f"{variable}: Protocol",
+    )
     return head.text() + body
 
 
@@ -128,8 +133,10 @@ class _Printer:
             self.out.line()
             for line in lines:
                 self.out.line(line)
-        self.out.line()
-        self.out.line(f"class {name}(Record, frozen=True):")
+        self.out.lines(
+            "",
+            f"class {name}(Record, frozen=True):",
+        )
         self.out.depth += 1
         self._doc(_message_doc(messages))
         for field_name, kinds in types.items():

@@ -37,7 +37,7 @@ from .finding import Level as Level
 from .finding import sort_key as sort_key
 from .framings import check_framings
 from .templates import check_templates
-from .wires import check_wire as check_wire
+from .templates import check_wire as check_wire
 
 
 def check_protocol(protocol: Protocol) -> list[Finding]:

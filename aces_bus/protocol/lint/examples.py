@@ -235,13 +235,3 @@ def show_value(value: Any) -> str:
 def _said(error: BaseException) -> str:
     lines = [line for line in str(error).splitlines() if not line.startswith("Error in path")]
     return " ".join(" ".join(lines or str(error).splitlines()).split()) or type(error).__name__
-
-
-__all__ = [
-    "agree",
-    "check_examples",
-    "example_frame",
-    "failure",
-    "read_example",
-    "show_value",
-]

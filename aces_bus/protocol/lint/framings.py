@@ -261,6 +261,3 @@ def _listed(places: set[int], size: int) -> str:
     if high - low + 1 != len(places):
         return "bytes " + ", ".join(map(str, sorted(places)[:8]))
     return f"the last {len(places)} bytes" if high == size - 1 else f"bytes {low}…{high}"
-
-
-__all__ = ["check_framings"]

@@ -10,9 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
-from ..declare.ambiguity import needing_context
+from ..declare.ambiguity import needing_context, ordered
 from ..declare.message import Direction, Message
-from ..declare.order import ordered
 from ..declare.protocol import Variant
 from ..generate.load import codec, load_source
 from ..generate.scan import print_choice

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..columns.segments import Segments, in_segments
 from ..counts import ScanCounts
 from ..declare.checks import Sums, xor_of
 from ..declare.framing import Framing, Verdict
@@ -23,8 +22,8 @@ from ..declare.stuffing import Insert
 from ..generate.load import load_source
 from ..generate.scan import plain_cover, print_stream, seek_pattern
 from ..record import Meta, Unknown
+from .candidates import Overlaps, Segments, verdict_of
 from .decide import Decider
-from .overlaps import Overlaps
 
 if TYPE_CHECKING:
     from .find import PacketFinder
@@ -128,10 +127,7 @@ class StreamScanner:
     ) -> None:
         """The helpers that the printed text calls by name."""
         check = framing.check
-        extras: dict[int, bytes] | None = None
-        for message in decider.messages:
-            if message.framing is framing and message.extras is not None:
-                extras = {**(extras or {}), **message.extras}
+        extras = framing.extras_of(decider.messages)
         if check is not None and check.kind != "crc":
             sums = Sums(check)
             self._sums.append(sums)
@@ -143,7 +139,7 @@ class StreamScanner:
             names[f"same_{number}"] = check.same
         if extras is not None:
             names[f"extras_{number}"] = extras.get
-        if in_segments(framing):
+        if framing.is_enclosed:
             segments = Segments(framing, extras)
             self._segments.append(segments)
             names[f"judge_{number}"], names[f"unstuff_{decode}"] = segments, segments.unstuff
@@ -415,12 +411,7 @@ def _judge(
     framing: Framing, extras: dict[int, bytes] | None
 ) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
     def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
-        judged = framing.judge(buffer, start, silent=silent, extras=extras)
-        if judged.verdict is Verdict.WHOLE:
-            return "whole", start + judged.size, ""
-        if judged.verdict is Verdict.BAD:
-            return "bad", 0, f"malformed: {judged.reason}"
-        return ("more" if judged.verdict is Verdict.MORE else "dead"), 0, ""
+        return verdict_of(framing.judge(buffer, start, silent=silent, extras=extras), start)
 
     return judge
 

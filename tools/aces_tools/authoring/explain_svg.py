@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from aces_bus.protocol.draw.canvas import (
+from aces_bus.protocol.draw.svg import (
     BAD,
     BAD_INK,
     FAINT,

@@ -21,8 +21,7 @@ from functools import cached_property
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.columns.gather import kinds_of
-from aces_bus.protocol.columns.table import ColumnKind
+from aces_bus.protocol.columns.table import ColumnKind, kinds_of
 from aces_bus.protocol.plan import nodes as p
 
 from .formats import ImageFormat, parse_format
