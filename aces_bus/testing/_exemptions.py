@@ -114,23 +114,11 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
 def _bits(message: Message) -> dict[str, frozenset[int]]:
     """The bits of exempt fields of a flat message, by path."""
     found: dict[str, set[int]] = {}
-
-    def visit(node: p.Node, path: str) -> None:
-        if isinstance(node, p.Scalar) and node.size is not None:
-            exempt = node.kind == "float" or any(isinstance(step, p.Magnitude) for step in node.steps)
-            if exempt:
-                run = node.bits or range(8 * node.offset, 8 * (node.offset + node.size))
-                found.setdefault(path, set()).update(run)
-        elif isinstance(node, p.Many):
-            for item in node.items:
-                visit(item, path)
-        elif isinstance(node, p.NestedRecord):
-            for field in node.fields:
-                visit(field.node, f"{path}.{field.name}")
-
-    plan = message.plan
-    for field in plan.fields:
-        visit(field.node, field.name)
+    for leaf in message.plan.leaves:
+        node = leaf.node
+        if isinstance(node, p.Scalar) and (node.kind == "float" or node.is_magnitude):
+            path = ".".join(step for step in leaf.way if isinstance(step, str))
+            found.setdefault(path, set()).update(node.place)
     return {path: frozenset(bits) for path, bits in found.items()}
 
 

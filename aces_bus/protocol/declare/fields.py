@@ -20,9 +20,11 @@ from construct import (
     Construct,
     Default,
     GreedyBytes,
+    IfThenElse,
     IntegerError,
     Renamed,
     Struct,
+    Switch,
 )
 
 from ...errors import FieldError, SpecError
@@ -279,6 +281,17 @@ def innermost(subcon: Construct) -> Construct:
     while hasattr(subcon, "subcon"):
         subcon = subcon.subcon
     return subcon
+
+
+def inner_constructs(con: Any) -> list[Any]:
+    """What stands directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
+    if isinstance(con, Multiplexed):
+        return [con.body]
+    if isinstance(con, IfThenElse):
+        return [con.thensubcon, con.elsesubcon]
+    if isinstance(con, Switch):
+        return [*con.cases.values(), con.default]
+    return list(con.subcons) if hasattr(con, "subcons") else [con.subcon] if hasattr(con, "subcon") else []
 
 
 class SignMagnitude(Field):

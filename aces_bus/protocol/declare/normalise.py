@@ -23,7 +23,7 @@ from ...errors import FieldError, SpecError
 from .bits import BitLayout
 from .choices import Known, enumerations_around, enumerations_of, equal_in_both, switch_by_both
 from .delimited import Delimited
-from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude
+from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude, inner_constructs
 from .head import enumeration_of
 from .place import SourceLine
 from .vocabulary import TRANSFORMS, refusal_of
@@ -432,14 +432,7 @@ def check_selectors(con: c.Construct, place: SourceLine, path: str = "payload") 
                 body = body.body
             check_selectors(body, place, f"{path}.{item.name}" if item.name else path)
         return
-    inside = [con.thensubcon, con.elsesubcon] if isinstance(con, c.IfThenElse) else []
-    if isinstance(con, c.Switch):
-        inside = [*con.cases.values(), con.default]
-    elif isinstance(con, (c.Sequence, c.FocusedSeq)):
-        inside = list(con.subcons)
-    elif isinstance(con, c.Subconstruct):
-        inside = [con.subcon]
-    for one in inside:
+    for one in inner_constructs(con):
         check_selectors(one, place, path)
 
 

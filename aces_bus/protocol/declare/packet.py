@@ -11,6 +11,7 @@ bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for C
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from contextlib import suppress
 from operator import index
 from typing import TYPE_CHECKING, Any
@@ -96,9 +97,7 @@ class PacketStruct(Construct):
             is_kind = flags[:2] == (message.extended, message.remote) and flags[2] in message.formats
             if captures is None or not is_kind:
                 raise NotThisError("another identifier", path=path)
-            for capture in message.identifier.captures:
-                raw = captures[capture.name]
-                values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+            _read_captures(message.identifier, captures, context, values)
             data, end = packet[5:], len(packet) - 5
         else:
             judged = message.framing.judge(packet, 0, silent=True, extras=message.extras)
@@ -166,10 +165,7 @@ class PacketStruct(Construct):
     @staticmethod
     def _read_head(head: Head, data: bytes, context: Any, values: Container, path: str) -> None:
         if head.pattern is not None and not head.is_own:
-            captures = head.pattern.match(head.number(data)) or {}
-            for capture in head.pattern.captures:
-                raw = captures[capture.name]
-                values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+            _read_captures(head.pattern, head.pattern.match(head.number(data)) or {}, context, values)
         elif head.name is not None and not head.is_constant:
             values[head.name] = head.field._parsereport(
                 io.BytesIO(data[head.offset : head.offset + head.size]), context, path
@@ -204,12 +200,7 @@ class PacketStruct(Construct):
             stream.write(self.framed(message.framing, head, body.getvalue()))
             return obj
         data = head + body.getvalue()
-        captures = {}
-        for capture in message.identifier.captures:
-            given = _given(obj, capture.name, path)
-            captures[capture.name] = (
-                index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
-            )
+        captures = _captured(message.identifier, obj, raw, path)
         identifier = message.identifier.number(captures)
         if message.identifier.match(identifier) is None:
             raise FieldError(f"{path}: no identifier for {captures}")
@@ -229,13 +220,7 @@ class PacketStruct(Construct):
         if framing is not None and framing.affine is not None and head.name == framing.affine.length.name:
             return bytes(head.size)
         if head.pattern is not None and not head.is_own:
-            captures = {}
-            for capture in head.pattern.captures:
-                given = _given(obj, capture.name, path)
-                captures[capture.name] = (
-                    index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
-                )
-            return head.bytes(head.pattern.number(captures))
+            return head.bytes(head.pattern.number(_captured(head.pattern, obj, raw, path)))
         if head.name is None:
             return bytes(head.field.build(None))
         out = io.BytesIO()
@@ -321,6 +306,22 @@ class PacketStruct(Construct):
         from construct import SizeofError
 
         raise SizeofError("a packet's size depends on its message", path=path)
+
+
+def _read_captures(pattern: IdPattern, captures: Mapping[str, int], context: Any, values: Container) -> None:
+    """Put the parts of a number into `values`."""
+    for capture in pattern.captures:
+        raw = captures[capture.name]
+        values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+
+
+def _captured(pattern: IdPattern, obj: Any, raw: bool, path: str) -> dict[str, int]:
+    """The raw parts of a number, from the fields that are given."""
+    given = {capture: _given(obj, capture.name, path) for capture in pattern.captures}
+    return {
+        capture.name: index(value) if raw else capture.to_raw(value, f"{path} -> {capture.name}")
+        for capture, value in given.items()
+    }
 
 
 def _described(pattern: IdPattern) -> str:

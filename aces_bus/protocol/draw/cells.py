@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from ..declare.fields import number_runs
@@ -78,9 +78,10 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
     always: list[_Cells] = [base]
     variants: dict[p.When, list[_Cells]] = {}
     is_brief = plan.least > LONGEST
-    for one, outer in _placed(plan.fields, "", None):
-        layers = always if outer is None else variants.setdefault(outer, [_Cells()])
-        _claim(_free(layers, one[1]), *one, is_brief=is_brief)
+    for one in p.walk(plan.fields, is_long):
+        if one.node.is_leaf or is_long(one.node):
+            layers = variants.setdefault(one.whens[-1], [_Cells()]) if one.whens else always
+            _claim(_free(layers, one.node), one.path, one.node, is_brief=is_brief)
     for when, layers in variants.items():
         selector = when.selector.name
         for position in layers[0].bits:
@@ -145,27 +146,10 @@ def marks_of(message: Message) -> list[Mark]:
 
 # ---------------------------------------------------------------------- who owns which bits
 
-_When = p.When | None
-_Place = tuple[str, p.Node]
-
-
-def _placed(fields: Sequence[p.PlanField], prefix: str, when: _When) -> Iterator[tuple[_Place, _When]]:
-    for one in fields:
-        inner = one.when or when
-        if isinstance(one.node, p.NestedRecord):
-            yield from _placed(one.node.fields, f"{prefix}{one.name}.", inner)
-        elif isinstance(one.node, p.Many) and not is_long(one.node):
-            for index, item in enumerate(one.node.items):
-                if isinstance(item, p.NestedRecord):
-                    yield from _placed(item.fields, f"{prefix}{one.name}.{index}.", inner)
-                else:
-                    yield from _placed([p.PlanField(f"{one.name}.{index}", item)], prefix, inner)
-        else:
-            yield (prefix + one.name, one.node), inner
-
 
 def is_long(node: p.Node) -> bool:
-    span = span_of(node)
+    """Whether a list is drawn and listed as a whole."""
+    span = span_of(node) if isinstance(node, p.Many) else None
     return span is not None and span[1] > LONGEST
 
 

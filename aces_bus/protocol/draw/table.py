@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..declare.bits import whole_bits
@@ -29,7 +29,16 @@ class FieldRow:
 
 def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
     """The fields of a message; `captured` says what captured parts can be."""
-    return list(_table(plan.fields, "", captured or {}))
+    rows: list[FieldRow] = []
+    for one in p.walk(plan.fields, is_long):
+        if one.node.is_leaf or is_long(one.node):
+            doc = one.doc
+            if one.whens:
+                when = one.whens[-1]
+                only = f"only while {when.selector.name} is {listed(when.values)}"
+                doc = f"{only}; {doc}" if doc else only
+            rows.append(_field_row(one.path, one.node, doc, captured or {}))
+    return rows
 
 
 def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
@@ -43,23 +52,6 @@ def captured_values(message: Message) -> dict[str, str]:
     for head in message.heads_written:
         captures += head.pattern.captures if head.pattern is not None else ()
     return {capture.name: describe_values(capture.values) for capture in captures}
-
-
-def _table(fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, str]) -> Iterator[FieldRow]:
-    for one in fields:
-        name, node, doc = prefix + one.name, one.node, one.doc
-        if one.when is not None:
-            doc = f"only while {one.when.selector.name} is {listed(one.when.values)}" + (
-                f"; {doc}" if doc else ""
-            )
-        if isinstance(node, p.NestedRecord):
-            yield from _table(node.fields, f"{name}.", captured)
-        elif isinstance(node, p.Many) and not is_long(node):
-            for index, item in enumerate(node.items):
-                inner = p.PlanField(f"{one.name}.{index}", item, doc if not index else "", None)
-                yield from _table([inner], prefix, captured)
-        else:
-            yield _field_row(name, node, doc, captured)
 
 
 def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -> FieldRow:
@@ -114,7 +106,7 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
             doc=doc,
         )
     width = len(node.bits)
-    kind = "sign+mag" if node.is_magnitude else node.kind
+    kind: str = "sign+mag" if node.is_magnitude else node.kind
     for step in node.steps:
         if isinstance(step, p.FlagBits):
             kind = "flags"

@@ -20,7 +20,7 @@ import construct as c
 
 from ..declare.bits import BitLayout, Bits
 from ..declare.delimited import Delimited
-from ..declare.fields import Enumeration, Field, Multiplexed, Quantity, SignMagnitude
+from ..declare.fields import Enumeration, Field, Multiplexed, Quantity, SignMagnitude, inner_constructs
 from ..declare.head import enumeration_of
 from ..declare.message import Message
 from ..declare.pattern import IdField, describe_values
@@ -234,11 +234,9 @@ def _layouts(con: c.Construct, name: str) -> Iterator[tuple[BitLayout, str]]:
         yield from _layouts(con.subcon, con.name or name)
     elif isinstance(con, BitLayout):
         yield con, name
-    elif isinstance(con, c.Struct):
-        for item in con.subcons:
-            yield from _layouts(item, name)
-    elif hasattr(con, "subcon"):
-        yield from _layouts(con.subcon, name)
+    else:
+        for inner in inner_constructs(con):
+            yield from _layouts(inner, name)
 
 
 def _words(text: str) -> frozenset[str]:
@@ -399,17 +397,9 @@ def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Writte
     elif isinstance(con, Delimited):
         for one in con.fields:
             yield from _walk(one, owner, name, place)
-    elif isinstance(con, Multiplexed):
-        yield from _walk(con.body, owner, name, place)
-    elif isinstance(con, c.IfThenElse):
-        for case in (con.thensubcon, con.elsesubcon):
-            yield from _walk(case, owner, name, place)
-    elif isinstance(con, c.Switch):
-        for case in [*con.cases.values(), con.default]:
-            yield from _walk(case, owner, name, place)
-    elif hasattr(con, "subcons"):
-        for item in con.subcons:
-            yield from _walk(item, owner, name, place)
+    elif isinstance(con, (Multiplexed, c.IfThenElse, c.Switch)) or hasattr(con, "subcons"):
+        for inner in inner_constructs(con):
+            yield from _walk(inner, owner, name, place)
     else:
         adapters: list[Any] = []
         while hasattr(con, "subcon") and not isinstance(con, (c.Array, c.GreedyRange)):

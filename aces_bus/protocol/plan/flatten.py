@@ -14,7 +14,16 @@ import construct as c
 
 from ..declare import delimited as d
 from ..declare.bits import BitLayout, Bits, LayoutSlot, whole_bits
-from ..declare.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, SignMagnitude, Text
+from ..declare.fields import (
+    Counter,
+    Enumeration,
+    Flags,
+    Multiplexed,
+    Quantity,
+    SignMagnitude,
+    Text,
+    inner_constructs,
+)
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.normalise import sizes
@@ -117,18 +126,9 @@ def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, 
         if not top:
             more = [con.trailing] if con.trailing else []
             found.append((path, (*con.names, *(["reserved"] if con.has_reserved else []), *more)))
-    elif isinstance(con, Multiplexed):
-        found += _parts(con.body, path, top=False)
-    elif isinstance(con, c.IfThenElse):
-        found += [*_parts(con.thensubcon, path, top=False), *_parts(con.elsesubcon, path, top=False)]
-    elif isinstance(con, c.Switch):
-        for case in [*con.cases.values(), con.default]:
-            found += _parts(case, path, top=False)
-    elif isinstance(con, (c.Sequence, c.FocusedSeq)):
-        for item in con.subcons:
-            found += _parts(item, path, top=False)
-    elif hasattr(con, "subcon"):
-        found += _parts(con.subcon, path, top=False)
+    else:
+        for inner in inner_constructs(con):
+            found += _parts(inner, path, top=False)
     return list(dict.fromkeys(found))
 
 

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -410,13 +410,21 @@ class NodePath:
         return self.path.replace(".", "_")
 
 
-def walk(fields: Sequence[PlanField]) -> Iterator[NodePath]:
-    """Every node below these fields, the outer before the inner."""
+def walk(
+    fields: Sequence[PlanField], is_whole: Callable[[Node], bool] = lambda node: False
+) -> Iterator[NodePath]:
+    """Every node below these fields, the outer before the inner; of those that are taken as a whole only themselves."""
     for field in fields:
-        yield from _inside(field.name, field, None, "")
+        yield from _inside(field.name, field, None, "", is_whole)
 
 
-def _inside(step: str | int, field: PlanField, outer: NodePath | None, prefix: str) -> Iterator[NodePath]:
+def _inside(
+    step: str | int,
+    field: PlanField,
+    outer: NodePath | None,
+    prefix: str,
+    is_whole: Callable[[Node], bool],
+) -> Iterator[NodePath]:
     path, when = f"{prefix}{step}", field.when
     if outer is None:
         here = NodePath(path, (step,), field.node, field, field.doc)
@@ -428,8 +436,8 @@ def _inside(step: str | int, field: PlanField, outer: NodePath | None, prefix: s
         conditions = _conditions(prefix, when, here.conditions)
         here = replace(here, whens=(*here.whens, when), conditions=conditions)
     yield here
-    for inner, child in field.node.children:
-        yield from _inside(inner, child, here, f"{path}.")
+    for inner, child in field.node.children if not is_whole(field.node) else ():
+        yield from _inside(inner, child, here, f"{path}.", is_whole)
 
 
 def _conditions(
