@@ -17,11 +17,12 @@ from ..errors import AcesError, FieldError, UnknownNameError
 from ..frames import Frame
 from .declare.bits import BitLayout
 from .declare.message import Message
-from .declare.packet import EXTENDED, FD_FLAG, REMOTE
+from .declare.packet import FD_FLAG
 from .declare.protocol import Variant
 from .generate.encode import CALLED, NoEncoder, print_encoder
 from .generate.load import load_source
 from .generate.source import NameScope, comment_line
+from .keys import EXTENDED, REMOTE
 
 #: Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD.
 CanParts = tuple[int, bytes, bool, bool, bool]

@@ -62,15 +62,18 @@ class RequestRule:
     def __init__(
         self, messages: Sequence[Message], contextual: frozenset[str], broadcast: Mapping[str, int]
     ) -> None:
-        self.contextual, self.broadcast = contextual, broadcast
+        self.broadcast = broadcast
         self.requests, self.answers = request_names(messages, contextual)
         self.open: list[PastRequest] = []
-
-    def links(self, message: Message) -> list[tuple[Request, bool]]:
-        """What a message may hang on, each with whether it is a mode."""
-        if message.name in self.contextual:
-            return [*((one, False) for one in message.reply_to), *((one, True) for one in message.after)]
-        return [(one, False) for one in message.reply_to if one.message.name in self.requests]
+        #: By message, what it may hang on: the request, whether it is a mode, and the fields that both have.
+        self.links: dict[str, list[tuple[Request, bool, list[str]]]] = {}
+        for message in messages:
+            modes = [(one, True) for one in message.after] if message.name in contextual else []
+            self.links[message.name] = [
+                (one, is_mode, sorted(message.outer_names & one.message.outer_names))
+                for one, is_mode in [*((one, False) for one in message.reply_to), *modes]
+                if one.message.name in self.requests
+            ]
 
     def of(
         self, fitting: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
@@ -78,15 +81,15 @@ class RequestRule:
         """Which of some messages, given with their raw fields, is an answer, and to what; the request is used up."""
         for past in reversed(self.open):
             links = [
-                (message, request, is_mode, values)
+                (message, values, *link)
                 for message, values in fitting
-                for request, is_mode in self.links(message)
-                if self.agrees(past, message, request, values, channel, time)
+                for link in self.links[message.name]
+                if self.agrees(past, message, link, values, channel, time)
             ]
-            for message, request, is_mode, values in links:
+            for message, values, request, is_mode, shared in links:
                 if request.accepts(past.values):
-                    own = _shared(message, request, values)
-                    if not is_mode and own != _shared(message, request, past.values):
+                    own = _those(shared, values)
+                    if not is_mode and own != _those(shared, past.values):
                         past.answered.add(own)
                     elif not is_mode:
                         self.open.remove(past)
@@ -100,10 +103,8 @@ class RequestRule:
     ) -> PastRequest | None:
         """The request that a reply with these outer fields would answer."""
         for past in reversed(self.open):
-            for request, _ in self.links(message):
-                if self.agrees(past, message, request, values, channel, time) and request.accepts(
-                    past.values
-                ):
+            for link in self.links[message.name]:
+                if self.agrees(past, message, link, values, channel, time) and link[0].accepts(past.values):
                     return past
         return None
 
@@ -111,29 +112,28 @@ class RequestRule:
         self,
         past: PastRequest,
         message: Message,
-        request: Request,
+        link: tuple[Request, bool, list[str]],
         values: Mapping[str, Any],
         channel: Any,
         time: float | None,
     ) -> bool:
         """Whether a message with these fields may be an answer to a request."""
+        request, _, shared = link
         if past.name != request.message.name or past.channel != channel:
             return False
-        own = _shared(message, request, values)
-        everyone = _shared(message, request, {**values, **self.broadcast})
-        if _shared(message, request, past.values) not in (own, everyone) or own in past.answered:
+        own, everyone = _those(shared, values), _those(shared, {**values, **self.broadcast})
+        if _those(shared, past.values) not in (own, everyone) or own in past.answered:
             return False
         return None in (message.within, past.time, time) or time - past.time <= message.within  # type: ignore[operator]
 
     def needs(self, messages: Sequence[Message]) -> str:
         """The reason for messages whose request was not there."""
-        names = dict.fromkeys(one.message.name for m in messages for one, _ in self.links(m))
+        names = dict.fromkeys(one.message.name for m in messages for one, *_ in self.links[m.name])
         return f"unknown: needs request {'|'.join(names)}"
 
 
-def _shared(message: Message, request: Request, values: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Those of the values that a message and its request have both."""
-    return tuple(values.get(name) for name in sorted(message.outer_names & request.message.outer_names))
+def _those(names: Sequence[str], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(values.get(name) for name in names)
 
 
 class Reference:

@@ -10,7 +10,7 @@ in an array for 11-bit identifiers, in a sorted list for all other keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -26,7 +26,7 @@ from ..live.can import CanScanner, ChannelScanners
 from ..live.decide import REMEMBERED
 from .rows import PacketRows, RowDecoder
 from .scanner import RecordColumns
-from .table import Array, Column, ColumnKind, MessageTable, lost_table, object_array
+from .table import Array, Column, ColumnKind, MessageTable, by_message, lost_table, object_array
 
 STANDARD = 0x800
 
@@ -219,7 +219,7 @@ class CanColumns:
         self._fed += len(table)
         batch = _Batch(table, order, rows)
         lost: list[_Lost] = []
-        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        tables: list[MessageTable] = []
         start = 0
         for slot, end in enumerate(ends):
             if end == start:
@@ -234,7 +234,7 @@ class CanColumns:
             else:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
             start = end
-        out = [merge_tables(some) for some in tables.values()]
+        out = merge_tables(tables)
         if lost and self.include_unknown:
             out.append(self._lost_table(batch, lost))
         return out
@@ -249,7 +249,7 @@ class CanColumns:
         start: int,
         end: int,
         candidates: tuple[_Candidate, ...],
-        tables: dict[tuple[str, str], list[MessageTable]],
+        tables: list[MessageTable],
         lost: list[_Lost],
     ) -> None:
         """The frames [start, end) of the sorted batch, which may be these messages."""
@@ -281,20 +281,20 @@ class CanColumns:
         which: Array | None,
         candidate: _Candidate,
         rows: PacketRows,
-        tables: dict[tuple[str, str], list[MessageTable]],
+        tables: list[MessageTable],
     ) -> None:
         table = batch.message_table(start, end, which, candidate, rows)
         self._counts.decoded += len(rows)
         if candidate.message.counters:
             self._count_missed(candidate, table, rows)
-        tables.setdefault((candidate.protocol, candidate.message.name), []).append(table)
+        tables.append(table)
 
     def _live(
         self,
         batch: _Batch,
         start: int,
         end: int,
-        tables: dict[tuple[str, str], list[MessageTable]],
+        tables: list[MessageTable],
         lost: list[_Lost],
     ) -> None:
         """Frames that the live scanner decides, in their order."""
@@ -305,7 +305,7 @@ class CanColumns:
             return
         for table in self._slow.frames(some, batch.numbers[places]):
             if table.message:
-                tables.setdefault((table.protocol, table.message), []).append(table)
+                tables.append(table)
             elif self.include_unknown:
                 lost.append(_Lost(np.searchsorted(batch.numbers, table.row), table["reason"].values.tolist()))
 
@@ -395,13 +395,13 @@ class CanColumns:
             self._counts.lose(number, reason)
         for place, (first, last, modulo) in given.counters.items():
             self._go_on(place, first, last, modulo)
-        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        tables: list[MessageTable] = []
         for table, rows in given.deferred:
             for one in self._slow.frames(table, rows + first):
                 if one.message or self.include_unknown:
-                    tables.setdefault((one.protocol, one.message), []).append(one)
+                    tables.append(one)
         self._fed += given.frames
-        return [merge_tables(some) for some in tables.values()]
+        return merge_tables(tables)
 
 
 class _Batch:
@@ -483,13 +483,13 @@ def _way(flags: Array) -> Array:
     return np.where(flags & RX, 1, np.where(flags & TX, 0, 2)).astype(np.uint8)
 
 
-def merge_tables(tables: list[MessageTable]) -> MessageTable:
-    """One table of several of a message, in the order of the capture."""
-    if len(tables) == 1:
-        return tables[0]
-    whole = MessageTable.concat(tables)
-    order = np.argsort(whole.row, kind="stable")
-    return whole.take(order)
+def merge_tables(tables: Iterable[MessageTable]) -> list[MessageTable]:
+    """One table a message, in the order of the capture."""
+    merged: list[MessageTable] = []
+    for some in by_message(tables):
+        whole = MessageTable.concat(some)
+        merged.append(whole if len(some) == 1 else whole.take(np.argsort(whole.row, kind="stable")))
+    return merged
 
 
 class ChannelColumns(ChannelScanners[CanColumns]):
@@ -520,24 +520,22 @@ class ChannelColumns(ChannelScanners[CanColumns]):
 
     def adopt(self, given: Mapping[str | None, Handover]) -> list[MessageTable]:
         """Go on behind a piece that another process has decoded: the tables of the frames that it left."""
-        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        tables: list[MessageTable] = []
         for channel, one in given.items():
             scanner = self.of(channel)
-            for table in scanner.adopt(one, self._fed):
-                tables.setdefault((table.protocol, table.message), []).append(table)
+            tables += scanner.adopt(one, self._fed)
         self._fed += max((one.frames for one in given.values()), default=0)
-        return [merge_tables(some) for some in tables.values()]
+        return merge_tables(tables)
 
     def feed(self, table: FrameTable, /) -> list[MessageTable]:
         """The tables of a piece of a capture, one a message that occurs in it."""
-        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        tables: list[MessageTable] = []
         for number in np.unique(table.channel).tolist():
             places: Array = np.flatnonzero(table.channel == number)
             scanner = self.of(table.channels.names[number])
-            for one in scanner.feed(table.take(places), places + self._fed):
-                tables.setdefault((one.protocol, one.message), []).append(one)
+            tables += scanner.feed(table.take(places), places + self._fed)
         self._fed += len(table)
-        return [merge_tables(some) for some in tables.values()]
+        return merge_tables(tables)
 
     def close(self) -> list[MessageTable]:
         """Frames are whole: the end of a capture decides nothing on CAN."""

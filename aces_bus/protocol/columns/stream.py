@@ -24,7 +24,7 @@ from ..live.stream import RUN, WORTH, StreamScanner
 from .packets import Batch, PacketTables
 from .scanner import RecordColumns
 from .survey import Decided, LossRuns, Survey, losses_of, totals_of
-from .table import Array, MessageTable
+from .table import Array, MessageTable, by_message
 
 #: How many bytes of small pieces are gathered, and how many of a large one are decided at once.
 GATHER = 1 << 16
@@ -228,8 +228,4 @@ def _instants(
 
 def _merged(tables: list[MessageTable]) -> list[MessageTable]:
     """One table a message, of several that follow each other; columns are still computed when asked for."""
-    by_message: dict[tuple[str, str], list[MessageTable]] = {}
-    for table in tables:
-        if len(table):
-            by_message.setdefault((table.protocol, table.message), []).append(table)
-    return [MessageTable.concat(some, is_lazy=True) for some in by_message.values()]
+    return [MessageTable.concat(some, is_lazy=True) for some in by_message(tables)]

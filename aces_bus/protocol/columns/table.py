@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, Protocol
@@ -236,6 +236,15 @@ class MessageTable:
             first.doc,
             None if first.size is None else np.concatenate([t.size for t in tables if t.size is not None]),
         )
+
+
+def by_message(tables: Iterable[MessageTable]) -> list[list[MessageTable]]:
+    """The tables that have lines, those of a message together."""
+    found: dict[tuple[str, str], list[MessageTable]] = {}
+    for table in tables:
+        if len(table):
+            found.setdefault((table.protocol, table.message), []).append(table)
+    return list(found.values())
 
 
 #: The columns of the table of what was not decoded, named "" in `include_unknown` mode.

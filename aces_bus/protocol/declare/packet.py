@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
 
 from ...errors import FieldError
+from ..keys import EXTENDED, REMOTE
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
@@ -28,7 +29,6 @@ from .pattern import IdPattern, describe_values
 if TYPE_CHECKING:
     from .message import Message
 
-EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
 FD_FLAG = 0x04
 
 

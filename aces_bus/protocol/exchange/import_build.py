@@ -38,7 +38,7 @@ from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
 from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportProblem, clean_text
+from .problems import ImportProblem, clean_text, without_place
 
 #: The field of the bytes behind the declared ones.
 TRAILING = "trailing"
@@ -209,7 +209,7 @@ class _Builder:
             )
         except AcesError as error:
             del self.problems[known:]
-            raise _LeftOut(_without_place(error)) from None
+            raise _LeftOut(without_place(error)) from None
         made.place = SourceLine(self.path, taken.line or 1)
 
     def _layout(
@@ -232,7 +232,7 @@ class _Builder:
                     field = self._multiplexed(signal, field, by_name, names, raws)
             except (_LeftOut, AcesError) as reason:
                 shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
-                self.problems.append(ImportProblem(line, f"{shown}: {_without_place(reason)}: left out"))
+                self.problems.append(ImportProblem(line, f"{shown}: {without_place(reason)}: left out"))
                 continue
             name = unused(signal.name, taken)
             if by_name[signal.name] is signal:
@@ -250,7 +250,7 @@ class _Builder:
             try:
                 return BitLayout(size, *fields, trailing=trailing)
             except AcesError as error:
-                text = re.sub(r" \([^()]*:\d+\)", "", _without_place(error).partition("; if that")[0])
+                text = re.sub(r" \([^()]*:\d+\)", "", without_place(error).partition("; if that")[0])
                 text = f"message {clean_text(message.name)}: {text}: all are decoded, and what is sent must agree"
                 self._note(self.lines(message, None), text)
         return BitLayout(size, *fields, overlapping=overlapping, trailing=trailing)
@@ -278,13 +278,6 @@ class _Builder:
 
 def _key(message: Any) -> tuple[int, bool, int, bool]:
     return message.frame_id, bool(message.is_extended_frame), message.length, bool(message.is_fd)
-
-
-def _without_place(error: Exception) -> str:
-    """A complaint without the `file:line: ` of the program that declared it."""
-    text = str(error)
-    head, separator, rest = text.partition(": ")
-    return rest if separator and head.rpartition(":")[2].isdigit() else text
 
 
 def _group(identifier: int) -> int:

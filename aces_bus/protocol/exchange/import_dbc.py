@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import gc
-import logging
 import re
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -28,7 +27,7 @@ from .import_statements import (
     usable,
 )
 from .names import unused
-from .problems import ImportedProtocol, ImportProblem, excerpt
+from .problems import ImportedProtocol, ImportProblem, excerpt, quiet
 
 #: Bytes of the largest file that is read.
 MOST_BYTES = 64 * 1024 * 1024
@@ -113,22 +112,10 @@ def _cantools() -> Any:
     return cantools.database
 
 
-@contextmanager
-def _quiet() -> Generator[None, None, None]:
-    """cantools logs what we say better."""
-    logger = logging.getLogger("cantools")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
-
-
 def _try(text: str, kind: str) -> Any:
     """The database; raises whatever cantools raises."""
     cantools = _cantools()
-    with _quiet():
+    with quiet("cantools"):
         # Not strict: what overlaps or does not fit is for `build` to say, signal by signal.
         return cantools.load_string(text, database_format=kind, strict=False)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from ..declare.protocol import Protocol
@@ -79,6 +82,25 @@ class ImportedProtocol:
             parts.append(f"{noted:,} {'is' if noted == 1 else 'are'} taken over differently")
         first = (lost or list(self.problems))[0]
         return f"{self.path}: {', '.join(parts)}; first: {first}"
+
+
+@contextmanager
+def quiet(library: str) -> Generator[None, None, None]:
+    """Silence a library's log: what it says of a file is said better here."""
+    logger = logging.getLogger(library)
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def without_place(error: Exception) -> str:
+    """A complaint without the `file:line: ` of the program that declared it."""
+    text = str(error)
+    head, separator, rest = text.partition(": ")
+    return rest if separator and head.rpartition(":")[2].isdigit() else text
 
 
 def excerpt(text: str) -> str:
