@@ -197,6 +197,11 @@ def xor_of(data: bytes) -> int:
 _FOLDS = [tuple(8 << step for step in reversed(range(halvings))) for halvings in range(40)]
 
 
+def fletcher_of(data: bytes) -> int:
+    """The 8-bit Fletcher pair of bytes, the first in the low byte."""
+    return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+
+
 class Xor(Check):
     """The exclusive or of the covered bytes."""
 
@@ -222,7 +227,7 @@ class Fletcher(Check):
         super().__init__(2, **more)
 
     def compute(self, data: bytes) -> int:
-        return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+        return fletcher_of(data)
 
     @property
     def describe(self) -> str:

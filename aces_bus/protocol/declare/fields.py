@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from construct import (
     Adapter,
@@ -19,6 +19,7 @@ from construct import (
     BytesInteger,
     Construct,
     Default,
+    FormatField,
     GreedyBytes,
     IfThenElse,
     IntegerError,
@@ -281,6 +282,35 @@ def innermost(subcon: Construct) -> Construct:
     while hasattr(subcon, "subcon"):
         subcon = subcon.subcon
     return subcon
+
+
+class WireNumber(NamedTuple):
+    """What a number is on the wire; `size` in bytes."""
+
+    kind: Literal["uint", "int", "float"]
+    size: int
+    order: Literal["little", "big"]
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """The least and the greatest integer of this size."""
+        top = 1 << 8 * self.size - 1
+        return (-top, top - 1) if self.kind == "int" else (0, 2 * top - 1)
+
+
+def wire_number(inner: Any) -> WireNumber | None:
+    """What number an innermost construct reads; None where it is none, or of a size that is not fixed."""
+    if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "efdBbHhLlQq":
+        mark = inner.fmtstr[-1:]
+        order: Literal["little", "big"] = "little" if inner.fmtstr.startswith("<") else "big"
+        return WireNumber(
+            "float" if mark in "efd" else "int" if mark.islower() else "uint", inner.length, order
+        )
+    if isinstance(inner, BytesInteger) and isinstance(inner.length, int) and isinstance(inner.swapped, bool):
+        return WireNumber(
+            "int" if inner.signed else "uint", inner.length, "little" if inner.swapped else "big"
+        )
+    return None
 
 
 def inner_constructs(con: Any) -> list[Any]:

@@ -17,6 +17,7 @@ import msgspec
 from construct import ConstructError
 
 from ...errors import AcesError
+from ..declare.delimited import degrees
 from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import can_image
@@ -39,13 +40,6 @@ def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, A
     namespace: dict[str, Any] = {"__name__": name, **names}
     exec(compile(source, filename, "exec"), namespace)
     return namespace
-
-
-def degrees(text: bytes) -> float:
-    """`4807.038` as degrees: what generated decoders call for NMEA positions."""
-    number = float(text)
-    whole = number // 100
-    return whole + (number - 100 * whole) / 60
 
 
 @cache

@@ -20,7 +20,15 @@ import construct as c
 
 from ..declare.bits import BitLayout, Bits
 from ..declare.delimited import Delimited
-from ..declare.fields import Enumeration, Field, Multiplexed, Quantity, SignMagnitude, inner_constructs
+from ..declare.fields import (
+    Enumeration,
+    Field,
+    Multiplexed,
+    Quantity,
+    SignMagnitude,
+    inner_constructs,
+    wire_number,
+)
 from ..declare.head import enumeration_of
 from ..declare.message import Message
 from ..declare.pattern import IdField, describe_values
@@ -340,21 +348,14 @@ class Written:
         inner = self.inner
         if isinstance(inner, Bits):
             return None if inner.is_float else _span(inner.width, inner.signed)
-        if isinstance(inner, c.FormatField) and inner.fmtstr[-1:] in "BbHhLlQqIi":
-            return _span(8 * inner.length, inner.fmtstr[-1:].islower())
-        if isinstance(inner, c.BytesInteger) and isinstance(inner.length, int):
-            return _span(8 * inner.length, bool(inner.signed))
-        return None
+        wire = wire_number(inner)
+        return wire.limits if wire is not None and wire.kind != "float" else None
 
     @property
     def byte_order(self) -> str | None:
         """ "little" or "big" of a number of several bytes."""
-        inner = self.inner
-        if isinstance(inner, c.FormatField) and inner.length > 1 and inner.fmtstr[:1] in "<>":
-            return "little" if inner.fmtstr.startswith("<") else "big"
-        if isinstance(inner, c.BytesInteger) and inner.length != 1 and isinstance(inner.swapped, bool):
-            return "little" if inner.swapped else "big"
-        return None
+        wire = wire_number(self.inner)
+        return wire.order if wire is not None and wire.size > 1 else None
 
 
 def _span(width: int, signed: bool) -> tuple[int, int]:

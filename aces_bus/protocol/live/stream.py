@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..counts import ScanCounts
-from ..declare.checks import Sums, xor_of
+from ..declare.checks import Sums, fletcher_of, xor_of
 from ..declare.framing import Framing, Verdict
 from ..declare.message import Direction
 from ..declare.protocol import Variant
@@ -59,7 +58,7 @@ class StreamScanner:
         self.max_size = 0
         self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
         framings: list[tuple[Framing, str]] = []
-        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
+        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": fletcher_of}
         self._sums: list[Sums] = []
         #: What judges the candidates of stuffed framings.
         self._segments: list[Segments] = []
@@ -401,10 +400,6 @@ class StreamScanner:
 def has_size(framing: Framing) -> bool:
     """Whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
     return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
-
-
-def _fletcher(data: bytes) -> int:
-    return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
 
 
 def _judge(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import construct as c
 
@@ -23,6 +23,7 @@ from ..declare.fields import (
     SignMagnitude,
     Text,
     inner_constructs,
+    wire_number,
 )
 from ..declare.head import Head
 from ..declare.message import Message
@@ -136,7 +137,7 @@ def _head(
     head: Head, is_shown: bool, fields: list[p.PlanField], constants: list[p.Constant], one_of: list[p.OneOf]
 ) -> None:
     number = p.Scalar(
-        "uint", head.offset, head.size, _order(head.order), whole_bits(head.offset, head.size, head.order)
+        "uint", head.offset, head.size, head.order, whole_bits(head.offset, head.size, head.order)
     )
     pattern = head.pattern
     if pattern is not None and not pattern.captures:
@@ -193,10 +194,6 @@ def _scale(quantity: Quantity) -> p.Scale:
     )
 
 
-def _order(order: str) -> Any:
-    return "big" if order == "big" else "little"
-
-
 def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
     """The construct below the known adapters, the steps from it outward, unit and doc."""
     steps: list[p.Step] = []
@@ -235,26 +232,12 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
     found = tuple(steps)
     if isinstance(inner, Text):
         return p.Scalar("text", offset, inner.size, unit=unit)
-    if isinstance(inner, c.FormatField):
-        mark = inner.fmtstr[-1:]
-        order: Any = "little" if inner.fmtstr.startswith("<") else "big"
-        if inner.fmtstr.startswith("="):
-            raise NotFlat("native byte order")
-        if mark in "efd":
-            return p.Scalar("float", offset, inner.length, order, steps=found, unit=unit)
-        if mark in "BbHhLlQq":
-            kind: Any = "int" if mark.islower() else "uint"
-            bits = whole_bits(offset, inner.length, order)
-            return p.Scalar(kind, offset, inner.length, order, bits, found, unit)
-    if (
-        isinstance(inner, c.BytesInteger)
-        and isinstance(inner.length, int)
-        and isinstance(inner.swapped, bool)
-    ):
-        order = "little" if inner.swapped else "big"
-        kind = "int" if inner.signed else "uint"
-        bits = whole_bits(offset, inner.length, order)
-        return p.Scalar(kind, offset, inner.length, order, bits, found, unit)
+    if isinstance(inner, c.FormatField) and inner.fmtstr.startswith("="):
+        raise NotFlat("native byte order")
+    wire = wire_number(inner)
+    if wire is not None:
+        bits = whole_bits(offset, wire.size, wire.order) if wire.kind != "float" else ()
+        return p.Scalar(wire.kind, offset, wire.size, wire.order, bits, found, unit)
     if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:
@@ -476,9 +459,10 @@ class _Builder:
             way: Any = "big" if is_big else "little"
             return p.Scalar(kind, self.offset, layout.size, way, bits, tuple(steps), unit), doc
         start, size = min(bits) // 8, len(bits) // 8
-        for order in ("little", "big"):
+        orders: tuple[Literal["little", "big"], ...] = ("little", "big")
+        for order in orders:
             if bits == whole_bits(start, size, order):
-                return p.Scalar("float", start, size, _order(order), (), tuple(steps), unit), doc
+                return p.Scalar("float", start, size, order, (), tuple(steps), unit), doc
         return p.Scalar("float", self.offset, layout.size, "little", bits, tuple(steps), unit), doc
 
     def _delimited(self, con: d.Delimited) -> None:
