@@ -119,7 +119,7 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
 
 
 def unsaid(payload: Construct) -> dict[str, Any]:
-    """What the fields of a payload are when nobody gives them: constants of `Default`, no reserved bits, nothing behind."""
+    """What the fields of a payload are when they are not given: constants of `Default`, no reserved bits, nothing behind."""
     found: dict[str, Any] = {}
     if isinstance(payload, BitLayout):
         fields = [(slot.name, slot.field) for slot in payload.slots]

@@ -1,7 +1,7 @@
 """What scanners give: records, and `Unknown` for what is no message.
 
 1. A record is immutable. Its fields are attributes; everything of the transport is under `meta`.
-2. Making one costs as little as Python allows: `meta` is put together when somebody asks.
+2. Making one costs as little as Python allows: `meta` is put together when it is asked for.
 
 Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN identifier with the flags of
 `aces_bus.protocol.keys`; of a stream the packet's offset), `_raw` and `_rx`.
@@ -126,7 +126,7 @@ def plain_value(value: Any) -> Any:
 
 
 def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
-    """Reads what stands at the end of `way` in a record; None where a part of the way is not there."""
+    """A function that reads the value at the end of `way` in a record; None where a part of the way is not there."""
     if len(way) == 1 and isinstance(way[0], str):
         return attrgetter(way[0])
 

@@ -13,7 +13,7 @@ Needs the extra `[columns]` (pyarrow); `to_pandas` needs pandas alone, `to_polar
     absent    null; NaN stays NaN
 
 Metadata of a field: `unit`, `doc`, `names` (JSON, number to name), `flags` (JSON, name to bit), `path` (its name in the
-record), `holds` ("json" or "wide" where a text stands for something else). Of the schema: `protocol`, `message`,
+record), `holds` ("json" or "wide" where a text represents something else). Of the schema: `protocol`, `message`,
 `direction`, `doc`, `time`, `aces_bus`.
 """
 

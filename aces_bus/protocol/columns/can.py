@@ -254,7 +254,7 @@ class CanColumns:
     ) -> None:
         """The frames [start, end) of the sorted batch, which may be these messages."""
         rows: PacketRows = batch.rows(start, end).reaching(max(c.decoder.extent for c in candidates))
-        left: Array | None = None  # places in [start, end) that nobody has accepted yet; None: all
+        left: Array | None = None  # places in [start, end) that no message has accepted yet; None: all
         for candidate in candidates:
             good = candidate.decoder.accepts(rows)
             if good is None:

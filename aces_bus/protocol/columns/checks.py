@@ -6,7 +6,7 @@
 3. Time is bounded by the bytes covered; memory of CRCs by the number of packets.
 
 Running sums wrap at the size of the check: differences are right all the same. A pair (a, b) of a run of n bytes that
-stands behind another is (a₀ + a, b₀ + n·a₀ + b).
+follows another is (a₀ + a, b₀ + n·a₀ + b).
 
 The register of a CRC is kept reflected (lowest bit first), whatever the CRC: where bytes go in highest bit first, they are
 turned round before, and the result at the end. Then one step is `T[(register ^ word) & 0xFFFF] ^ register >> 16`, with a

@@ -95,8 +95,8 @@ def decode_tables(
     include_unknown: bool = False,
     raw: bool = False,
 ) -> DecodedRecording:
-    """All messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames (of python-can
-    too), chunks or bytes; bytes may also be given as they are.
+    """All messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames (also of
+    python-can), chunks or bytes; bytes may also be given as they are.
 
     `message` limits what is kept to one or several messages; the counts stay those of the whole. `direction` is that of
     a stream which does not say it: "to device", "from device" or "both". With `include_unknown`, what was not decoded is the

@@ -345,7 +345,7 @@ class Objects:
 
 
 def objects_by_values(table: MessageTable) -> dict[str, Holds]:
-    """What the columns of objects of one table hold, by its values: for a table that stands alone."""
+    """What the columns of objects of one table hold, by its values: for a table without its plan."""
     found: dict[str, Holds] = {}
     for kind in table.kinds:
         if kind.is_object:

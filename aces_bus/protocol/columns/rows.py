@@ -2,7 +2,7 @@
 
 1. What a column shows is what the generated decoder shows of each row, bit for bit and to the last digit of a float64.
 2. Numbers are computed in the order of the generated decoder: raw × scale, then + offset, in float64 where it does.
-3. Whatever this cannot carry out, it says so in `reason`, and somebody else decodes the message.
+3. What this cannot carry out is said in `reason`; the message is then decoded one record at a time.
 
 A field is read as what it is on the wire where that is a whole number of NumPy's; every other one is cut out of 64-bit
 words, little- or big-endian, whichever needs fewer cuts.

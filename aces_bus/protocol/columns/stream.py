@@ -217,13 +217,13 @@ def _instants(
     times = [time for _, time in marks]
     if all(time == times[0] for time in times):
         return times[-1:], None
-    told = decided.ends
+    known_at = decided.ends
     if len(decided.bad):
         before = np.searchsorted(decided.bad, decided.starts) - 1
         furthest = np.maximum.accumulate(decided.bad_ends)[before]
-        told = np.where(before >= 0, np.maximum(told, furthest), told)
+        known_at = np.where(before >= 0, np.maximum(known_at, furthest), known_at)
     ends = np.array([end for end, _ in marks], np.int64) - base
-    return times, np.minimum(np.searchsorted(ends, told), len(times) - 1)
+    return times, np.minimum(np.searchsorted(ends, known_at), len(times) - 1)
 
 
 def _merged(tables: list[MessageTable]) -> list[MessageTable]:

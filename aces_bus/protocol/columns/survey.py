@@ -2,7 +2,7 @@
 
 1. `Survey` decides: it gives the packets that the rule accepts.
 2. Runs of losses are those of the live scanner: neighbouring bytes lost for one reason are one run, a whole packet is always
-   its own. Bytes are copied when somebody asks for them.
+   its own. Bytes are copied when they are asked for.
 
 What a byte that no packet claims is lost as depends on what follows it alone: a header whose length or check fails is
 malformed, everything else skipped. So nothing has to be read in turn, but where candidates overlap.
@@ -69,7 +69,7 @@ class Survey(PacketHeaders):
         return CheckColumns.why_not(framing, extras)
 
     def decide(self, buffer: bytes, size: int) -> Decided:
-        """What everything in the first `size` bytes is that can be told before more come; what stands behind is air."""
+        """What everything in the first `size` bytes is that can be decided before more come; behind are only zeros."""
         framing = self.framing
         data = np.frombuffer(buffer, np.uint8, size)
         stop = max(len(data) - self.reach + 1, 0)
@@ -123,7 +123,7 @@ class Survey(PacketHeaders):
 def _untangled(starts: Array, ends: Array, waits: Array) -> Array:
     """The rule where candidates overlap: the lowest is accepted, what begins inside it is none. Which stay.
 
-    What begins behind an incomplete candidate that nobody covers is not decided; it may stay, the caller leaves it out.
+    What begins behind an incomplete candidate that no packet covers is not decided; it may stay, the caller leaves it out.
     """
     clash = starts[1:] < np.maximum.accumulate(ends)[:-1]
     stay = np.ones(len(starts), bool)

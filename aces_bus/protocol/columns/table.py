@@ -3,7 +3,7 @@
 1. A column holds raw numbers where they have names or flags (the names come with it), physical values where they have a
    scale. `to_list` gives what records show, value for value.
 2. Tables are slices of a capture, in its order; `row` says which frame or packet of the capture each line was.
-3. `kinds_of` and `dtype_of` decide what a message's columns are; whoever fills them quicker fills the same ones.
+3. `kinds_of` and `dtype_of` decide what a message's columns are; every way of filling them fills the same ones.
 4. Packets as rows are uint8 (n, width), zeros behind each one's end, contiguous, their width a multiple of 8, so that they
    are also rows of words.
 """
@@ -275,7 +275,7 @@ def packet_rows(buffer: bytes, starts: Array, sizes: Array, width: int) -> Array
     missing = int(starts[-1]) + width - len(buffer)
     if missing > 0:
         buffer += bytes(missing)
-    # One item of `width` bytes a packet: copied as a whole, wherever it stands.
+    # One item of `width` bytes a packet: copied as a whole, whatever its alignment.
     items = np.ndarray(len(buffer) - width + 1, f"V{width}", buffer, strides=(1,))
     rows: Array = items[starts].view(np.uint8).reshape(-1, width)
     least, most = int(sizes.min()), int(sizes.max())

@@ -313,7 +313,7 @@ def _framings_conflict(one: Message, other: Message) -> Conflict | None:
     a, b = one.framing, other.framing
     assert isinstance(a, Framing)
     assert isinstance(b, Framing)
-    # Stuffing of whole packets moves their bytes: then only what stands on the wire can be compared.
+    # Stuffing of whole packets moves their bytes: then only the bytes on the wire can be compared.
     moved = any(isinstance(f.stuffing, Stuffing) and not isinstance(f.stuffing, Insert) for f in (a, b))
     if not moved and _merge(one, other, None) is None:
         return None

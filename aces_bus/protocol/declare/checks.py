@@ -48,7 +48,7 @@ Covered = slice | IdBytes | Extra | bytes
 class Check:
     """A check of `size` bytes. `compute` gives the number, `encode` its bytes on the wire.
 
-    `field` names the field of the payload that holds it; without it the check stands at the end of the packet. `text` is
+    `field` names the field of the payload that holds it; without it the check is at the end of the packet. `text` is
     a format for checks written as characters, such as `"*{:02X}"` (NMEA): they are written as it says, and read by value,
     as hexadecimal digits mean the same in either case.
     """
@@ -117,7 +117,7 @@ class Check:
         return len(least)
 
     def same(self, stored: bytes, wanted: bytes) -> bool:
-        """Whether what stands in a packet is the number that `encode` wrote as `wanted`."""
+        """Whether the bytes in a packet are the number that `encode` wrote as `wanted`."""
         if stored == wanted or self.digits is None:
             return stored == wanted
         digits = self.digits
@@ -219,7 +219,7 @@ class Xor(Check):
 
 
 class Fletcher(Check):
-    """The 8-bit Fletcher pair of UBX and MIP: a += byte, b += a, both modulo 256; a stands first."""
+    """The 8-bit Fletcher pair of UBX and MIP: a += byte, b += a, both modulo 256; a comes first."""
 
     kind = "fletcher"
 
@@ -336,7 +336,7 @@ class Sums:
         self._grow(fresh)
 
     def lend(self, start: int, end: int, first: Any, second: Any) -> None:
-        """Use prefix sums that somebody else made, until `forget`."""
+        """Use prefix sums that were made elsewhere, until `forget`."""
         self._start, self.end = start, end
         self._first, self._second = first, second
 

@@ -145,7 +145,7 @@ class AsciiEnumeration(AsciiField):
 class Delimited(Construct):
     """Fields between separators: `Delimited(",", "time" / AsciiText(), …)`.
 
-    `lead` says that a separator stands before the first field. The last `optional` fields may be missing altogether
+    `lead` says that there is a separator before the first field. The last `optional` fields may be missing altogether
     (None). With `more=True` fields beyond the last are kept, as texts, in the field `more`.
     """
 

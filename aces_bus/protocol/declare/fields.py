@@ -314,7 +314,7 @@ def wire_number(inner: Any) -> WireNumber | None:
 
 
 def inner_constructs(con: Any) -> list[Any]:
-    """What stands directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
+    """The constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
     if isinstance(con, Multiplexed):
         return [con.body]
     if isinstance(con, IfThenElse):

@@ -182,7 +182,7 @@ class Framing:
     def judge(
         self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None
     ) -> Judgement:
-        """What stands at `start` of `data`.
+        """What begins at `start` of `data`.
 
         `silent` says that the line fell silent at the end of `data`. `extras` are the `check_extra` bytes by the number
         that selects them (see `Message.extra_key`).
@@ -232,7 +232,7 @@ class Framing:
         return self._checked(data[start : start + size], extras)
 
     def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
-        # The check covers what stands on the wire, except where the whole packet is stuffed.
+        # The check covers the bytes on the wire, except where the whole packet is stuffed.
         inserted = isinstance(self.stuffing, Insert)
         try:
             covered = packet if inserted else self.logical(packet)
@@ -265,7 +265,7 @@ class Framing:
         return Judgement(Verdict.WHOLE, len(packet), "", covered)
 
     def strays(self, data: bytes, start: int, stop: int) -> bool:
-        """Whether a byte of `not_inside` stands in [start, stop)."""
+        """Whether a byte of `not_inside` is in [start, stop)."""
         return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
 
     def logical(self, packet: bytes) -> bytes:

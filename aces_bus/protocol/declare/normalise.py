@@ -3,7 +3,7 @@
 1. construct's own `Enum`, `FlagsEnum` and `Flag` become ours, which know raw mode; choices by an enumeration come out the
    same in both modes (`choices`). Nothing else changes meaning.
 2. Whatever would lose bytes (unnamed padding, seeking, ignored tails) or hide them is refused here, with its line, however
-   deep it stands (`vocabulary`). What has content takes all of its bytes.
+   deep it is (`vocabulary`). What has content takes all of its bytes.
 3. What repeats moves on: an item that can have no bytes is refused, one that has none just now ends the reading.
 4. A multiplexed field goes by the raw number of its selector. In a `BitLayout` that is at hand; a `Struct` knows its fields
    only as records show them, so that there the two must be one (`check_selectors`).
@@ -80,7 +80,7 @@ class _Walk:
         self.bound: dict[int, c.LazyBound] = {}
 
     def of(self, con: c.Construct, path: str, known: Known) -> Any:
-        """What stands for `con`; raises `SpecError` for what cannot be in a payload."""
+        """What replaces `con`; raises `SpecError` for what cannot be in a payload."""
         place = self.place
         if isinstance(con, c.Renamed):
             if con.name is None:

@@ -79,7 +79,7 @@ class PacketStruct(Construct):
             return self._read(stream, context, path)
         except (NotThisError, LengthError, WrongCheckError, ContentError):
             raise
-        except Exception as error:  # whatever a construct raises, its own or somebody else's
+        except Exception as error:  # whatever a construct raises, construct's own or a user's
             raise ContentError(self.message, error, path) from error
 
     def _read(self, stream: Any, context: Any, path: str) -> Container:
@@ -134,7 +134,7 @@ class PacketStruct(Construct):
         and its check, are not asked."""
         values, context = Container(), Container(raw=False)
         context._params = context
-        with suppress(Exception):  # whatever a construct raises, its own or somebody else's
+        with suppress(Exception):  # whatever a construct raises, construct's own or a user's
             self._fields(values, data, end, context, "(looking)")
         return values
 

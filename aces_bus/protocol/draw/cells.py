@@ -20,7 +20,7 @@ BIT = 8
 ROW = 8 * BIT + 7
 #: Lists of more bytes than this are one row; in messages of more bytes, so is each number of whole bytes.
 LONGEST = 16
-#: What stands above a picture of fields whose bits are those of others, too.
+#: The title of a picture of fields whose bits are those of others, too.
 SHARING = "of the same bits:"
 
 
@@ -57,7 +57,7 @@ class _Cells:
             self.bits.setdefault(position, (label, index, len(bits)))
 
 
-#: A row: what stands in front, and its cells as (columns, text).
+#: A row: the text in front, and its cells as (columns, text).
 Row = tuple[str, list[tuple[int, str]]]
 
 

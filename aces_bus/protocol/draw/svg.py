@@ -1,5 +1,5 @@
-"""Messages as pictures in SVG, and the small writer that draws them: rectangles, lines and texts, in points, with the one style
-sheet of all our pictures.
+"""Messages as pictures in SVG, and the small writer that draws them: rectangles, lines and texts, in points, with the one
+style sheet of all our pictures.
 
 1. Plain SVG 1.1, which browsers, LibreOffice and LaTeX converters read: no script, no font of its own.
 2. Whatever text comes in is escaped; characters that XML does not have become `?`.
@@ -24,7 +24,7 @@ INK = "#1f2933"
 FAINT = "#7b8794"
 LINE = "#9aa5b1"
 PAPER = "#ffffff"
-#: Fills that neighbours are told apart by.
+#: Fills of neighbouring cells.
 FILLS = ("#dbeafe", "#dcfce7", "#fef3c7", "#fce7f3", "#ede9fe", "#cffafe", "#ffedd5", "#e2e8f0")
 GOOD, BAD, OPEN = "#bbf7d0", "#fecaca", "#f1f5f9"
 GOOD_INK, BAD_INK = "#166534", "#991b1b"
@@ -122,7 +122,7 @@ def _clean(text: str) -> str:
     return escape("".join(ch if ch.isprintable() else "?" for ch in text))
 
 
-#: Points of one bit, of a row's height, and of what stands in front of a row.
+#: Points of one bit, of a row's height, and of the text in front of a row.
 WIDE, HIGH, FRONT = 72.0, 26.0, 64.0
 
 

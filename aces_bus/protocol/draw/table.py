@@ -14,7 +14,7 @@ from .cells import is_long, listed, range_text, span_of
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One line of a field table. `place` is where it stands, `range` what it can be or, if stated, what may be sent."""
+    """One line of a field table. `place` is where it is, `range` what it can be or, if stated, what may be sent."""
 
     name: str
     place: str

@@ -230,7 +230,7 @@ class _Group:
         for leaf in self._common(names):
             self._leaf(leaf, names, when)
         if choice.offset is not None and self._is_taken(choice.offset, when):
-            # A signal of another level stands there: a DBC cannot multiplex by it here.
+            # A signal of another level is there: a DBC cannot multiplex by it here.
             tried |= {choice.offset}
             self._walk(choose([self.plans[name] for name in names], tried), when, tried)
             return

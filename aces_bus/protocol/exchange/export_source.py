@@ -2,7 +2,7 @@
 
 1. What is printed, when it is run, declares the same protocol: the same plans, message by message.
 2. Names that a file from elsewhere gives become names of Python only if they are some (`foreign.names` sees to that), and
-   all other text of it string literals. The first lines are ours, so that no comment of anybody's says the encoding.
+   all other text of it string literals. The first lines are ours, so that no comment of the file sets the encoding.
 
 It prints the words that a database's protocol is made of: bit layouts, structs of plain numbers, quantities, enumerations,
 multiplexers, captured identifiers. A construct beyond those raises `CallerError`.
@@ -84,7 +84,7 @@ class _Printer:
         if protocol.doc:
             found.append(("doc", python_literal(protocol.doc)))
         if protocol.source:
-            # Where the file was is nobody's business who reads the spec.
+            # The path of the file does not belong into the spec.
             found.append(("source", python_literal(re.split(r"[/\\]", protocol.source)[-1])))
         return found
 
@@ -218,7 +218,7 @@ class _Printer:
         )
 
     def _adapted(self, field: c.Construct, place: Expression, doc: str) -> Expression:
-        """What a number means, around where it stands."""
+        """What a number means, around its place."""
         if isinstance(field, Quantity):
             keywords = _quantity(field)
             if said := doc or field.docs:
@@ -306,7 +306,7 @@ WIDTH = 88
 
 @dataclass(frozen=True)
 class Code:
-    """Text that stands as it is: a name, a number in a notation of its own."""
+    """Text that is printed as it is: a name, a number in a notation of its own."""
 
     text: str
 

@@ -276,7 +276,7 @@ def _parsed_signals(
     message: Statement, complaint: Callable[[str], _Complaint | None], problems: list[ImportProblem]
 ) -> list[Statement]:
     """Leaves a message the signals that can be parsed; gives what was found inside those that cannot: a string that was
-    not closed has taken in what stands behind."""
+    not closed has taken in what follows."""
     waiting = message.inner[::-1]
     message.inner = []
     behind: list[Statement] = []

@@ -110,7 +110,7 @@ def excerpt(text: str) -> str:
 
 
 def clean_text(text: str) -> str:
-    """A text of somebody else's without characters that do not print; lines stay lines."""
+    """A text from elsewhere without characters that do not print; lines stay lines."""
     return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
 
 

@@ -141,7 +141,7 @@ class Template:
 
         return self.framing is not None and isinstance(self.framing.stuffing, Insert)
 
-    # ------------------------------------------------------------------ what stands where
+    # ------------------------------------------------------------------ what is where
 
     def label(self, at: int, size: int | None, prefix: bytes = b"") -> str:
         """What byte `at` of a packet is to it; "" where it does not say. `prefix` are the bytes up to it, where known."""

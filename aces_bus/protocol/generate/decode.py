@@ -142,7 +142,7 @@ class Decoder:
             values = one.values
             low, high = bounds(values)
             run = len(values) > 2 and len(values) == high - low + 1
-            number = self._integer(one.number, fetched=False)  # the test stands before the fetching
+            number = self._integer(one.number, fetched=False)  # the test comes before the fetching
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:

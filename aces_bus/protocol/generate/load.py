@@ -79,7 +79,7 @@ _CALLED: Mapping[str, Any] = {
 
 class _Parts(dict[tuple[str, tuple[str, ...]], type]):
     """Types of nested records by path and fields. What no walk of a construct foresees (fields that stop half way, values
-    of somebody's own adapter) gets its type when it is first seen."""
+    of a user's adapter) gets its type when it is first seen."""
 
     def __missing__(self, shape: tuple[str, tuple[str, ...]]) -> type:
         path, names = shape

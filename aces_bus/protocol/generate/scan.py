@@ -519,7 +519,7 @@ def _wanted(check: Check, number: int, found: str) -> str:
 
 
 def _stored_behind(check: Check, back: int) -> str:
-    """What stands `back` bytes before the packet's end, as an expression."""
+    """The number `back` bytes before the packet's end, as an expression."""
     end = f"-{back - check.size}" if back > check.size else ""
     if check.text is not None:
         return f"packet[-{back}:{end}]"

@@ -38,7 +38,7 @@ class SourceText:
 
 
 def comment_line(text: str) -> str:
-    """The first line of somebody's text, for a remark or a docstring: whatever could end one is spelt out."""
+    """The first line of a text, for a comment or a docstring: whatever could end one is escaped."""
     first = text.strip().split("\n", 1)[0].replace("\\", "\\\\").replace('"', "'")
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in first)
 
@@ -49,7 +49,7 @@ _PYTHON = frozenset([*keyword.kwlist, *keyword.softkwlist, *dir(builtins)])
 class NameScope:
     """The names of a generated module, or (`inside` one) of a function in it.
 
-    `bound` are the values that the module's text calls by name: whoever runs the text gives them to it.
+    `bound` are the values that the module's text calls by name: they must be given to the text when it is run.
     """
 
     def __init__(self, taken: Collection[str] = (), *, inside: NameScope | None = None) -> None:
@@ -99,7 +99,7 @@ def _is_same(one: Any, other: Any) -> bool:
 
 
 def is_plain(number: Any) -> bool:
-    """Whether a number of a spec may be printed: not infinity, not NaN, nothing of somebody's own."""
+    """Whether a number of a spec may be printed: not infinity, not NaN, no type of a user's."""
     return type(number) is int or (type(number) is float and math.isfinite(number))
 
 

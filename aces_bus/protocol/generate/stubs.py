@@ -1,4 +1,4 @@
-"""Prints a protocol as a stub (`.pyi`): what editors and type checkers are told of its records.
+"""Prints a protocol as a stub (`.pyi`): the types of its records for editors and type checkers.
 
 1. The same protocol gives the same text, byte for byte.
 2. A message that several dialects have in different forms is one class with the fields of all.

@@ -1,6 +1,6 @@
 """What is wrong or doubtful in a spec that can be imported: rules over protocols, messages, fields, framings and buses.
 
-1. A rule reads and says; nothing is changed, nothing is printed, nothing is generated.
+1. A rule only reads; nothing is changed, printed or generated.
 2. What an import refuses is not asked again here: `SpecError` says it, with its line.
 
 The rules, by the name in brackets behind a finding:

@@ -368,7 +368,7 @@ def declared_fields(protocol: Protocol) -> Iterator[Written]:
     for message in protocol.declared:
         for item in [*_heads(message), *_payload(message)]:
             key = id(item.adapters[0]) if item.adapters else id(item.inner)
-            # construct's own numbers (Byte, Int16ul) are shared by everybody: they are told apart by name.
+            # construct's own numbers (Byte, Int16ul) are shared by all specs: they are distinguished by name.
             if item.adapters and key in seen:
                 continue
             seen.add(key)

@@ -1,10 +1,10 @@
-"""What is wrong with templates: messages that nothing can be, requests that cannot have been, order that settles nothing; and
-on a bus of several protocols, frames and packets that two of them claim.
+"""What is wrong with templates: messages that nothing can be, requests that cannot have been, order that settles nothing;
+and on a bus of several protocols, frames and packets that two of them claim.
 
-1. CAN is decided exactly, as in `declare.ambiguity`, over identifier × flags × length × constants; what is claimed of streams
-   is proved or left out, and a witness is looked for.
+1. CAN is decided exactly, as in `declare.ambiguity`, over identifier × flags × length × constants; what is claimed of
+   streams is proved or left out, and a witness is looked for.
 2. A finding about two messages names both places.
-3. On a bus frames are told by their bytes alone: it does not say which way a frame went.
+3. On a bus frames are recognised by their bytes alone: it does not say which way a frame went.
 """
 
 from __future__ import annotations

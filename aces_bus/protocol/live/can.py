@@ -160,8 +160,8 @@ class _Wire(Decider):
 class CanScanner:
     """Finds the messages of one or more protocols in CAN frames; made by `make_scanner`.
 
-    `feed(frames)` takes python-can messages or `Frame`s and returns their records in order; with `include_unknown`, `Unknown`
-    for the others. It raises nothing for any frame that python-can or `Frame` can hold.
+    `feed(frames)` takes python-can messages or `Frame`s and returns their records in order; with `include_unknown`,
+    `Unknown` for the others. It raises nothing for any frame that python-can or `Frame` can hold.
     """
 
     link = "can"

@@ -1,7 +1,7 @@
 """Finds whole packets in a large chunk at once, with NumPy.
 
-1. `PacketFinder` proposes, the rule disposes: what it gives are exactly the candidates that are whole (and whose check holds,
-   where running sums tell), in order; which are accepted, and what becomes of the bytes between, is decided as ever.
+1. `PacketFinder` gives exactly the candidates that are whole (and whose check holds, where running sums say so), in order;
+   which are accepted, and what becomes of the bytes between, is decided by the scanner.
 2. It looks only where everything is decidable: before the first candidate that is still incomplete.
 """
 
@@ -97,7 +97,7 @@ class PacketFinder(PacketHeaders):
         cut = np.flatnonzero(ends > len(data))
         stop = last
         if len(cut):
-            # Starts rise: what stands before the first incomplete one is decided.
+            # Starts rise: what is before the first incomplete one is decided.
             stop = int(starts[cut[0]])
             starts, ends = starts[: cut[0]], ends[: cut[0]]
         if framing.check is not None and self.cover is not None and len(starts):
@@ -107,7 +107,7 @@ class PacketFinder(PacketHeaders):
         return starts.tolist(), ends.tolist(), stop
 
     def _checked(self, data: Any, check: Check, starts: Any, ends: Any) -> Any:
-        """Whether the number that stands at `ends` is that of the bytes before it, from running sums."""
+        """Whether the number at `ends` is that of the bytes before it, from running sums."""
         self.summed = len(data)
         if check.kind == "xor":
             running = _before(np.bitwise_xor, data, np.uint8)

@@ -178,7 +178,7 @@ class StreamScanner:
         return [*self.feed(data, time), *self._advance(b"", self._time, silent=True)]
 
     def close(self) -> list[Any]:
-        """The stream has ended. A packet cut off by the end stays pending; what stands behind a false one is found."""
+        """The stream has ended. A packet cut off by the end stays pending; what follows a false one is found."""
         return self._advance(b"", self._time, silent=True, closing=True)
 
     def _advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
@@ -247,7 +247,7 @@ class StreamScanner:
         finder = self._finder
         starts, ends, stop = finder.find(buffer)
         if finder.summed:
-            # The scan function asks them too, for what stands between.
+            # The scan function asks them too, for the bytes between.
             self._sums[0].lend(base, base + finder.summed, *finder.sums)
             self._state.work += finder.summed
         decode, scan, emit = self._decode, self._scan, found.append
@@ -299,7 +299,7 @@ class StreamScanner:
     # ------------------------------------------------------------------ losses
 
     def _leave_pending(self, found: list[Any], buffer: bytes, base: int) -> None:
-        """At the end of the stream: what stands behind the last packet, from the first incomplete one on, is pending."""
+        """At the end of the stream: what follows the last packet, from the first incomplete one on, is pending."""
         last = 0
         if found:
             last = found[-1]._key + len(found[-1]._raw)

@@ -320,7 +320,7 @@ class _Builder:
             if body is c.Terminated:
                 continue
             if self.is_open:
-                raise NotFlat(f"{name or body!r} stands behind a field of open size")
+                raise NotFlat(f"{name or body!r} follows a field of open size")
             if isinstance(body, Multiplexed):
                 if not top or (selector is not None and selector.name != body.selector):
                     raise NotFlat("nested multiplexing")
@@ -329,7 +329,7 @@ class _Builder:
                     selector = self._select(body.selector, fields)
                 starts = {overlay.get(value, 0) for value in body.when}
                 if len(starts) != 1:
-                    raise NotFlat(f"{name} stands at several places")
+                    raise NotFlat(f"{name} is at several places")
                 start = starts.pop()
                 self.offset = base + start
                 known = len(self.constants)
@@ -347,7 +347,7 @@ class _Builder:
                 fields.append(p.PlanField(name, node, item.docs or "", when))
                 continue
             if overlay is not None:
-                raise NotFlat(f"{name} stands behind multiplexed fields")
+                raise NotFlat(f"{name} follows multiplexed fields")
             if name is None:
                 self._constant(body)
                 continue

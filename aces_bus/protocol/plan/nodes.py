@@ -147,7 +147,7 @@ class Node:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The number that stands for each name: raw, or in the unit where there is a scale."""
+        """The number of each name: raw, or in the unit where there is a scale."""
         found: dict[str, float] = {}
         for step in self.steps:
             if isinstance(step, ValueNames):
