@@ -15,9 +15,9 @@
 
 from __future__ import annotations
 
-from ..protocol.columns.dataframes import to_arrow as to_arrow
-from ..protocol.columns.dataframes import to_pandas as to_pandas
-from ..protocol.columns.dataframes import to_polars as to_polars
+from ..protocol.columns.arrow import to_arrow as to_arrow
+from ..protocol.columns.arrow import to_pandas as to_pandas
+from ..protocol.columns.arrow import to_polars as to_polars
 from .base import Export as Export
 from .open import export_format as export_format
 from .open import open_export as open_export

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from ..errors import CallerError
-from ..protocol.columns.dataframes import is_absolute
+from ..protocol.columns.arrow import is_absolute
 from ..protocol.columns.layout import (
     Block,
     DatasetLayout,

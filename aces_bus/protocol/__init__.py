@@ -31,8 +31,7 @@ from .declare.stuffing import Cobs, Insert, Slip
 from .live.can import CanScanner
 from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
 from .live.stream import StreamScanner
-from .record import Meta, Part, Record, Unknown, as_dict
-from .record_types import record_types
+from .record import Meta, Part, Record, Unknown, as_dict, record_types
 from .reference import Reference
 
 __all__ = [

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 BINS = ("decoded", "unknown", "malformed", "skipped", "filtered", "errors", "pending")
@@ -62,3 +63,14 @@ class ScanCounts:
     def __str__(self) -> str:
         parts = [f"{name}={getattr(self, name)}" for name in BINS if getattr(self, name)]
         return f"total={self.total} {' '.join(parts)} records={self.records}"
+
+
+def sum_counts(all_counts: Iterable[ScanCounts]) -> ScanCounts:
+    """All counts together."""
+    total = ScanCounts()
+    for counts in all_counts:
+        for name in ("total", "decoded", "pending", "filtered", "records", "missed"):
+            setattr(total, name, getattr(total, name) + getattr(counts, name))
+        for reason, number in counts.reasons.items():
+            total.lose(number, reason)
+    return total

@@ -17,13 +17,15 @@ from ..errors import AcesError, FieldError, UnknownNameError
 from ..frames import Frame
 from .declare.bits import BitLayout
 from .declare.message import Message
-from .declare.packet import EXTENDED, FD_FLAG, REMOTE
+from .declare.packet import FD_FLAG
 from .declare.protocol import Variant
 from .generate.encode import CALLED, NoEncoder, print_encoder
 from .generate.load import load_source
-from .generate.names import NameScope
-from .generate.source import comment_line
-from .plan.flatten import flatten
+from .generate.source import NameScope, comment_line
+from .keys import EXTENDED, REMOTE
+
+#: Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD.
+CanParts = tuple[int, bytes, bool, bool, bool]
 
 
 class UnusualValue(Exception):
@@ -60,49 +62,32 @@ class Encoder:
         return self.build(found, fields)
 
     def build(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> Any:
-        """The frame or packet of `message`."""
+        """The frame (a python-can message) or packet of `message`."""
+        built = self._built(message, fields, raw=raw)
+        return built if isinstance(built, bytes) else new_can(*built)
+
+    def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
+        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`."""
+        built = self._built(message, fields)
+        if isinstance(built, bytes):
+            return built
+        identifier, data, extended, remote, fd = built
+        return Frame(identifier, data, is_extended_id=extended, is_remote_frame=remote, is_fd=fd)
+
+    def _built(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> CanParts | bytes:
+        """The packet's bytes; on CAN the parts of the frame."""
         quick = self._quick.get(message.name) if not raw else None
         if quick is not None:
             more = self._unsaid.get(message.name)
             try:
                 identifier, head, body = quick(fields if more is None else {**more, **fields})
                 if message.framing is not None:
-                    return message.struct.framed(message.framing, head, body)
-                return new_can(identifier, head + body, message)
+                    return bytes(message.struct.framed(message.framing, head, body))
+                return identifier, head + body, message.extended, message.remote, message.fd
             except USUAL_FAILURES:
                 pass  # construct decides, and explains
         image = self.image(message, fields, raw=raw)
-        return image if message.framing is not None else to_can(image)
-
-    def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
-        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`."""
-        quick = self._quick.get(message.name)
-        if quick is not None:
-            more = self._unsaid.get(message.name)
-            try:
-                identifier, head, body = quick(fields if more is None else {**more, **fields})
-                if message.framing is not None:
-                    return bytes(message.struct.framed(message.framing, head, body))
-                return Frame(
-                    identifier,
-                    head + body,
-                    is_extended_id=message.extended,
-                    is_remote_frame=message.remote,
-                    is_fd=message.fd,
-                )
-            except USUAL_FAILURES:
-                pass  # construct decides, and explains
-        image = self.image(message, fields)
-        if message.framing is not None:
-            return image
-        word = int.from_bytes(image[:4], "big")
-        return Frame(
-            word & 0x1FFF_FFFF,
-            image[5:],
-            is_extended_id=bool(word & EXTENDED),
-            is_remote_frame=bool(word & REMOTE),
-            is_fd=bool(image[4] & FD_FLAG),
-        )
+        return image if message.framing is not None else can_parts(image)
 
     def image(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> bytes:
         """The packet's bytes; on CAN, the image that `message.struct` parses."""
@@ -134,7 +119,7 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
 
 
 def unsaid(payload: Construct) -> dict[str, Any]:
-    """What the fields of a payload are when nobody gives them: constants of `Default`, no reserved bits, nothing behind."""
+    """What the fields of a payload are when they are not given: constants of `Default`, no reserved bits, nothing behind."""
     found: dict[str, Any] = {}
     if isinstance(payload, BitLayout):
         fields = [(slot.name, slot.field) for slot in payload.slots]
@@ -178,7 +163,7 @@ def quick_encoders(
     others: dict[str, str] = {}
     for message in variant.messages.values():
         try:
-            functions[message.name], printed = print_encoder(message, flatten(message), names)
+            functions[message.name], printed = print_encoder(message, message.plan, names)
         except NoEncoder as reason:
             others[message.name] = str(reason)
             continue
@@ -189,15 +174,15 @@ def quick_encoders(
     return {name: space[function] for name, function in functions.items()}, source, others
 
 
-def new_can(identifier: int, data: bytes, message: Message) -> Any:
-    """The python-can message of a frame."""
+def new_can(identifier: int, data: bytes, extended: bool, remote: bool, fd: bool) -> Any:
+    """A python-can message."""
     import can
 
     return can.Message(
         arbitration_id=identifier,
-        is_extended_id=message.extended,
-        is_remote_frame=message.remote,
-        is_fd=message.fd,
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        is_fd=fd,
         data=data,
         dlc=len(data),
     )
@@ -205,14 +190,10 @@ def new_can(identifier: int, data: bytes, message: Message) -> Any:
 
 def to_can(image: bytes) -> Any:
     """The python-can message of a frame's image."""
-    import can
+    return new_can(*can_parts(image))
 
+
+def can_parts(image: bytes) -> CanParts:
+    """Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD, of a frame's image."""
     word = int.from_bytes(image[:4], "big")
-    return can.Message(
-        arbitration_id=word & 0x1FFF_FFFF,
-        is_extended_id=bool(word & EXTENDED),
-        is_remote_frame=bool(word & REMOTE),
-        is_fd=bool(image[4] & FD_FLAG),
-        data=image[5:],
-        dlc=len(image) - 5,
-    )
+    return word & 0x1FFF_FFFF, image[5:], bool(word & EXTENDED), bool(word & REMOTE), bool(image[4] & FD_FLAG)

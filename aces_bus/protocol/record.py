@@ -1,7 +1,7 @@
 """What scanners give: records, and `Unknown` for what is no message.
 
 1. A record is immutable. Its fields are attributes; everything of the transport is under `meta`.
-2. Making one costs as little as Python allows: `meta` is put together when somebody asks.
+2. Making one costs as little as Python allows: `meta` is put together when it is asked for.
 
 Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN identifier with the flags of
 `aces_bus.protocol.keys`; of a stream the packet's offset), `_raw` and `_rx`.
@@ -9,18 +9,22 @@ Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from math import isfinite
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
-from .declare.fields import FlagSet
 from .keys import EXTENDED, FD, REMOTE
 
 if TYPE_CHECKING:
     from .declare.message import Message
+    from .declare.protocol import Protocol
+from abc import ABCMeta
+from functools import cache
+from typing import NoReturn
 
 
 class Meta(msgspec.Struct, frozen=True, gc=False):
@@ -111,15 +115,38 @@ def field_names(kind: type[msgspec.Struct]) -> tuple[str, ...]:
 
 def as_dict(record: msgspec.Struct) -> dict[str, Any]:
     """A record's fields as plain values: nested records as dicts, tuples as lists."""
-    return {name: _plain(getattr(record, name)) for name in field_names(type(record))}
+    return {name: plain_value(getattr(record, name)) for name in field_names(type(record))}
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """A value of a record or of a construct: nested records and containers as dicts of their fields, tuples as lists."""
     if isinstance(value, msgspec.Struct):
         return as_dict(value)
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): plain_value(item) for name, item in value.items() if not str(name).startswith("_")}
+    if isinstance(value, (tuple, list)):
+        return [plain_value(item) for item in value]
     return value
+
+
+def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
+    """A function that reads the value at the end of `way` in a record; None where a part of the way is not there."""
+    if len(way) == 1 and isinstance(way[0], str):
+        return attrgetter(way[0])
+
+    def get(value: Any) -> Any:
+        for step in way:
+            if value is None:
+                return None
+            if isinstance(step, int):
+                value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
+            elif isinstance(value, Mapping):
+                value = value.get(step)
+            else:
+                value = getattr(value, step, None)
+        return value
+
+    return get
 
 
 def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
@@ -136,4 +163,58 @@ def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type]
     return value
 
 
-__all__ = ["FlagSet", "Meta", "Part", "Record", "Unknown", "as_dict", "field_names", "from_container"]
+def record_types(protocol: Protocol) -> Callable[[str], type[Record]]:
+    """A function from the name of a message to the type of its records, for `isinstance` and `match`, whatever the dialect
+    and configuration; it raises `AttributeError` for other names.
+
+    Each variant of a protocol has record types of its own: in another dialect the fields of a message may be others. What
+    users name is an abstract type that all of them belong to. A module of such types, with the stub that `aces spec stubs`
+    writes, is one line:
+
+        __getattr__ = record_types(robotis)
+
+    >>> from aces_bus.protocol import Protocol
+    >>> from construct import Byte, Struct
+    >>> protocol = Protocol("doc_records", link="can")
+    >>> message = protocol.message("Lamp", id=0x10, payload=Struct("level" / Byte))
+    >>> Lamp = record_types(protocol)("Lamp")
+    >>> record, = protocol.scanner().feed([protocol.encode("Lamp", level=7)])
+    >>> match record:
+    ...     case Lamp(level=level):
+    ...         print(level)
+    7
+    """
+
+    def of(name: str) -> type[Record]:
+        return _abstract(protocol, name)
+
+    return of
+
+
+@cache
+def _abstract(protocol: Protocol, name: str) -> type[Record]:
+    declared = [message for message in protocol.declared if message.name == name]
+    if not declared:
+        known = ", ".join(dict.fromkeys(message.name for message in protocol.declared))
+        raise AttributeError(f"{protocol.name} has no message {name!r} (there are: {known})")
+
+    def belongs(cls: type, kind: type) -> bool:
+        return issubclass(kind, Record) and kind.__name__ == name and kind._protocol == protocol.name
+
+    def refuse(cls: type, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError(f"records come from scanners; to make a packet: {protocol.name}.encode({name!r}, …)")
+
+    fields = tuple(dict.fromkeys(field for message in declared for field in message.fields))
+    made: Any = ABCMeta(
+        name,
+        (),
+        {
+            "__doc__": declared[0].doc,
+            "__module__": f"{protocol.name} records",
+            "__match_args__": fields,
+            "__new__": refuse,
+            "__slots__": (),
+            "__subclasshook__": classmethod(belongs),
+        },
+    )
+    return made  # type: ignore[no-any-return]  # abstract, so not a subclass as far as mypy can see

@@ -5,24 +5,23 @@ complete and whose check holds: accept, consume. All dead: skip one byte. Any st
 
 1. Nothing here is generated, cached or fast; nothing here is shared with the generated scanners except the spec.
 2. It works on whole inputs; that a scanner may be fed in pieces is the scanner's business.
+3. It remembers every request; scanners keep the last few of each kind and device.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from construct import ConstructError
 
 from ..errors import AcesError
-from .declare.ambiguity import needing_context
+from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
-from .declare.message import Direction, Message
-from .declare.order import ordered
+from .declare.message import Direction, Message, Request
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, can_image
 from .declare.protocol import Variant
-from .live.context import Context
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,103 @@ class ReferenceItem:
     fields: Mapping[str, Any] | None
     reason: str = ""
     protocol: str | None = None
+    #: What decided: the request that it answers; how many bytes had come, and whether the line was silent behind them.
+    request: PastRequest | None = field(default=None, compare=False, repr=False)
+    known: int = field(default=0, compare=False, repr=False)
+    is_silent: bool = field(default=False, compare=False, repr=False)
+
+
+@dataclass(eq=False)
+class PastRequest:
+    """A request that was received or sent, with its raw fields."""
+
+    name: str
+    channel: Any
+    time: float | None
+    values: Mapping[str, Any]
+    #: Of a request to everyone: the devices that have answered it.
+    answered: set[tuple[Any, ...]] = field(default_factory=set)
+
+
+class RequestRule:
+    """Which request a reply answers: the latest of the same channel that agrees in all fields that both have, is not used
+    up and not too old. A mode stays; what was asked of everyone, each device answers once."""
+
+    def __init__(
+        self, messages: Sequence[Message], contextual: frozenset[str], broadcast: Mapping[str, int]
+    ) -> None:
+        self.broadcast = broadcast
+        self.requests, self.answers = request_names(messages, contextual)
+        self.open: list[PastRequest] = []
+        #: By message, what it may hang on: the request, whether it is a mode, and the fields that both have.
+        self.links: dict[str, list[tuple[Request, bool, list[str]]]] = {}
+        for message in messages:
+            modes = [(one, True) for one in message.after] if message.name in contextual else []
+            self.links[message.name] = [
+                (one, is_mode, sorted(message.outer_names & one.message.outer_names))
+                for one, is_mode in [*((one, False) for one in message.reply_to), *modes]
+                if one.message.name in self.requests
+            ]
+
+    def of(
+        self, fitting: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
+    ) -> tuple[Message, PastRequest] | None:
+        """Which of some messages, given with their raw fields, is an answer, and to what; the request is used up."""
+        for past in reversed(self.open):
+            links = [
+                (message, values, *link)
+                for message, values in fitting
+                for link in self.links[message.name]
+                if self.agrees(past, message, link, values, channel, time)
+            ]
+            for message, values, request, is_mode, shared in links:
+                if request.accepts(past.values):
+                    own = _those(shared, values)
+                    if not is_mode and own != _those(shared, past.values):
+                        past.answered.add(own)
+                    elif not is_mode:
+                        self.open.remove(past)
+                    return message, past
+            if links:
+                return None
+        return None
+
+    def pending(
+        self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
+    ) -> PastRequest | None:
+        """The request that a reply with these outer fields would answer."""
+        for past in reversed(self.open):
+            for link in self.links[message.name]:
+                if self.agrees(past, message, link, values, channel, time) and link[0].accepts(past.values):
+                    return past
+        return None
+
+    def agrees(
+        self,
+        past: PastRequest,
+        message: Message,
+        link: tuple[Request, bool, list[str]],
+        values: Mapping[str, Any],
+        channel: Any,
+        time: float | None,
+    ) -> bool:
+        """Whether a message with these fields may be an answer to a request."""
+        request, _, shared = link
+        if past.name != request.message.name or past.channel != channel:
+            return False
+        own, everyone = _those(shared, values), _those(shared, {**values, **self.broadcast})
+        if _those(shared, past.values) not in (own, everyone) or own in past.answered:
+            return False
+        return None in (message.within, past.time, time) or time - past.time <= message.within  # type: ignore[operator]
+
+    def needs(self, messages: Sequence[Message]) -> str:
+        """The reason for messages whose request was not there."""
+        names = dict.fromkeys(one.message.name for m in messages for one, *_ in self.links[m.name])
+        return f"unknown: needs request {'|'.join(names)}"
+
+
+def _those(names: Sequence[str], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(values.get(name) for name in names)
 
 
 class Reference:
@@ -51,11 +147,13 @@ class Reference:
         raw: bool = False,
     ) -> None:
         self.raw = raw
+        #: The request that decided about the item that is being read.
+        self._request: PastRequest | None = None
         self.sides = []
         for variant in variants:
             messages = ordered(variant.messages_for(direction))
             contextual = needing_context(messages)
-            context = Context(messages, contextual, variant.protocol.broadcast)
+            context = RequestRule(messages, contextual, variant.protocol.broadcast)
             self.sides.append((variant, messages, contextual, context))
 
     # ------------------------------------------------------------------ one packet
@@ -115,32 +213,38 @@ class Reference:
 
     @staticmethod
     def _by_request(
-        context: Context, message: Message, image: bytes, channel: Any, time: float | None
+        context: RequestRule, message: Message, image: bytes, channel: Any, time: float | None
     ) -> Any:
         """A reply whose layout is in its request, read with the request that is waiting for it; None when it is not one."""
         if message.framing is None:
             outer = message.outer(image[5:], int.from_bytes(image[:4], "big") & 0x1FFF_FFFF)
         else:
             outer = message.outer(message.framing.logical(image), 0)
-        request = (
-            context.pending(message, outer, channel, time)
-            if outer is not None and message.request_fields
-            else None
-        )
+        if outer is None or not message.request_fields:
+            return None
+        past = context.pending(message, outer, channel, time)
         try:
-            return message.struct.parse(image, raw=True, request=request) if request is not None else None
+            return message.struct.parse(image, raw=True, request=past.values) if past is not None else None
         except (ConstructError, AcesError):
             return None
 
     def _accepted(
-        self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
+        self,
+        context: RequestRule,
+        message: Message,
+        image: bytes,
+        channel: Any,
+        time: float | None,
+        past: PastRequest | None,
     ) -> tuple[str, Message, Any]:
+        self._request = past
+        request = past.values if past is not None else None
         if message.name in context.answers or message.name in context.requests:
             values = message.struct.parse(image, raw=True, request=request)
             if message.name in context.answers:
                 context.of([(message, values)], channel, time)
             if message.name in context.requests:
-                context.note(message.name, channel, time, values)
+                context.open.append(PastRequest(message.name, channel, time, values))
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
 
     def sent(self, image: bytes, channel: Any = None, time: float | None = None) -> None:
@@ -152,7 +256,7 @@ class Reference:
                         values = message.struct.parse(image, raw=True)
                     except (ConstructError, AcesError):
                         continue
-                    context.note(message.name, channel, time, values)
+                    context.open.append(PastRequest(message.name, channel, time, values))
                     return
 
     # ------------------------------------------------------------------ frames
@@ -171,13 +275,10 @@ class Reference:
                 remote=frame.is_remote_frame,
                 fd=frame.is_fd,
             )
+            self._request = None
             reason, message, fields = self._decode(image, frame.channel, frame.timestamp, None)
-            name = message.name if message is not None else None
-            found.append(
-                ReferenceItem(
-                    number, 1, name, fields, reason, message.protocol.name if message is not None else None
-                )
-            )
+            names = (message.name, message.protocol.name) if message is not None else (None, None)
+            found.append(ReferenceItem(number, 1, names[0], fields, reason, names[1], self._request))
         return found
 
     # ------------------------------------------------------------------ bytes
@@ -204,19 +305,18 @@ class Reference:
                 f.message or f.reason.startswith("unknown") for f in behind
             ):
                 if item.offset >= (max(idle_at) if idle_at else 0) or not idle_at:
-                    return [
-                        *found[:index],
-                        ReferenceItem(item.offset, len(data) - item.offset, None, None, "pending"),
-                    ]
+                    pending = replace(item, size=len(data) - item.offset, reason="pending")
+                    return [*found[:index], pending]
         return found
 
     def _until(self, data: bytes, start: int, found: list[ReferenceItem], *, silent: bool) -> int:
         """Decide what can be decided of `data`: all of it when the line falls silent behind it."""
         while start < len(data):
+            self._request = None
             item = self._at(data, start, silent=silent)
             if item is None:
                 break
-            found.append(item)
+            found.append(replace(item, request=self._request, known=len(data), is_silent=silent))
             start += item.size
         return start
 
@@ -226,11 +326,7 @@ class Reference:
         for variant, messages, _, _ in self.sides:
             framings = dict.fromkeys(m.framing for m in messages if m.framing is not None)
             for framing in framings:
-                extras: dict[int, bytes] | None = None
-                for message in messages:
-                    if message.framing is framing and message.extras is not None:
-                        extras = {**(extras or {}), **message.extras}
-                judged = framing.judge(data, start, silent=silent, extras=extras)
+                judged = framing.judge(data, start, silent=silent, extras=framing.extras_of(messages))
                 if judged.verdict is Verdict.MORE:
                     if not silent:
                         return None
@@ -257,6 +353,3 @@ class Reference:
             return self._decode(packet, None, None, framing)
         finally:
             self.sides = sides
-
-
-__all__ = ["Reference", "ReferenceItem"]

@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 
 from ..frame_table import Channels, FrameTable, to_ns
-from ..protocol.columns.gather import dtype_of, kinds_of, value_paths
 from ..protocol.columns.scanner import make_column_scanner
-from ..protocol.columns.table import MessageTable
+from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
 from ..protocol.keys import key_of
 from ..protocol.live.scanner import Scanner
-from ..protocol.plan.flatten import flatten
 from ..protocol.record import Meta, Unknown, as_dict
 from ._play import ScannedItem, comparable, copy_item, join_losses
 from ._scenes import Scene, Way, Wire, wire_variants
@@ -99,8 +97,8 @@ def _messages(
     for name, rows in wanted.items():
         if name not in got:
             return f"has no table of {name[0]}.{name[1]}, of which {len(rows)} came"
-        plan = flatten(messages[name])
-        promised = {path: dtype_of(node, raw) for path, _, node, _, _ in value_paths(plan)}
+        plan = messages[name].plan
+        promised = {leaf.path: dtype_of(leaf.node, raw) for leaf in plan.leaves}
         for table in got[name]:
             if table.kinds != kinds_of(plan, raw):
                 return f"{table.message} has the columns {table.kinds}, not {kinds_of(plan, raw)}"

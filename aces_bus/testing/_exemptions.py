@@ -17,7 +17,6 @@ from ..protocol.declare.bits import FLOATS, BitLayout, Bits
 from ..protocol.declare.fields import Multiplexed, SignMagnitude
 from ..protocol.declare.message import Message
 from ..protocol.plan import nodes as p
-from ..protocol.plan.flatten import flatten
 
 
 @dataclass(frozen=True)
@@ -115,23 +114,11 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
 def _bits(message: Message) -> dict[str, frozenset[int]]:
     """The bits of exempt fields of a flat message, by path."""
     found: dict[str, set[int]] = {}
-
-    def visit(node: p.Node, path: str) -> None:
-        if isinstance(node, p.Scalar) and node.size is not None:
-            exempt = node.kind == "float" or any(isinstance(step, p.Magnitude) for step in node.steps)
-            if exempt:
-                run = node.bits or range(8 * node.offset, 8 * (node.offset + node.size))
-                found.setdefault(path, set()).update(run)
-        elif isinstance(node, p.Many):
-            for item in node.items:
-                visit(item, path)
-        elif isinstance(node, p.NestedRecord):
-            for field in node.fields:
-                visit(field.node, f"{path}.{field.name}")
-
-    plan = flatten(message)
-    for field in plan.fields:
-        visit(field.node, field.name)
+    for leaf in message.plan.leaves:
+        node = leaf.node
+        if isinstance(node, p.Scalar) and (node.kind == "float" or node.is_magnitude):
+            path = ".".join(step for step in leaf.way if isinstance(step, str))
+            found.setdefault(path, set()).update(node.place)
     return {path: frozenset(bits) for path, bits in found.items()}
 
 
@@ -141,7 +128,7 @@ def are_excused(message: Message, image: bytes, rebuilt: bytes) -> bool:
     if not listed:
         return False
     framing = message.framing
-    if not flatten(message).is_flat or (framing is not None and framing.stuffing is not None):
+    if not message.plan.is_flat or (framing is not None and framing.stuffing is not None):
         return True
     start = 5 if framing is None else 0
     one, other = image[start:], rebuilt[start:]

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus.protocol import Unknown, Variant, make_scanner
-from aces_bus.protocol.columns.gather import getter, kinds_of, plain_value, value_paths
 from aces_bus.protocol.columns.layout import objects_of, plain_json
+from aces_bus.protocol.columns.table import kinds_of
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.protocol.record import getter, plain_value
 
 Columns = dict[str, list[Any]]
 #: What a field is called that has the name of a column of the transport.
@@ -41,8 +42,8 @@ def live(variants: Sequence[Variant], words: Any, direction: Any = None) -> dict
         plan = plans[type(item)]
         held = objects_of(plan)
         columns = found.setdefault(type(item).__name__, {})
-        for path, _, _, way, *_ in value_paths(plan):
-            value = plain_value(getter(way)(item))
+        for leaf in plan.leaves:
+            path, value = leaf.path, plain_value(getter(leaf.way)(item))
             if value is not None and held.get(path) == "json":
                 value = plain_json(value)
             elif value is not None and held.get(path) == "wide":

@@ -25,9 +25,8 @@ from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.exchange import Loss, load_database
 from aces_bus.protocol.exchange.export_dbc import print_dbc
 from aces_bus.protocol.exchange.export_source import print_source
-from aces_bus.protocol.exchange.leaves import PlanLeaf, bits_of, fixed_leaves, plan_leaves, scale_of
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.protocol.plan.flatten import fixed_leaves
 from aces_bus.testing.strategies import protocols
 from aces_protocols.canopen.spec import canopen
 from aces_protocols.hubo.spec import hubo
@@ -107,7 +106,7 @@ def check(variant: Variant, seeds: Iterable[int], decode: Any = by_scanner) -> t
 
 
 def _compare(
-    leaf: PlanLeaf, name: str, record: Any, found: dict[str, Any], lost: set[tuple[str, str]]
+    leaf: p.NodePath, name: str, record: Any, found: dict[str, Any], lost: set[tuple[str, str]]
 ) -> int:
     node = leaf.node
     if isinstance(node, (p.Rest, p.Opaque)) or (isinstance(node, p.FromIdentifier) and node.number is None):
@@ -134,12 +133,12 @@ def _compare(
     assert isinstance(node, (p.Scalar, p.FromIdentifier))
     if (name, leaf.path) in lost and "float" not in str(node.steps) and not isinstance(raw, (int, float)):
         return 0  # bytes as a number
-    if isinstance(node, p.Scalar) and node.kind == "float" and len(bits_of(node)) == 16:
+    if isinstance(node, p.Scalar) and node.kind == "float" and len(node.place) == 16:
         return 0  # kept as raw
     if isinstance(node, p.Scalar) and any(isinstance(step, p.Magnitude) for step in node.steps):
         assert (name, leaf.path) in lost
         return 0
-    scale = scale_of(node)
+    scale = node.scale
     meant = raw * scale.scale + scale.offset if scale is not None else raw
     assert math.isclose(found[own], meant, rel_tol=1e-9, abs_tol=1e-300) or math.isnan(meant), (
         leaf,
@@ -246,7 +245,7 @@ def test_from_dbc_to_source_to_dbc(text: str) -> None:
         assert (other.identifier.constant, other.extended, other.fd) == (
             message.identifier.constant, message.extended, message.fd
         )  # fmt: skip
-        mine, theirs = ({x.path: x for x in plan_leaves(flatten(m))} for m in (message, other))
+        mine, theirs = ({x.path: x for x in m.plan.leaves} for m in (message, other))
         for path, leaf in mine.items():
             if (message.name, path) in lost or isinstance(leaf.node, p.Rest):
                 continue

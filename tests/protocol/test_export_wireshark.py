@@ -25,9 +25,8 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import Enumeration, Protocol, Quantity, StreamScanner, Unknown, Variant, make_scanner
 from aces_bus.protocol.exchange.export_wireshark import print_dissector
-from aces_bus.protocol.exchange.leaves import fixed_leaves, scale_of
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
 from aces_bus.recordings.write.pcapng import PcapngWriter
 from aces_bus.testing._source import spread
 from aces_bus.testing._values import UndrawableError, draw_packet
@@ -134,7 +133,7 @@ def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
         elif value is None:
             assert key not in shown, (leaf, shown)
             continue
-        elif isinstance(node, p.Scalar) and node.kind in ("bytes", "text"):
+        elif isinstance(node, p.Scalar) and node.is_bytes:
             found = shown.get(key, [""])[0]
             if node.kind == "bytes":
                 assert found.replace(":", "") == value.hex(), (leaf, found, value)
@@ -148,7 +147,7 @@ def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
                 value,
             )
         else:
-            scale = scale_of(node) if isinstance(node, (p.Scalar, p.FromIdentifier)) else None
+            scale = node.scale if isinstance(node, (p.Scalar, p.FromIdentifier)) else None
             is_scaled = scale is not None and (scale.scale != 1 or bool(scale.offset))
             assert int(shown[f"{key}.raw" if is_scaled else key][0], 0) == int(value), (leaf, shown, value)
             meant = value_at(physical, leaf.path)

@@ -12,8 +12,8 @@ from aces_bus.errors import CallerError, FieldError
 from aces_bus.frames import Frame
 from aces_bus.protocol import Unknown, draw, make_scanner
 from aces_bus.protocol.exchange import ImportedProtocol, load_database
-from aces_bus.protocol.exchange.import_names import python_name
 from aces_bus.protocol.exchange.import_statements import split_statements
+from aces_bus.protocol.exchange.names import python_name
 from aces_bus.protocol.exchange.problems import EXCERPT
 from aces_bus.protocol.plan.flatten import flatten
 from aces_bus.testing import laws

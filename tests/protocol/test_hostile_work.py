@@ -9,10 +9,9 @@ import pytest
 from construct import Byte, GreedyBytes, Int16ul, Struct, this
 
 from aces_bus.protocol import Cobs, Crc, Fletcher, Protocol, Slip, Sum, Xor
-from aces_bus.protocol.columns.segments import CobsSegment, Segments, SlipSegment
 from aces_bus.protocol.declare.checks import Check, Sums
 from aces_bus.protocol.declare.framing import Framing
-from aces_bus.protocol.live.overlaps import Overlaps
+from aces_bus.protocol.live.candidates import CobsSegment, Overlaps, Segments, SlipSegment
 from aces_bus.protocol.live.stream import StreamScanner, _judge
 from aces_bus.testing import laws
 

@@ -22,7 +22,7 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.declare.examples import parse_word
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire
-from aces_bus.protocol.lint.units import is_unit, suggest
+from aces_bus.protocol.lint.fields import is_unit, suggest
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 

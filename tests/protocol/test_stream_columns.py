@@ -32,13 +32,12 @@ from aces_bus.protocol import (
     make_scanner,
 )
 from aces_bus.protocol.columns import stream as stream_columns
-from aces_bus.protocol.columns.crc import CrcColumns, done_alone
-from aces_bus.protocol.columns.packet_rows import cells_of, packet_rows
+from aces_bus.protocol.columns.checks import CrcColumns, done_alone
 from aces_bus.protocol.columns.packets import Batch
 from aces_bus.protocol.columns.scanner import RecordColumns, make_column_scanner
 from aces_bus.protocol.columns.stream import StreamColumns
-from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.protocol.live.find import Survey
+from aces_bus.protocol.columns.survey import Survey
+from aces_bus.protocol.columns.table import MessageTable, cells_of, packet_rows
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
 from tests.specs.cases import STREAMS

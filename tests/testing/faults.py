@@ -16,11 +16,11 @@ import pytest
 
 from aces_bus.protocol import Protocol, StreamScanner
 from aces_bus.protocol.columns import rows
-from aces_bus.protocol.columns.segments import Segments
 from aces_bus.protocol.counts import ScanCounts
 from aces_bus.protocol.generate import load
 from aces_bus.protocol.live import can, find, stream
 from aces_bus.protocol.live import decide as decider
+from aces_bus.protocol.live.candidates import Segments
 from aces_bus.protocol.live.context import Context
 from tests.testing.victims import (
     a_bus,

@@ -26,7 +26,7 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, make_scanner
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.export_source import print_source
-from aces_bus.protocol.exchange.import_names import python_name
+from aces_bus.protocol.exchange.names import python_name
 from aces_bus.protocol.plan.flatten import flatten
 from tests.protocol.test_dbc_equal import databases
 from tests.tools.conftest import Aces

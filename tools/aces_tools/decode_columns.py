@@ -19,9 +19,8 @@ from aces_bus.errors import CallerError, CaptureError
 from aces_bus.export import Export, open_export
 from aces_bus.frame_table import FrameTable, to_ns
 from aces_bus.protocol.columns.decode import feed
-from aces_bus.protocol.columns.gather import kinds_of
 from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
-from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.columns.table import MessageTable, kinds_of
 from aces_bus.recordings import CanRecording, SerialRecording
 from aces_bus.recordings.filter_columns import passing
 

@@ -22,7 +22,6 @@ from typing import Any
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
 
 _ASSIGNMENT = re.compile(r"\s*([A-Za-z_]\w*(?:\.\w+)*)\s*=(.*)", re.DOTALL)
 _OPENING, _CLOSING = "[{(", "]})"
@@ -41,7 +40,7 @@ def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
     Raises `CallerError` for what cannot be read, is given twice or is half a list, and `UnknownNameError` for a field that
     the message has not.
     """
-    nodes = {field.name: field.node for field in flatten(message).fields}
+    nodes = {field.name: field.node for field in message.plan.fields}
     tree: dict[str | int, Any] = {}
     for text in texts:
         found = _ASSIGNMENT.fullmatch(text)
@@ -58,12 +57,8 @@ def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
 def _node_of(node: p.Node | None, path: Sequence[str | int]) -> p.Node | None:
     """The node at the end of a path; None where the spec leaves the shape open."""
     for step in path:
-        if isinstance(node, p.Many) and isinstance(step, int):
-            node = node.items[step] if step < len(node.items) else None
-        elif isinstance(node, p.NestedRecord):
-            node = next((field.node for field in node.fields if field.name == step), None)
-        else:
-            return None
+        inside = dict(node.children) if node is not None else {}
+        node = inside[step].node if step in inside else None
     return node
 
 
@@ -119,24 +114,19 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
     return _open(text, name, depth)
 
 
-def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, name: str) -> Any:
-    steps: Sequence[p.Step] = getattr(node, "steps", ())
-    flags = next((step for step in steps if isinstance(step, p.FlagBits)), None)
+def _of_number(text: str, node: p.Node, name: str) -> Any:
     number = _number(text)
-    if flags is not None and number is None:
+    if node.flags and number is None:
         inside = text[1:-1] if text[:1] + text[-1:] in ("{}", "[]") else text
         return [part.strip() for part in re.split(r"[|,]", inside) if part.strip()]
     if number is not None:
         return number
-    named = [name for step in steps if isinstance(step, p.ValueNames) for _, name in step.values]
-    named += [name for step in steps if isinstance(step, p.Scale) for _, name in step.names]
-    if isinstance(node, p.DelimitedField):
-        named += [name for _, name in node.names]
+    named = node.value_names.values()
     if named:
         if text not in named:
             raise UnknownNameError(f"value of {name}", text, named)
         return text
-    unit = f" in {node.unit}" if getattr(node, "unit", "") else ""
+    unit = f" in {node.unit}" if node.unit else ""
     raise CallerError(f"{name}={text}: {text!r} is not a number; write one{unit}, such as 12, 0x1F or -2.5")
 
 

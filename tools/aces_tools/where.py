@@ -29,7 +29,6 @@ import msgspec
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import FlagSet, Meta, Record
-from aces_bus.protocol.columns.gather import physical
 from aces_bus.protocol.plan import nodes as p
 
 from .output.shape import OfKind, Plans, getter
@@ -125,10 +124,15 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
         if condition.path[1] not in _META or len(condition.path) > 2:
             raise UnknownNameError("part of meta", ".".join(map(str, condition.path[1:])), _META)
         return
-    found = [node for plan in plans.values() for node in _nodes(condition.path, plan.fields)]
+    found = [node for plan in plans.values() for node in _nodes(condition.path, plan)]
     if not found:
         name = ".".join(map(str, condition.path))
-        raise UnknownNameError("field", name, _paths(plans.values()))
+        known_paths = {
+            ".".join(step for step in leaf.way if isinstance(step, str))
+            for plan in plans.values()
+            for leaf in plan.leaves
+        }
+        raise UnknownNameError("field", name, known_paths)
     if condition.sign in _ORDER or condition.value in ("", "none"):
         return
     if condition.data is None and all(isinstance(node, p.Scalar) and node.kind == "bytes" for node in found):
@@ -137,7 +141,7 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
         return
     known: dict[str, None] = {}
     for node in found:
-        names = _names(node)
+        names = node.known_names
         if names is None:
             return  # a text or bytes may be anything
         known.update(dict.fromkeys(names))
@@ -147,64 +151,23 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
         raise CallerError(f"--where {condition.text!r}: {condition.value!r} is not a number")
 
 
-def _nodes(path: Sequence[str | int], plan_fields: Sequence[p.PlanField]) -> Iterator[p.Node]:
+def _nodes(path: Sequence[str | int], plan: p.MessagePlan) -> list[p.Node]:
     """The values that a path may mean."""
-    for field in plan_fields:
-        if path and field.name == path[0]:
-            yield from _inside(field.node, path[1:])
+    return [leaf.node for leaf in plan.leaves if _is_meant(path, leaf)]
 
 
-def _inside(node: p.Node, rest: Sequence[str | int]) -> Iterator[p.Node]:
-    if isinstance(node, p.Opaque):
-        yield node  # of any shape
-    elif isinstance(node, p.Many):
-        if rest and isinstance(rest[0], int):
-            if rest[0] < len(node.items):
-                yield from _inside(node.items[rest[0]], rest[1:])
-        else:
-            for item in node.items:
-                yield from _inside(item, rest)
-    elif isinstance(node, p.NestedRecord):
-        yield from _nodes(rest, node.fields) if rest else ()
-    elif not rest or (isinstance(node, p.MoreCells) and len(rest) == 1):
-        yield node
-
-
-def _names(node: p.Node) -> list[str] | None:
-    """The names that a value may have; empty for a plain number, None when it may be any text."""
-    if isinstance(node, p.DelimitedField):
-        return {"names": [name for _, name in node.names], "text": None}.get(node.conversion, [])
-    if isinstance(node, (p.Opaque, p.MoreCells, p.FromRequest)):
-        return None
-    if isinstance(node, p.Scalar) and node.kind in ("bytes", "text"):
-        return None
-    found: list[str] = []
-    for step in getattr(node, "steps", ()):
-        if isinstance(step, p.ValueNames):
-            found += [name for _, name in step.values]
-        elif isinstance(step, p.FlagBits):
-            found += [name for name, _ in step.bits]
-        elif isinstance(step, p.Scale):
-            found += [name for _, name in step.names]
-    return found
-
-
-def _paths(plans: Any) -> set[str]:
-    found: set[str] = set()
-
-    def visit(plan_fields: Sequence[p.PlanField], prefix: str) -> None:
-        for field in plan_fields:
-            node = field.node
-            while isinstance(node, p.Many) and node.items:
-                node = node.items[0]
-            if isinstance(node, p.NestedRecord):
-                visit(node.fields, f"{prefix}{field.name}.")
-            else:
-                found.add(prefix + field.name)
-
-    for plan in plans:
-        visit(plan.fields, "")
-    return found
+def _is_meant(path: Sequence[str | int], leaf: p.NodePath) -> bool:
+    """Whether a path leads to a value; it may leave out the numbers of items."""
+    rest = list(path)
+    for step in leaf.way:
+        if rest and rest[0] == step:
+            del rest[0]
+        elif isinstance(step, str) or (rest and isinstance(rest[0], int)):
+            return False
+    # What construct decodes may have any shape.
+    return (
+        not rest or isinstance(leaf.node, p.Opaque) or (isinstance(leaf.node, p.MoreCells) and len(rest) == 1)
+    )
 
 
 # ---------------------------------------------------------------------- for each record
@@ -216,10 +179,10 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
     if condition.is_meta:
         name = str(condition.path[1])
         return lambda record: one(getattr(record.meta, name)) is not is_not
-    nodes = list(_nodes(condition.path, plan.fields))
+    nodes = _nodes(condition.path, plan)
     if not nodes:
         return None
-    one = comparison(condition, {name: raw for node in nodes for raw, name in _numbered(node)})
+    one = comparison(condition, {name: raw for node in nodes for name, raw in node.numbers.items()})
     path = condition.path
     if len(nodes) == 1 and not isinstance(nodes[0], (p.Opaque, p.MoreCells)):
         get = getter(path)
@@ -230,17 +193,6 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
         return bool(values) and any(map(one, values)) is not is_not
 
     return of_several
-
-
-def _numbered(node: p.Node) -> list[tuple[float, str]]:
-    """The numbers of a value's names, in its unit."""
-    found: list[tuple[float, str]] = []
-    for step in getattr(node, "steps", ()):
-        if isinstance(step, p.ValueNames):
-            found += step.values
-        elif isinstance(step, p.Scale):
-            found += [(physical(raw, step), name) for raw, name in step.names]
-    return found
 
 
 def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:

@@ -10,8 +10,8 @@ in an array for 11-bit identifiers, in a sorted list for all other keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,15 +19,14 @@ import numpy as np
 from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable
 from ...frame_table import REMOTE as REMOTE_FLAG
 from ..counts import ScanCounts
+from ..declare.ambiguity import ordered
 from ..declare.message import Direction, Message
-from ..declare.order import ordered
 from ..declare.protocol import Variant
-from ..live.can import CanScanner
+from ..live.can import CanScanner, ChannelScanners
 from ..live.decide import REMEMBERED
-from ..plan.flatten import flatten
 from .rows import PacketRows, RowDecoder
-from .scanner import LOST, RecordColumns
-from .table import Array, Column, ColumnKind, MessageTable
+from .scanner import RecordColumns
+from .table import Array, Column, ColumnKind, MessageTable, by_message, lost_table, object_array
 
 STANDARD = 0x800
 
@@ -154,7 +153,7 @@ class CanColumns:
         name = (number, message.name)
         if name not in self._decoders:
             variant = self.variants[number]
-            decoder = RowDecoder(flatten(message), raw=self.raw, message=message)
+            decoder = RowDecoder(message.plan, raw=self.raw, message=message)
             self._decoders[name] = _Candidate(message, decoder, variant.name, number)
         return self._decoders[name]
 
@@ -220,7 +219,7 @@ class CanColumns:
         self._fed += len(table)
         batch = _Batch(table, order, rows)
         lost: list[_Lost] = []
-        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        tables: list[MessageTable] = []
         start = 0
         for slot, end in enumerate(ends):
             if end == start:
@@ -235,7 +234,7 @@ class CanColumns:
             else:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
             start = end
-        out = [merge_tables(some) for some in tables.values()]
+        out = merge_tables(tables)
         if lost and self.include_unknown:
             out.append(self._lost_table(batch, lost))
         return out
@@ -250,12 +249,12 @@ class CanColumns:
         start: int,
         end: int,
         candidates: tuple[_Candidate, ...],
-        tables: dict[tuple[str, str], list[MessageTable]],
+        tables: list[MessageTable],
         lost: list[_Lost],
     ) -> None:
         """The frames [start, end) of the sorted batch, which may be these messages."""
         rows: PacketRows = batch.rows(start, end).reaching(max(c.decoder.extent for c in candidates))
-        left: Array | None = None  # places in [start, end) that nobody has accepted yet; None: all
+        left: Array | None = None  # places in [start, end) that no message has accepted yet; None: all
         for candidate in candidates:
             good = candidate.decoder.accepts(rows)
             if good is None:
@@ -282,20 +281,20 @@ class CanColumns:
         which: Array | None,
         candidate: _Candidate,
         rows: PacketRows,
-        tables: dict[tuple[str, str], list[MessageTable]],
+        tables: list[MessageTable],
     ) -> None:
         table = batch.message_table(start, end, which, candidate, rows)
         self._counts.decoded += len(rows)
         if candidate.message.counters:
             self._count_missed(candidate, table, rows)
-        tables.setdefault((candidate.protocol, candidate.message.name), []).append(table)
+        tables.append(table)
 
     def _live(
         self,
         batch: _Batch,
         start: int,
         end: int,
-        tables: dict[tuple[str, str], list[MessageTable]],
+        tables: list[MessageTable],
         lost: list[_Lost],
     ) -> None:
         """Frames that the live scanner decides, in their order."""
@@ -306,7 +305,7 @@ class CanColumns:
             return
         for table in self._slow.frames(some, batch.numbers[places]):
             if table.message:
-                tables.setdefault((table.protocol, table.message), []).append(table)
+                tables.append(table)
             elif self.include_unknown:
                 lost.append(_Lost(np.searchsorted(batch.numbers, table.row), table["reason"].values.tolist()))
 
@@ -335,32 +334,19 @@ class CanColumns:
 
     def _lost_table(self, batch: _Batch, lost: Sequence[_Lost]) -> MessageTable:
         places = np.concatenate([one.places for one in lost])
-        reasons = np.empty(len(places), object)
-        reasons[:] = [reason for one in lost for reason in one.reasons]
         by_place = np.argsort(places, kind="stable")
-        places, reasons = places[by_place], reasons[by_place]
+        places = places[by_place]
         some = batch.table.take(places)
-
-        def make(kind: ColumnKind) -> Column:
-            if kind.name == "reason":
-                return Column(kind, reasons)
-            raw = np.empty(len(some), object)
-            raw[:] = [frame.data for frame in some.frames()]
-            return Column(kind, raw)
-
-        return MessageTable(
-            "",
-            "",
-            None,
-            False,
-            some.time,
-            some.channel,
-            some.channels,
-            some.key,
-            batch.numbers[places],
-            _way(some.flags),
-            LOST,
-            make,
+        return lost_table(
+            object_array([reason for one in lost for reason in one.reasons])[by_place],
+            lambda: object_array([frame.data for frame in some.frames()]),
+            is_stream=False,
+            time=some.time,
+            channel=some.channel,
+            channels=some.channels,
+            key=some.key,
+            row=batch.numbers[places],
+            rx=_way(some.flags),
         )
 
     # ------------------------------------------------------------------ rolling counters
@@ -409,13 +395,13 @@ class CanColumns:
             self._counts.lose(number, reason)
         for place, (first, last, modulo) in given.counters.items():
             self._go_on(place, first, last, modulo)
-        tables: dict[tuple[str, str], list[MessageTable]] = {}
+        tables: list[MessageTable] = []
         for table, rows in given.deferred:
             for one in self._slow.frames(table, rows + first):
                 if one.message or self.include_unknown:
-                    tables.setdefault((one.protocol, one.message), []).append(one)
+                    tables.append(one)
         self._fed += given.frames
-        return [merge_tables(some) for some in tables.values()]
+        return merge_tables(tables)
 
 
 class _Batch:
@@ -497,10 +483,60 @@ def _way(flags: Array) -> Array:
     return np.where(flags & RX, 1, np.where(flags & TX, 0, 2)).astype(np.uint8)
 
 
-def merge_tables(tables: list[MessageTable]) -> MessageTable:
-    """One table of several of a message, in the order of the capture."""
-    if len(tables) == 1:
-        return tables[0]
-    whole = MessageTable.concat(tables)
-    order = np.argsort(whole.row, kind="stable")
-    return whole.take(order)
+def merge_tables(tables: Iterable[MessageTable]) -> list[MessageTable]:
+    """One table a message, in the order of the capture."""
+    merged: list[MessageTable] = []
+    for some in by_message(tables):
+        whole = MessageTable.concat(some)
+        merged.append(whole if len(some) == 1 else whole.take(np.argsort(whole.row, kind="stable")))
+    return merged
+
+
+class ChannelColumns(ChannelScanners[CanColumns]):
+    """The column scanner of several channels; made by `make_column_scanner` when a protocol is bound to one."""
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        include_unknown: bool = False,
+        raw: bool = False,
+        defer: bool = False,
+    ) -> None:
+        super().__init__(
+            variants,
+            lambda mine: CanColumns(
+                mine, direction=direction, include_unknown=include_unknown, raw=raw, defer=defer
+            ),
+        )
+        self._fed = 0
+
+    def hand_over(self) -> dict[str | None, Handover]:
+        """What has been seen since the last call, by channel; see `CanColumns.hand_over`."""
+        given = {channel: scanner.hand_over() for channel, scanner in self._scanners.items()}
+        frames, self._fed = self._fed, 0
+        return {channel: replace(one, frames=frames) for channel, one in given.items()}
+
+    def adopt(self, given: Mapping[str | None, Handover]) -> list[MessageTable]:
+        """Go on behind a piece that another process has decoded: the tables of the frames that it left."""
+        tables: list[MessageTable] = []
+        for channel, one in given.items():
+            scanner = self.of(channel)
+            tables += scanner.adopt(one, self._fed)
+        self._fed += max((one.frames for one in given.values()), default=0)
+        return merge_tables(tables)
+
+    def feed(self, table: FrameTable, /) -> list[MessageTable]:
+        """The tables of a piece of a capture, one a message that occurs in it."""
+        tables: list[MessageTable] = []
+        for number in np.unique(table.channel).tolist():
+            places: Array = np.flatnonzero(table.channel == number)
+            scanner = self.of(table.channels.names[number])
+            tables += scanner.feed(table.take(places), places + self._fed)
+        self._fed += len(table)
+        return merge_tables(tables)
+
+    def close(self) -> list[MessageTable]:
+        """Frames are whole: the end of a capture decides nothing on CAN."""
+        return []

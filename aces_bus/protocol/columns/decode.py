@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 from ...errors import CallerError, UnknownNameError
 from ...frame_table import FrameTable
-from ..counts import ScanCounts
+from ..counts import ScanCounts, sum_counts
 from ..declare.message import Direction
 from ..declare.protocol import Variant
-from .dataframes import to_arrow, to_pandas, to_polars
+from .arrow import to_arrow, to_pandas, to_polars
 from .layout import Holds, Objects, empty_table
 from .scanner import ColumnScanner, RecordColumns, make_column_scanner
 from .table import MessageTable
@@ -95,8 +95,8 @@ def decode_tables(
     include_unknown: bool = False,
     raw: bool = False,
 ) -> DecodedRecording:
-    """All messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames (of python-can
-    too), chunks or bytes; bytes may also be given as they are.
+    """All messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames (also of
+    python-can), chunks or bytes; bytes may also be given as they are.
 
     `message` limits what is kept to one or several messages; the counts stay those of the whole. `direction` is that of
     a stream which does not say it: "to device", "from device" or "both". With `include_unknown`, what was not decoded is the
@@ -134,7 +134,7 @@ def decode_tables(
     order = {name: place for place, name in enumerate(variant.messages)}
     names = sorted(parts, key=lambda name: order.get(name, len(order)))
     tables = {name: MessageTable.concat(parts[name]) for name in names}
-    return DecodedRecording(variant, tables, _sum(scanner.counts for scanner in scanners.values()))
+    return DecodedRecording(variant, tables, sum_counts(scanner.counts for scanner in scanners.values()))
 
 
 def feed(scanner: ColumnScanner, words: Any, time: float | None) -> list[MessageTable]:
@@ -190,16 +190,3 @@ def _words(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | None, fl
             )
     if frames:
         yield FrameTable.from_frames(frames, channels), None, None
-
-
-def _sum(all_counts: Iterable[ScanCounts]) -> ScanCounts:
-    total = ScanCounts()
-    for counts in all_counts:
-        for name in ("total", "decoded", "pending", "filtered", "records", "missed"):
-            setattr(total, name, getattr(total, name) + getattr(counts, name))
-        for reason, number in counts.reasons.items():
-            total.lose(number, reason)
-    return total
-
-
-__all__ = ["DecodedRecording", "decode_tables", "feed"]

@@ -27,9 +27,7 @@ from ...frame_table import NO_TIME, Channels
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
 from ..plan import nodes as p
-from ..plan.flatten import flatten
-from .gather import dtype_of, kinds_of, value_paths
-from .table import Array, Column, ColumnKind, MessageTable
+from .table import Array, Column, ColumnKind, MessageTable, dtype_of, join_pieces, kinds_of, object_array
 
 Holds = Literal["number", "bool", "time", "label", "bytes", "text", "integer", "wide", "json"]
 Role = Literal["source", "time", "channel", "id", "extended", "fd", "remote", "offset", "size", "rx", "field"]
@@ -220,8 +218,9 @@ class DatasetLayout:
             made: Array = np.array(values, np.int64)
         else:
             convert = _CONVERSIONS[slot.holds]
-            made = np.empty(len(values), object)
-            made[:] = [None if away else convert(value) for value, away in zip(values, gone, strict=True)]
+            made = object_array(
+                [None if away else convert(value) for value, away in zip(values, gone, strict=True)]
+            )
         return ColumnValues(made, np.array(gone, bool) if any(gone) else None)
 
 
@@ -285,15 +284,7 @@ def concat(blocks: Sequence[Block]) -> Block:
     """One block of several of a layout, in order."""
     if len(blocks) == 1:
         return blocks[0]
-    joined: Block = []
-    for pieces in zip(*blocks, strict=True):
-        absent = None
-        if any(piece.absent is not None for piece in pieces):
-            absent = np.concatenate(
-                [p.absent if p.absent is not None else np.zeros(len(p.values), bool) for p in pieces]
-            )
-        joined.append(ColumnValues(np.concatenate([piece.values for piece in pieces]), absent))
-    return joined
+    return [ColumnValues(*join_pieces(pieces)) for pieces in zip(*blocks, strict=True)]
 
 
 def cut_runs(block: Block, start: int, stop: int) -> Block:
@@ -319,7 +310,7 @@ def size_of(block: Block) -> int:
 
 def objects_of(plan: p.MessagePlan) -> dict[str, Holds]:
     """What the columns of Python objects of a message hold, by the name of the column."""
-    return {path: _held(node) for path, _, node, _, _ in value_paths(plan) if dtype_of(node) is None}
+    return {leaf.path: _held(leaf.node) for leaf in plan.leaves if dtype_of(leaf.node) is None}
 
 
 def _held(node: p.Node) -> Holds:
@@ -339,7 +330,7 @@ class Objects:
         self._known: dict[tuple[str, str], list[tuple[tuple[ColumnKind, ...], dict[str, Holds]]]] = {}
         for variant in variants:
             for name, message in variant.messages.items():
-                plan = flatten(message)
+                plan = message.plan
                 found = objects_of(plan)
                 if found:
                     self._known.setdefault((variant.name, name), []).append((kinds_of(plan), found))
@@ -354,7 +345,7 @@ class Objects:
 
 
 def objects_by_values(table: MessageTable) -> dict[str, Holds]:
-    """What the columns of objects of one table hold, by its values: for a table that stands alone."""
+    """What the columns of objects of one table hold, by its values: for a table without its plan."""
     found: dict[str, Holds] = {}
     for kind in table.kinds:
         if kind.is_object:
@@ -370,8 +361,8 @@ def objects_by_values(table: MessageTable) -> dict[str, Holds]:
 
 def empty_table(variant: Variant, name: str) -> MessageTable:
     """A table of a message without rows: what its dataset looks like where the message does not occur."""
-    plan = flatten(variant.messages[name])
-    dtypes = {path: dtype_of(node) for path, _, node, _, _ in value_paths(plan)}
+    plan = variant.messages[name].plan
+    dtypes = {leaf.path: dtype_of(leaf.node) for leaf in plan.leaves}
     is_stream = variant.link != "can"
     none = np.zeros(0, np.int64)
     return MessageTable(

@@ -17,11 +17,9 @@ from ..declare.message import Message
 from ..generate.load import records_of
 from ..live.decide import Decider
 from ..plan.choose import Choice, choose
-from ..plan.flatten import flatten
-from .gather import Gatherer
-from .packet_rows import packet_rows, take_rows
 from .rows import PacketRows, RowDecoder
-from .table import Array, Column, ColumnKind, MessageTable
+from .scanner import Gatherer
+from .table import Array, Column, ColumnKind, MessageTable, join_columns, packet_rows, take_rows
 
 #: How many bytes of rows are made at once.
 ROWS = 1 << 24
@@ -113,7 +111,7 @@ class _Kind:
     def __init__(self, message: Message, decider: Decider, *, raw: bool) -> None:
         variant = decider.variant
         self.message = message
-        self.plan = flatten(message)
+        self.plan = message.plan
         self.decoder = RowDecoder(self.plan, raw=raw)
         #: Asked of one packet after the other, where rows will not do.
         self.decode: Callable[..., Any] | None = (
@@ -281,7 +279,10 @@ class PacketTables:
 
         def make(column: ColumnKind) -> Column:
             pieces = [kind.column(column, rows) for _, rows in parts if isinstance(rows, PacketRows)]
-            return pieces[0] if len(pieces) == 1 else _joined(column, pieces, order)
+            whole = join_columns(column, pieces)
+            if order is None:
+                return whole
+            return Column(column, whole.values[order], None if whole.absent is None else whole.absent[order])
 
         n = len(which)
         keys = batch.keys if n == len(batch) else batch.keys[which]
@@ -301,19 +302,3 @@ class PacketTables:
             kind.plan.doc,
             batch.sizes if n == len(batch) else batch.sizes[which],
         )
-
-
-def _joined(kind: ColumnKind, pieces: Sequence[Column], order: Array | None) -> Column:
-    values = np.concatenate([piece.values for piece in pieces])
-    absent: Array | None = None
-    if any(piece.absent is not None for piece in pieces):
-        absent = np.concatenate(
-            [piece.absent if piece.absent is not None else np.zeros(len(piece), bool) for piece in pieces]
-        )
-    if order is not None:
-        values = values[order]
-        absent = absent[order] if absent is not None else None
-    return Column(kind, values, absent)
-
-
-__all__ = ["Batch", "PacketTables"]

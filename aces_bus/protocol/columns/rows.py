@@ -2,7 +2,7 @@
 
 1. What a column shows is what the generated decoder shows of each row, bit for bit and to the last digit of a float64.
 2. Numbers are computed in the order of the generated decoder: raw × scale, then + offset, in float64 where it does.
-3. Whatever this cannot carry out, it says so in `reason`, and somebody else decodes the message.
+3. What this cannot carry out is said in `reason`; the message is then decoded one record at a time.
 
 A field is read as what it is on the wire where that is a whole number of NumPy's; every other one is cut out of 64-bit
 words, little- or big-endian, whichever needs fewer cuts.
@@ -16,13 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from ..declare.bits import runs_of, whole_bits
 from ..declare.message import Message
-from ..generate.runs import runs_of, struct_format
 from ..plan import nodes as p
 from .checks import can_compute, check_holds
-from .gather import dtype_of, kinds_of, value_paths
-from .packet_rows import ByteColumn, cells_of
-from .table import Array, Column, ColumnKind
+from .table import Array, ByteColumn, Column, ColumnKind, cells_of, dtype_of, kinds_of
 
 #: Integers up to here are exact in float64.
 EXACT = 1 << 53
@@ -99,8 +97,8 @@ class RowDecoder:
         self._columns: dict[str, Callable[[ColumnKind, PacketRows], Column]] = {}
         if self.reason:
             return
-        for path, _, node, _, whens in value_paths(plan):
-            self._columns[path] = self._column(node, whens)
+        for leaf in plan.leaves:
+            self._columns[leaf.path] = self._column(leaf.node, leaf.whens)
 
     def _why_not(self) -> str:
         plan = self.plan
@@ -134,7 +132,7 @@ class RowDecoder:
             return tests[0]
         if plan.lengths_by is not None:
             selector, table, other = plan.lengths_by
-            chosen = self._number(selector.number)(rows)
+            chosen = number_reader(selector.number)(rows)
             wanted = np.full(len(rows), other, np.int64)
             for value, length in table:
                 wanted[chosen == value] = length
@@ -148,7 +146,7 @@ class RowDecoder:
                 cell = cell & np.uint8(constant.mask)
             tests.append(cell == constant.value)
         for one in plan.one_of:
-            tests.append(among(self._number(one.number)(rows), one.values))
+            tests.append(among(number_reader(one.number)(rows), one.values))
         if plan.is_checked:
             assert self.message is not None
             tests.append(check_holds(self.message, rows.data, rows.lengths, rows.keys))
@@ -167,12 +165,12 @@ class RowDecoder:
 
     def present(self, when: p.When, rows: PacketRows) -> Array:
         """Where a condition holds: the selector has one of the values, and is there itself."""
-        found = among(self._number(when.selector.number)(rows), when.values)
+        found = among(number_reader(when.selector.number)(rows), when.values)
         outer = when.selector.when
         return found if outer is None else found & self.present(outer, rows)
 
     def _column(self, node: p.Node, whens: Sequence[p.When]) -> Callable[[ColumnKind, PacketRows], Column]:
-        if isinstance(node, p.Scalar) and node.kind in ("bytes", "text") and not whens:
+        if isinstance(node, p.Scalar) and node.is_bytes and not whens:
             if node.kind == "bytes" or self.raw:
                 where = node.offset, node.size, self.plan.tail
                 return lambda kind, rows: ByteColumn(kind, rows.data, rows.lengths, *where)
@@ -194,18 +192,13 @@ class RowDecoder:
         return column
 
     def _values(self, node: p.Node) -> Callable[[PacketRows], tuple[Array, Array | None]]:
-        if isinstance(node, p.Scalar) and node.kind in ("bytes", "text"):
+        if isinstance(node, p.Scalar) and node.is_bytes:
             return self._bytes(node)
         if isinstance(node, p.Rest):
             return self._rest(node)
-        if isinstance(node, p.Scalar):
-            number: Read = self._number(node)
-            steps = node.steps
-        else:
-            assert isinstance(node, p.FromIdentifier)
-            number = self._captured(node)
-            steps = node.steps
-        return _stepped(number, steps, dtype_of(node, self.raw), raw=self.raw)
+        assert isinstance(node, (p.Scalar, p.FromIdentifier))
+        number = number_reader(node) if isinstance(node, p.Scalar) else self._captured(node)
+        return _stepped(number, node.steps, dtype_of(node, self.raw), raw=self.raw)
 
     def _bytes(self, scalar: p.Scalar) -> Callable[[PacketRows], tuple[Array, Array | None]]:
         start, size, tail = scalar.offset, scalar.size, self.plan.tail
@@ -230,26 +223,21 @@ class RowDecoder:
         full = (1 << 8 * node.size) - 1
         masks = {value: full & ~claimed for value, claimed in node.claimed}
         dtype = dtype_of(node, self.raw)
-        scalar = p.Scalar(
-            "uint",
-            node.offset,
-            node.size,
-            "little",
-            tuple(range(8 * node.offset, 8 * (node.offset + node.size))),
-        )
-        number = self._number(scalar) if node.size <= 8 else _long(node.offset, node.size)
+        bits = whole_bits(node.offset, node.size, "little")
+        scalar = p.Scalar("uint", node.offset, node.size, "little", bits)
+        number = number_reader(scalar) if node.size <= 8 else _long(node.offset, node.size)
 
         def read(rows: PacketRows) -> tuple[Array, None]:
             word = number(rows)
             kind = np.uint64 if dtype is not None else object
             mask: Any = np.full(len(rows), masks[None], kind)
             if node.selector is not None:
-                chosen = self._number(node.selector.number)(rows)
+                chosen = number_reader(node.selector.number)(rows)
                 for value, some in masks.items():
                     if value is not None:
                         mask[chosen == value] = some
             for selector, table in node.more:
-                chosen = self._number(selector.number)(rows)
+                chosen = number_reader(selector.number)(rows)
                 there = None if selector.when is None else self.present(selector.when, rows)
                 for value, some in table:
                     here = chosen == value if there is None else (chosen == value) & there
@@ -260,7 +248,7 @@ class RowDecoder:
         return read
 
     def _captured(self, node: p.FromIdentifier) -> Read:
-        inner = self._number(node.number) if node.number is not None else None
+        inner = number_reader(node.number) if node.number is not None else None
         constant, shift, mask = node.constant, node.shift, (1 << node.width) - 1
 
         def read(rows: PacketRows) -> Array:
@@ -271,17 +259,13 @@ class RowDecoder:
 
         return read
 
-    def _number(self, scalar: p.Scalar) -> Read:
-        """The number on the wire, sign and magnitude not yet taken apart."""
-        return number_reader(scalar)
-
 
 @lru_cache(maxsize=65536)
 def number_reader(scalar: p.Scalar) -> Read:
     """A function from rows to the number of each, as an integer or float array of any width."""
     if scalar.kind == "float" and scalar.bits:
         return _float_bits(scalar)
-    if struct_format(scalar):
+    if scalar.format:
         kind = {"float": "f", "int": "i", "uint": "u"}[scalar.kind]
         dtype = np.dtype(f"{'<' if _is_little(scalar) else '>'}{kind}{scalar.size}")
         if kind == "f":
@@ -468,7 +452,7 @@ def _exact(value: Array, scale: float, offset: float) -> Array:
 def extent_of(plan: p.MessagePlan) -> int:
     """Where the last field of fixed size ends."""
     ends = [0]
-    for _, _, node, *_ in value_paths(plan):
+    for node in (leaf.node for leaf in plan.leaves):
         if isinstance(node, (p.Scalar, p.Rest)) and node.size is not None:
             ends.append(node.offset + node.size)
         if isinstance(node, p.Scalar) and node.bits:

@@ -6,21 +6,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from ...frame_table import Channels, FrameTable
+from ...frame_table import Channels, FrameTable, to_ns
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Variant
+from ..keys import key_of
 from ..live.scanner import Scanner, make_scanner
-from ..plan.flatten import flatten
-from ..record import Record, Unknown
-from .gather import Gatherer
-from .table import Array, Column, ColumnKind, MessageTable
+from ..plan import nodes as p
+from ..record import Record, Unknown, getter, plain_value
+from .table import Array, Column, ColumnKind, MessageTable, dtype_of, kinds_of, lost_table, object_array
 
 
 class ColumnScanner(Protocol):
@@ -45,58 +45,31 @@ class ColumnScanner(Protocol):
         ...
 
 
-#: The columns of the table of what was not decoded, named "" in `include_unknown` mode.
-LOST = (
-    ColumnKind("reason", doc="why it is no message", is_object=True),
-    ColumnKind("raw", doc="data bytes of the frame, or the bytes of the stream", is_object=True),
-)
-
-
-def lost_table(
+def _lost_table(
     unknown: Sequence[Unknown], rows: Array, channels: Channels, *, is_stream: bool
 ) -> MessageTable:
-    """What was not decoded, as a table with the columns `reason` and `raw`."""
-    from ...frame_table import to_ns
-    from ..keys import key_of
-
     n = len(unknown)
     metas = [item.meta for item in unknown]
-    columns = {
-        "reason": _objects([item.reason for item in unknown]),
-        "raw": _objects([meta.raw for meta in metas]),
-    }
     if is_stream:
         key = np.fromiter((meta.offset or 0 for meta in metas), np.int64, n)
     else:
-        key = np.fromiter(
-            (
-                key_of(meta.identifier or 0, extended=meta.extended, remote=meta.remote, fd=meta.fd)
-                for meta in metas
-            ),
-            np.uint32,
-            n,
+        keys = (
+            key_of(meta.identifier or 0, extended=meta.extended, remote=meta.remote, fd=meta.fd)
+            for meta in metas
         )
-    return MessageTable(
-        "",
-        "",
-        None,
-        is_stream,
-        np.fromiter((to_ns(meta.time) for meta in metas), np.int64, n),
-        np.fromiter((channels.number(meta.channel) for meta in metas), np.uint16, n),
-        channels,
-        key,
-        rows,
-        np.fromiter((2 if meta.is_rx is None else bool(meta.is_rx) for meta in metas), np.uint8, n),
-        LOST,
-        lambda kind: Column(kind, columns[kind.name]),
+        key = np.fromiter(keys, np.uint32, n)
+    return lost_table(
+        object_array([item.reason for item in unknown]),
+        lambda: object_array([meta.raw for meta in metas]),
+        is_stream=is_stream,
+        time=np.fromiter((to_ns(meta.time) for meta in metas), np.int64, n),
+        channel=np.fromiter((channels.number(meta.channel) for meta in metas), np.uint16, n),
+        channels=channels,
+        key=key,
+        row=rows,
+        rx=np.fromiter((2 if meta.is_rx is None else bool(meta.is_rx) for meta in metas), np.uint8, n),
         size=np.fromiter((meta.size or 0 for meta in metas), np.int64, n) if is_stream else None,
     )
-
-
-def _objects(values: Sequence[Any]) -> Array:
-    array = np.empty(len(values), object)
-    array[:] = values
-    return array
 
 
 class RecordColumns:
@@ -147,7 +120,7 @@ class RecordColumns:
     def _gatherer(self, kind: type[Record]) -> Gatherer:
         found = self._gatherers.get(kind)
         if found is None:
-            found = self._gatherers[kind] = Gatherer(kind, flatten(kind._declared), raw=self._raw)
+            found = self._gatherers[kind] = Gatherer(kind, kind._declared.plan, raw=self._raw)
         return found
 
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
@@ -167,7 +140,7 @@ class RecordColumns:
                 offsets = (item.meta.offset or 0 if gatherer is None else item._key for item in some)
                 numbers = np.fromiter(offsets, np.int64, len(some))
             if gatherer is None:
-                tables.append(lost_table(some, numbers, self.channels, is_stream=rows is None))
+                tables.append(_lost_table(some, numbers, self.channels, is_stream=rows is None))
             else:
                 tables.append(gatherer.table(some, numbers, self.channels))
         return tables
@@ -184,8 +157,7 @@ def make_column_scanner(
 
     With `include_unknown` there is also a table named "" of what was not decoded, with the columns `reason` and `raw`.
     """
-    from ..live.channels import ChannelColumns
-    from .can import CanColumns
+    from .can import CanColumns, ChannelColumns
     from .stream import StreamColumns
 
     kind: Any = StreamColumns
@@ -193,3 +165,55 @@ def make_column_scanner(
         kind = ChannelColumns if any(variant.channel is not None for variant in variants) else CanColumns
     made: ColumnScanner = kind(variants, direction=direction, include_unknown=include_unknown, raw=raw)
     return made
+
+
+class Gatherer:
+    """Makes the tables of one message from its records."""
+
+    def __init__(self, kind: type[Record], plan: p.MessagePlan, *, raw: bool) -> None:
+        self.record = kind
+        self.plan = plan
+        self.kinds = kinds_of(plan, raw)
+        self._fillers = {leaf.path: _filler(leaf.way, dtype_of(leaf.node, raw)) for leaf in plan.leaves}
+
+    def table(self, records: Sequence[Any], rows: Array, channels: Channels) -> MessageTable:
+        """The records, of which `rows` are the numbers in the capture; of a stream the packets' offsets."""
+        n = len(records)
+        is_stream = self.record._is_stream
+        fillers = self._fillers
+        return MessageTable(
+            protocol=self.record._protocol,
+            message=self.record.__name__,
+            direction=self.record._direction,
+            is_stream=is_stream,
+            time=np.fromiter((to_ns(r._time) for r in records), np.int64, n),
+            channel=np.fromiter((channels.number(r._channel) for r in records), np.uint16, n),
+            channels=channels,
+            key=np.fromiter((r._key for r in records), np.int64 if is_stream else np.uint32, n),
+            row=rows,
+            rx=np.fromiter((2 if r._rx is None else bool(r._rx) for r in records), np.uint8, n),
+            kinds=self.kinds,
+            make=lambda kind: fillers[kind.name](kind, records),
+            doc=self.plan.doc,
+            size=np.fromiter((len(r._raw) for r in records), np.int64, n) if is_stream else None,
+        )
+
+
+def _filler(way: tuple[str | int, ...], dtype: Any) -> Callable[[ColumnKind, Sequence[Any]], Column]:
+    get = getter(way)
+
+    def fill(kind: ColumnKind, records: Sequence[Any]) -> Column:
+        values = [get(record) for record in records]
+        absent = None
+        if any(value is None for value in values):
+            absent = np.array([value is None for value in values], bool)
+        if dtype is None:
+            return Column(kind, object_array([plain_value(value) for value in values]), absent)
+        if kind.names is not None:
+            numbers = {name: number for number, name in kind.names.items()}
+            values = [numbers[value] if isinstance(value, str) else value for value in values]
+        if absent is not None:
+            values = [0 if value is None else value for value in values]
+        return Column(kind, np.array(values, dtype), absent)
+
+    return fill

@@ -17,16 +17,14 @@ from typing import Any, Literal
 import numpy as np
 
 from ..counts import ScanCounts
-from ..declare.framing import Framing
 from ..declare.message import Direction
 from ..declare.protocol import Variant
-from ..live.find import Decided, Survey
 from ..live.scanner import make_scanner
 from ..live.stream import RUN, WORTH, StreamScanner
-from .losses import LossRuns, losses_of, totals_of
 from .packets import Batch, PacketTables
 from .scanner import RecordColumns
-from .table import Array, Column, ColumnKind, MessageTable
+from .survey import Decided, LossRuns, Survey, losses_of, totals_of
+from .table import Array, MessageTable, by_message
 
 #: How many bytes of small pieces are gathered, and how many of a large one are decided at once.
 GATHER = 1 << 16
@@ -64,7 +62,7 @@ class StreamColumns:
             framing = scanner.framings[0]
             decider = next(d for d in scanner._deciders if any(m.framing is framing for m in d.messages))
             messages = [message for message in decider.messages if message.framing is framing]
-            extras = _extras(framing, scanner)
+            extras = framing.extras_of(m for d in scanner._deciders for m in d.messages)
             self.reason = Survey.why_not(framing, extras)
             if not self.reason:
                 self._survey = Survey(framing, extras)
@@ -212,16 +210,6 @@ class StreamColumns:
         return tables
 
 
-def _extras(framing: Framing, scanner: StreamScanner) -> dict[int, bytes] | None:
-    """The bytes that the framing's check ends with, by the number of the message."""
-    extras: dict[int, bytes] | None = None
-    for decider in scanner._deciders:
-        for message in decider.messages:
-            if message.framing is framing and message.extras is not None:
-                extras = {**(extras or {}), **message.extras}
-    return extras
-
-
 def _instants(
     decided: Decided, base: int, marks: Sequence[tuple[int, float | None]]
 ) -> tuple[list[float | None], Array | None]:
@@ -229,49 +217,15 @@ def _instants(
     times = [time for _, time in marks]
     if all(time == times[0] for time in times):
         return times[-1:], None
-    told = decided.ends
+    known_at = decided.ends
     if len(decided.bad):
         before = np.searchsorted(decided.bad, decided.starts) - 1
         furthest = np.maximum.accumulate(decided.bad_ends)[before]
-        told = np.where(before >= 0, np.maximum(told, furthest), told)
+        known_at = np.where(before >= 0, np.maximum(known_at, furthest), known_at)
     ends = np.array([end for end, _ in marks], np.int64) - base
-    return times, np.minimum(np.searchsorted(ends, told), len(times) - 1)
+    return times, np.minimum(np.searchsorted(ends, known_at), len(times) - 1)
 
 
 def _merged(tables: list[MessageTable]) -> list[MessageTable]:
     """One table a message, of several that follow each other; columns are still computed when asked for."""
-    by_message: dict[tuple[str, str], list[MessageTable]] = {}
-    for table in tables:
-        if len(table):
-            by_message.setdefault((table.protocol, table.message), []).append(table)
-    return [some[0] if len(some) == 1 else _chain(some) for some in by_message.values()]
-
-
-def _chain(tables: Sequence[MessageTable]) -> MessageTable:
-    first = tables[0]
-
-    def make(kind: ColumnKind) -> Column:
-        columns = [table[kind.name] for table in tables]
-        absent: Array | None = None
-        if any(column.absent is not None for column in columns):
-            absent = np.concatenate(
-                [c.absent if c.absent is not None else np.zeros(len(c), bool) for c in columns]
-            )
-        return Column(kind, np.concatenate([column.values for column in columns]), absent)
-
-    return MessageTable(
-        first.protocol,
-        first.message,
-        first.direction,
-        True,
-        np.concatenate([table.time for table in tables]),
-        np.concatenate([table.channel for table in tables]),
-        first.channels,
-        np.concatenate([table.key for table in tables]),
-        np.concatenate([table.row for table in tables]),
-        np.concatenate([table.rx for table in tables]),
-        first.kinds,
-        make,
-        first.doc,
-        np.concatenate([table.size for table in tables if table.size is not None]),
-    )
+    return [MessageTable.concat(some, is_lazy=True) for some in by_message(tables)]

@@ -3,19 +3,23 @@
 1. A column holds raw numbers where they have names or flags (the names come with it), physical values where they have a
    scale. `to_list` gives what records show, value for value.
 2. Tables are slices of a capture, in its order; `row` says which frame or packet of the capture each line was.
+3. `kinds_of` and `dtype_of` decide what a message's columns are; every way of filling them fills the same ones.
+4. Packets as rows are uint8 (n, width), zeros behind each one's end, contiguous, their width a multiple of 8, so that they
+   are also rows of words.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ...frame_table import NO_TIME, Channels
+from ..plan import nodes as p
 
 Array = npt.NDArray[Any]
 
@@ -86,6 +90,35 @@ class Column:
         if self.absent is not None:
             out[self.absent] = np.nan
         return out
+
+
+def object_array(values: Sequence[Any]) -> Array:
+    """An array of Python objects, whatever these are."""
+    array = np.empty(len(values), object)
+    array[:] = values
+    return array
+
+
+class _Piece(Protocol):
+    @property
+    def values(self) -> Array: ...
+    @property
+    def absent(self) -> Array | None: ...
+
+
+def join_pieces(pieces: Sequence[_Piece]) -> tuple[Array, Array | None]:
+    """The values of several pieces of a column, and where they are absent (None: nowhere)."""
+    absent: Array | None = None
+    if any(piece.absent is not None for piece in pieces):
+        absent = np.concatenate(
+            [np.zeros(len(one.values), bool) if one.absent is None else one.absent for one in pieces]
+        )
+    return np.concatenate([piece.values for piece in pieces]), absent
+
+
+def join_columns(kind: ColumnKind, columns: Sequence[Column]) -> Column:
+    """One column of several."""
+    return columns[0] if len(columns) == 1 else Column(kind, *join_pieces(columns))
 
 
 @dataclass(frozen=True)
@@ -173,20 +206,20 @@ class MessageTable:
         return seconds
 
     @classmethod
-    def concat(cls, tables: Sequence[MessageTable]) -> MessageTable:
-        """One table of several of the same message and capture, in order. All columns are computed."""
+    def concat(cls, tables: Sequence[MessageTable], *, is_lazy: bool = False) -> MessageTable:
+        """One table of several of the same message and capture, in order. All columns are computed, unless `is_lazy`."""
         first = tables[0]
         if len(tables) == 1:
             return first
-        made: dict[str, Column] = {}
-        for kind in first.kinds:
-            columns = [table[kind.name] for table in tables]
-            absent = None
-            if any(column.absent is not None for column in columns):
-                absent = np.concatenate(
-                    [c.absent if c.absent is not None else np.zeros(len(c), bool) for c in columns]
-                )
-            made[kind.name] = Column(kind, np.concatenate([c.values for c in columns]), absent)
+
+        def make(kind: ColumnKind) -> Column:
+            return join_columns(kind, [table[kind.name] for table in tables])
+
+        if is_lazy:
+            take: Callable[[ColumnKind], Column] = make
+        else:
+            made = {kind.name: make(kind) for kind in first.kinds}
+            take = lambda kind: made[kind.name]  # noqa: E731  (holds none of the parts)
         return cls(
             first.protocol,
             first.message,
@@ -199,7 +232,167 @@ class MessageTable:
             np.concatenate([t.row for t in tables]),
             np.concatenate([t.rx for t in tables]),
             first.kinds,
-            lambda kind: made[kind.name],
+            take,
             first.doc,
             None if first.size is None else np.concatenate([t.size for t in tables if t.size is not None]),
         )
+
+
+def by_message(tables: Iterable[MessageTable]) -> list[list[MessageTable]]:
+    """The tables that have lines, those of a message together."""
+    found: dict[tuple[str, str], list[MessageTable]] = {}
+    for table in tables:
+        if len(table):
+            found.setdefault((table.protocol, table.message), []).append(table)
+    return list(found.values())
+
+
+#: The columns of the table of what was not decoded, named "" in `include_unknown` mode.
+LOST = (
+    ColumnKind("reason", doc="why it is no message", is_object=True),
+    ColumnKind("raw", doc="data bytes of the frame, or the bytes of the stream", is_object=True),
+)
+
+
+def lost_table(reasons: Array, raw: Callable[[], Array], **transport: Any) -> MessageTable:
+    """What was not decoded, as a table; `raw` makes the bytes when they are asked for, `transport` are the other arrays."""
+
+    def make(kind: ColumnKind) -> Column:
+        return Column(kind, reasons if kind.name == "reason" else raw())
+
+    return MessageTable(protocol="", message="", direction=None, kinds=LOST, make=make, **transport)
+
+
+# ---------------------------------------------------------------------- packets as rows
+
+
+#: The first n bytes of a little-endian word.
+_MASKS = np.array([(1 << 8 * n) - 1 for n in range(9)], np.uint64)
+
+
+def packet_rows(buffer: bytes, starts: Array, sizes: Array, width: int) -> Array:
+    """The packets at `starts` as rows of `width` bytes."""
+    missing = int(starts[-1]) + width - len(buffer)
+    if missing > 0:
+        buffer += bytes(missing)
+    # One item of `width` bytes a packet: copied as a whole, whatever its alignment.
+    items = np.ndarray(len(buffer) - width + 1, f"V{width}", buffer, strides=(1,))
+    rows: Array = items[starts].view(np.uint8).reshape(-1, width)
+    least, most = int(sizes.min()), int(sizes.max())
+    if least < width:
+        words = rows.view("<u8")
+        for at in range(8 * (least // 8), width, 8):
+            if at >= most:
+                words[:, at // 8] = 0
+            else:
+                masks = _MASKS.take(np.clip(np.arange(most + 1) - at, 0, 8))
+                words[:, at // 8] &= masks.take(sizes)
+    return rows
+
+
+def take_rows(rows: Array, which: Array) -> Array:
+    """Some of the rows, copied as wholes."""
+    width = rows.shape[1]
+    found: Array = rows.view(f"V{width}").ravel()[which].view(np.uint8).reshape(-1, width)
+    return found
+
+
+def cells_of(rows: Array, sizes: Array, start: int, size: int | None, tail: int) -> Array:
+    """Bytes of each packet as Python objects: `size` from `start`, or (None) all up to `tail` bytes before its end.
+
+    Packets of one length are cut at once.
+    """
+    found = np.empty(len(rows), object)
+    if size is not None:
+        found[:] = _cells(rows, start, size)
+        return found
+    counts = np.bincount(sizes)
+    for length in np.flatnonzero(counts).tolist():
+        if int(counts[length]) == len(rows):
+            found[:] = _cells(rows, start, length - tail - start)
+        else:
+            some = np.flatnonzero(sizes == length)
+            found[some] = _cells(take_rows(rows, some), start, length - tail - start)
+    return found
+
+
+class ByteColumn(Column):
+    """A column of bytes that are still where they were: objects are made when `values` is asked for, and kept.
+
+    Made of rows, the sizes of their packets, and where in them the bytes stand (see `cells_of`).
+    """
+
+    def __init__(
+        self, kind: ColumnKind, rows: Array, sizes: Array, start: int, size: int | None, tail: int
+    ) -> None:
+        put = object.__setattr__  # a frozen dataclass
+        put(self, "kind", kind)
+        put(self, "absent", None)
+        put(self, "_where", (rows, sizes, start, size, tail))
+
+    @cached_property
+    def values(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]  # computed when asked for
+        """Bytes objects."""
+        where: tuple[Array, Array, int, int | None, int] = self.__dict__["_where"]
+        return cells_of(*where)
+
+    def __len__(self) -> int:
+        return len(self.__dict__["_where"][1])
+
+
+def _cells(rows: Array, start: int, size: int) -> Any:
+    if size <= 0:
+        return b""
+    cells = np.ascontiguousarray(rows[:, start : start + size])
+    return cells.view(f"V{size}").ravel().astype(object)
+
+
+#: Widths of NumPy's integers, in bits.
+_WIDTHS = (8, 16, 32, 64)
+
+
+@lru_cache(maxsize=4096)
+def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
+    """What the columns of a message are, in the order of its fields."""
+    return tuple(_kind(leaf, raw) for leaf in plan.leaves)
+
+
+def _kind(leaf: p.NodePath, raw: bool) -> ColumnKind:
+    node, scale = leaf.node, leaf.node.scale
+    optional = bool(leaf.whens) or isinstance(node, (p.DelimitedField, p.FromRequest, p.Opaque))
+    is_object = dtype_of(node, raw) is None
+    if raw:
+        return ColumnKind(leaf.path, "", leaf.field.doc, None, None, is_object, optional)
+    names: Mapping[float, str] | None = {number: name for name, number in node.numbers.items()} or None
+    optional = optional or (scale is not None and bool(scale.unknown))
+    return ColumnKind(leaf.path, node.unit, leaf.field.doc, names, node.flags or None, is_object, optional)
+
+
+def dtype_of(node: p.Node, raw: bool = False) -> Any:
+    """The dtype of a value's column: the narrowest that holds all that the record may show; None for Python objects."""
+    if isinstance(node, p.Rest):
+        return np.dtype(f"u{_bytes(8 * node.size)}") if node.size <= 8 else None
+    if isinstance(node, p.DelimitedField):
+        return np.dtype(np.float64) if not raw and node.conversion in ("number", "degrees") else None
+    if isinstance(node, p.Scalar) and node.kind == "float":
+        return np.dtype(np.float64)
+    if node.raw_range is None or (isinstance(node, p.Scalar) and len(node.bits) > 64):
+        return None
+    low, high = node.raw_range
+    for step in node.steps if not raw else ():
+        if isinstance(step, p.Scale):
+            if (isinstance(step.scale, float) and step.scale != 1.0) or (
+                isinstance(step.offset, float) and step.offset
+            ):
+                return np.dtype(np.float64)
+            low, high = sorted((int(low * step.scale + step.offset), int(high * step.scale + step.offset)))
+    for width in _WIDTHS:
+        if low >= 0 and high < 1 << width:
+            return np.dtype(f"u{width // 8}")
+        if low >= -(1 << width - 1) and high < 1 << width - 1:
+            return np.dtype(f"i{width // 8}")
+    return None
+
+
+def _bytes(bits: int) -> int:
+    return next(width for width in _WIDTHS if width >= bits) // 8

@@ -6,6 +6,7 @@
    construct of both messages must confirm it; none found is `undecided`, which a spec settles with `overrides=`.
 3. What a spec says beside the bytes (direction, dialect, configuration, request) separates two messages only when no
    situation has both.
+4. Messages are tried as declared, but one goes before those it overrides (`ordered`).
 """
 
 from __future__ import annotations
@@ -148,6 +149,25 @@ def needing_context(messages: Sequence[Message]) -> frozenset[str]:
     return frozenset(found)
 
 
+def request_names(
+    messages: Sequence[Message], contextual: Collection[str]
+) -> tuple[frozenset[str], frozenset[str]]:
+    """Names of the messages that the `contextual` ones hang on; of those that need no request to be recognised, but use
+    one up: else it would stay open for a later reply."""
+    asked = frozenset(
+        request.message.name
+        for message in messages
+        if message.name in contextual
+        for request in (*message.reply_to, *message.after)
+    )
+    answers = frozenset(
+        message.name
+        for message in messages
+        if message.name not in contextual and any(r.message.name in asked for r in message.reply_to)
+    )
+    return asked, answers
+
+
 # ---------------------------------------------------------------------- CAN
 
 
@@ -168,9 +188,7 @@ class Demands(NamedTuple):
 
 def demands(message: Message, length: int | None) -> Demands | None:
     """What a message demands of its bytes: bits that are fixed, and choices. None when it never has `length` bytes."""
-    from ..plan.flatten import flatten
-
-    plan = flatten(message)
+    plan = message.plan
     fixed: dict[int, int] = {}
     for constant in plan.constants:
         if length is not None and constant.offset >= length:
@@ -275,9 +293,7 @@ def _confirmed(
     one: Message, other: Message, identifier: int, fixed: Mapping[int, int], size: int
 ) -> bytes | None:
     """A frame's data of this size that both messages accept, checks aside; None when none was found."""
-    from ..plan.flatten import flatten
-
-    opaque = [message for message in (one, other) if not flatten(message).is_flat]
+    opaque = [message for message in (one, other) if not message.plan.is_flat]
     rng = random.Random(0)
     for fill in ("zero", "one", *("any",) * 10) if opaque else ("zero",):
         data = bytes(
@@ -297,7 +313,7 @@ def _framings_conflict(one: Message, other: Message) -> Conflict | None:
     a, b = one.framing, other.framing
     assert isinstance(a, Framing)
     assert isinstance(b, Framing)
-    # Stuffing of whole packets moves their bytes: then only what stands on the wire can be compared.
+    # Stuffing of whole packets moves their bytes: then only the bytes on the wire can be compared.
     moved = any(isinstance(f.stuffing, Stuffing) and not isinstance(f.stuffing, Insert) for f in (a, b))
     if not moved and _merge(one, other, None) is None:
         return None
@@ -319,14 +335,12 @@ def _framings_conflict(one: Message, other: Message) -> Conflict | None:
 
 
 def _stream_conflict(one: Message, other: Message) -> Conflict | None:
-    from ..plan.flatten import flatten
-
     if _merge(one, other, None) is None:
         return None
-    lengths, others = flatten(one).lengths, flatten(other).lengths
+    lengths, others = one.plan.lengths, other.plan.lengths
     if lengths is not None and others is not None and not set(lengths) & set(others):
         return None
-    for mine, theirs in ((lengths, flatten(other).least), (others, flatten(one).least)):
+    for mine, theirs in ((lengths, other.plan.least), (others, one.plan.least)):
         if mine is not None and max(mine) < theirs:
             return None
     witness = _search(one, other) or _search(other, one)
@@ -369,3 +383,25 @@ def _accepts(message: Message, packet: bytes) -> bool:
     except (ConstructError, AcesError):
         return False
     return True
+
+
+def ordered(messages: Iterable[Message]) -> list[Message]:
+    """The messages in the order of trial."""
+    left = list(messages)
+    if not any(message.overrides for message in left):
+        return left
+    names = {m.name for m in left}
+    done: list[Message] = []
+    placed: set[str] = set()
+    while left:
+        # The first one that nothing left has to go before.
+        for message in left:
+            if not any(message.name in other.overrides for other in left if other is not message):
+                break
+        else:
+            message = left[0]
+        left.remove(message)
+        done.append(message)
+        placed.add(message.name)
+    assert placed == names
+    return done

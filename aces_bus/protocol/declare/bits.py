@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
@@ -26,6 +26,24 @@ from .place import caller
 #: Bytes of a layout: far more than any frame, few enough for a bound on the work.
 LARGEST = 4096
 FLOATS = {16: ">e", 32: ">f", 64: ">d"}
+
+
+def whole_bits(offset: int, size: int, order: str) -> tuple[int, ...]:
+    """The canonical numbers of the bits of a number of `size` whole bytes, lowest bit first."""
+    places = range(offset, offset + size)
+    return tuple(8 * byte + bit for byte in (places[::-1] if order == "big" else places) for bit in range(8))
+
+
+def runs_of(positions: Sequence[int]) -> list[tuple[int, int, int]]:
+    """Runs of bits that go upward: (number of the lowest bit, its place in `positions`, width)."""
+    runs: list[tuple[int, int, int]] = []
+    for to, at in enumerate(positions):
+        if runs and runs[-1][0] + runs[-1][2] == at:
+            first, place, width = runs[-1]
+            runs[-1] = (first, place, width + 1)
+        else:
+            runs.append((at, to, 1))
+    return runs
 
 
 class Bits(Construct):
@@ -362,6 +380,3 @@ class BitLayout(Construct):
 
     def _sizeof(self, context: Any, path: str) -> int:
         return self.size
-
-
-__all__ = ["BitLayout", "Bits", "LayoutSlot", "Split", "Tuple", "bits", "float_bits"]

@@ -50,7 +50,7 @@ Covered = slice | IdBytes | Extra | bytes
 class Check:
     """A check of `size` bytes. `compute` gives the number, `encode` its bytes on the wire.
 
-    `field` names the field of the payload that holds it; without it the check stands at the end of the packet. `text` is
+    `field` names the field of the payload that holds it; without it the check is at the end of the packet. `text` is
     a format for checks written as characters, such as `"*{:02X}"` (NMEA): they are written as it says, and read by value,
     as hexadecimal digits mean the same in either case.
     """
@@ -121,7 +121,7 @@ class Check:
         return len(least)
 
     def same(self, stored: bytes, wanted: bytes) -> bool:
-        """Whether what stands in a packet is the number that `encode` wrote as `wanted`."""
+        """Whether the bytes in a packet are the number that `encode` wrote as `wanted`."""
         if stored == wanted or self.digits is None:
             return stored == wanted
         digits = self.digits
@@ -201,6 +201,11 @@ def xor_of(data: bytes) -> int:
 _FOLDS = [tuple(8 << step for step in reversed(range(halvings))) for halvings in range(40)]
 
 
+def fletcher_of(data: bytes) -> int:
+    """The 8-bit Fletcher pair of bytes, the first in the low byte."""
+    return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+
+
 class Xor(Check):
     """The exclusive or of the covered bytes."""
 
@@ -218,7 +223,7 @@ class Xor(Check):
 
 
 class Fletcher(Check):
-    """The 8-bit Fletcher pair of UBX and MIP: a += byte, b += a, both modulo 256; a stands first."""
+    """The 8-bit Fletcher pair of UBX and MIP: a += byte, b += a, both modulo 256; a comes first."""
 
     kind = "fletcher"
 
@@ -226,7 +231,7 @@ class Fletcher(Check):
         super().__init__(2, **more)
 
     def compute(self, data: bytes) -> int:
-        return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
+        return fletcher_of(data)
 
     @property
     def describe(self) -> str:
@@ -340,7 +345,7 @@ class Sums:
         self._grow(fresh)
 
     def lend(self, start: int, end: int, first: Any, second: Any) -> None:
-        """Use prefix sums that somebody else made, until `forget`."""
+        """Use prefix sums that were made elsewhere, until `forget`."""
         self._start, self.end = start, end
         self._first, self._second = first, second
 

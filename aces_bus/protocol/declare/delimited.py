@@ -38,7 +38,7 @@ class AsciiField(Field):
         return text if is_raw(context) else self.to_physical(text)
 
     def _encode(self, obj: Any, context: Any, path: str) -> Any:
-        text = obj if is_raw(context) else self.to_raw(obj, path)
+        text = obj if is_raw(context) else "" if obj is None else self.to_raw(obj, path)
         if not isinstance(text, str) or not self.accepts(text):
             raise FieldError(f"{path}: {obj!r} cannot be written here")
         return text.encode("latin-1")
@@ -50,7 +50,7 @@ class AsciiField(Field):
         return raw or None
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        return "" if value is None else str(value)
+        return str(value)
 
 
 class AsciiText(AsciiField):
@@ -70,8 +70,6 @@ class AsciiNumber(AsciiField):
         return float(raw) if raw else None
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        if value is None:
-            return ""
         number = plain_number(value)
         if number is None or not abs(number) < inf:
             raise FieldError(f"{path}: {value!r} is not a number that characters say")
@@ -93,12 +91,17 @@ class AsciiInteger(AsciiField):
         return int(raw) if raw else None
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        if value is None:
-            return ""
         number = plain_number(value)
         if not isinstance(number, int):
             raise FieldError(f"{path}: {value!r} is not an integer")
         return f"{number:0{self.digits}d}"
+
+
+def degrees(text: str | bytes) -> float:
+    """`4807.038` (degrees and minutes run together) as degrees."""
+    number = float(text)
+    whole = number // 100
+    return whole + (number - 100 * whole) / 60
 
 
 class AsciiDegrees(AsciiField):
@@ -111,22 +114,15 @@ class AsciiDegrees(AsciiField):
         self.width, self.digits = width, digits
 
     def to_physical(self, raw: str) -> Any:
-        if not raw:
-            return None
-        number = float(raw)
-        degrees = number // 100
-        return degrees + (number - 100 * degrees) / 60
+        return degrees(raw) if raw else None
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        if value is None:
-            return ""
         number = plain_number(value)
         if number is None or not 0 <= number <= 180:
             raise FieldError(f"{path}: {value!r} is outside 0…180°")
-        minutes = round(number * 60, self.digits)
-        degrees, rest = divmod(minutes, 60)
+        whole, rest = divmod(round(number * 60, self.digits), 60)
         width = 3 + self.digits if self.digits else 2
-        return f"{int(degrees):0{self.width}d}{rest:0{width}.{self.digits}f}"
+        return f"{int(whole):0{self.width}d}{rest:0{width}.{self.digits}f}"
 
 
 class AsciiEnumeration(AsciiField):
@@ -143,13 +139,13 @@ class AsciiEnumeration(AsciiField):
         return self.values.get(raw, raw) if raw else None
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        return "" if value is None else self.names.get(value, value)
+        return self.names.get(value, value)
 
 
 class Delimited(Construct):
     """Fields between separators: `Delimited(",", "time" / AsciiText(), …)`.
 
-    `lead` says that a separator stands before the first field. The last `optional` fields may be missing altogether
+    `lead` says that there is a separator before the first field. The last `optional` fields may be missing altogether
     (None). With `more=True` fields beyond the last are kept, as texts, in the field `more`.
     """
 

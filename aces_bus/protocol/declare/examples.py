@@ -1,7 +1,7 @@
 """Worked examples: bytes and the fields that they mean, as the sheet prints them beside each other.
 
 1. An example is data: it is read when the message is declared, and holds or fails elsewhere (`lint.examples`, the laws).
-2. Its bytes are written out by whoever wrote the spec, from the sheet or a recording; bytes that the spec itself built
+2. Its bytes are written out by the author of the spec, from the sheet or a recording; bytes that the spec itself built
    would prove nothing.
 
     examples=[("001#00 07 C8 00 00 00 F4 01", {"board": 0, "kp": 200, "ki": 0, "kd": 500})]       CAN: identifier#data
@@ -128,6 +128,3 @@ def as_examples(given: Iterable[Any], place: SourceLine, *, is_can: bool) -> tup
         except ValueError as error:
             raise SpecError(f"{place}: example {error}") from None
     return tuple(found)
-
-
-__all__ = ["Example", "ExampleFrame", "as_examples", "frame_text", "parse_word"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from construct import (
     Adapter,
@@ -19,10 +19,13 @@ from construct import (
     BytesInteger,
     Construct,
     Default,
+    FormatField,
     GreedyBytes,
+    IfThenElse,
     IntegerError,
     Renamed,
     Struct,
+    Switch,
 )
 
 from ...errors import FieldError, SpecError
@@ -279,6 +282,46 @@ def innermost(subcon: Construct) -> Construct:
     while hasattr(subcon, "subcon"):
         subcon = subcon.subcon
     return subcon
+
+
+class WireNumber(NamedTuple):
+    """What a number is on the wire; `size` in bytes."""
+
+    kind: Literal["uint", "int", "float"]
+    size: int
+    order: Literal["little", "big"]
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """The least and the greatest integer of this size."""
+        top = 1 << 8 * self.size - 1
+        return (-top, top - 1) if self.kind == "int" else (0, 2 * top - 1)
+
+
+def wire_number(inner: Any) -> WireNumber | None:
+    """What number an innermost construct reads; None where it is none, or of a size that is not fixed."""
+    if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "efdBbHhLlQq":
+        mark = inner.fmtstr[-1:]
+        order: Literal["little", "big"] = "little" if inner.fmtstr.startswith("<") else "big"
+        return WireNumber(
+            "float" if mark in "efd" else "int" if mark.islower() else "uint", inner.length, order
+        )
+    if isinstance(inner, BytesInteger) and isinstance(inner.length, int) and isinstance(inner.swapped, bool):
+        return WireNumber(
+            "int" if inner.signed else "uint", inner.length, "little" if inner.swapped else "big"
+        )
+    return None
+
+
+def inner_constructs(con: Any) -> list[Any]:
+    """The constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
+    if isinstance(con, Multiplexed):
+        return [con.body]
+    if isinstance(con, IfThenElse):
+        return [con.thensubcon, con.elsesubcon]
+    if isinstance(con, Switch):
+        return [*con.cases.values(), con.default]
+    return list(con.subcons) if hasattr(con, "subcons") else [con.subcon] if hasattr(con, "subcon") else []
 
 
 class SignMagnitude(Field):

@@ -14,7 +14,7 @@ A packet on the wire is  sync | header | payload | check | end,  and one of thre
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from ...errors import SpecError
 from .checks import Check
 from .head import Head, heads_of
 from .place import SourceLine, caller
-from .stuffing import Insert, Stuffing
+from .stuffing import Cobs, Insert, Slip, Stuffing
 
 if TYPE_CHECKING:
     from .message import Message
@@ -182,7 +182,7 @@ class Framing:
     def judge(
         self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None
     ) -> Judgement:
-        """What stands at `start` of `data`.
+        """What begins at `start` of `data`.
 
         `silent` says that the line fell silent at the end of `data`. `extras` are the `check_extra` bytes by the number
         that selects them (see `Message.extra_key`).
@@ -232,7 +232,7 @@ class Framing:
         return self._checked(data[start : start + size], extras)
 
     def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
-        # The check covers what stands on the wire, except where the whole packet is stuffed.
+        # The check covers the bytes on the wire, except where the whole packet is stuffed.
         inserted = isinstance(self.stuffing, Insert)
         try:
             covered = packet if inserted else self.logical(packet)
@@ -265,7 +265,7 @@ class Framing:
         return Judgement(Verdict.WHOLE, len(packet), "", covered)
 
     def strays(self, data: bytes, start: int, stop: int) -> bool:
-        """Whether a byte of `not_inside` stands in [start, stop)."""
+        """Whether a byte of `not_inside` is in [start, stop)."""
         return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
 
     def logical(self, packet: bytes) -> bytes:
@@ -279,12 +279,25 @@ class Framing:
         return self.sync + self.stuffing.unstuff(inner) + self.end
 
     @property
+    def is_enclosed(self) -> bool:
+        """Whether packets are stuffed as a whole and closed by the one byte that stuffing keeps out of them (SLIP, COBS)."""
+        kind = type(self.stuffing)
+        mark = b"\xc0" if kind is Slip else b"\0" if kind is Cobs else None
+        return not self.sync and self.end == mark
+
+    @property
     def extra_head(self) -> Head | None:
         """The header field that picks a message's `check_extra`: the last one."""
         named = [
             h for h in self.heads if h.name and (self.affine is None or h.name != self.affine.length.name)
         ]
         return named[-1] if named else None
+
+    def extras_of(self, messages: Iterable[Message]) -> dict[int, bytes] | None:
+        """The `check_extra` bytes of those of the messages that have this framing, by the number that selects them; None
+        where the check has none."""
+        known = [m.extras for m in messages if m.framing is self and m.extras is not None]
+        return {number: extra for extras in known for number, extra in extras.items()} if known else None
 
     def extra_number(self, packet: bytes) -> int:
         head = self.extra_head

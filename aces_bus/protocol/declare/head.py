@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
-from construct import Bytes, BytesInteger, Const, Construct, FormatField, Renamed, Struct
+from construct import Bytes, Const, Construct, Renamed, Struct
 
 from ...errors import SpecError
-from .fields import Enumeration, Field, innermost
+from .fields import Enumeration, Field, WireNumber, innermost, wire_number
 from .pattern import IdPattern, as_pattern
 from .place import SourceLine
 
@@ -24,7 +24,7 @@ class Head:
     field: Construct
     offset: int
     size: int
-    order: str
+    order: Literal["little", "big"]
     signed: bool
     is_text: bool
     pattern: IdPattern | None = None
@@ -43,12 +43,10 @@ class Head:
 
     def number(self, packet: bytes) -> int:
         """The unsigned number in these bytes."""
-        return int.from_bytes(
-            packet[self.offset : self.offset + self.size], "big" if self.order == "big" else "little"
-        )
+        return int.from_bytes(packet[self.offset : self.offset + self.size], self.order)
 
     def bytes(self, number: int) -> bytes:
-        return number.to_bytes(self.size, "big" if self.order == "big" else "little")
+        return number.to_bytes(self.size, self.order)
 
     @property
     def wanted(self) -> str:
@@ -65,7 +63,7 @@ class Head:
         if isinstance(value, bytes):
             if len(value) != self.size:
                 raise SpecError(f"{place}: {self.name} is {self.size} bytes, matched with {value!r}")
-            value = int.from_bytes(value, "big" if self.order == "big" else "little")
+            value = int.from_bytes(value, self.order)
         names = enumeration_of(self.field)
         if isinstance(value, str):
             if names is None or value not in names.names:
@@ -98,27 +96,19 @@ def heads_of(struct: Struct | None, offset: int, place: SourceLine, what: str) -
         shown = f"field {name!r}" if name else f"{body!r}"
         inner = innermost(body)
         pattern = None
-        if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "BbHhLlQq":
-            size = inner.length
-            order = "little" if inner.fmtstr.startswith("<") else "big"
-            signed = inner.fmtstr[-1:].islower()
-        elif isinstance(inner, BytesInteger) and isinstance(inner.length, int):
-            size, order, signed = inner.length, "little" if inner.swapped else "big", inner.signed
-        elif isinstance(inner, Bytes) and isinstance(inner.length, int):
-            size, order, signed = inner.length, "big", False
-        else:
+        wire = wire_number(inner)
+        if isinstance(inner, Bytes) and isinstance(inner.length, int):
+            wire = WireNumber("uint", inner.length, "big")
+        if wire is None or wire.kind == "float":
             raise SpecError(
                 f"{place.of_field(name or '')}: {what} {shown} must be an integer or bytes of fixed size"
             )
         is_text = isinstance(inner, Bytes)
         if isinstance(body, Const):
             number = body.build(None)
-            pattern = IdPattern(int.from_bytes(number, "big" if order == "big" else "little"))
+            pattern = IdPattern(int.from_bytes(number, wire.order))
         elif is_text and not isinstance(body, Field) and name is None:
             raise SpecError(f"{place}: {what} bytes need a name")
-        found.append(Head(name, body, offset, size, order, signed, is_text, pattern))
-        offset += size
+        found.append(Head(name, body, offset, wire.size, wire.order, wire.kind == "int", is_text, pattern))
+        offset += wire.size
     return tuple(found)
-
-
-__all__ = ["Head", "enumeration_of", "heads_of"]

@@ -17,20 +17,20 @@ import construct as c
 
 from ...errors import SpecError, UnknownNameError
 from ...frames import FD_LENGTHS
-from .bits import BitLayout
+from .bits import BitLayout, whole_bits
 from .checks import Check, Extra
 from .delimited import Delimited
 from .examples import Example
 from .fields import Counter, Enumeration, Multiplexed, innermost
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
-from .normalise import check_name, normalised, sizes
+from .normalise import check_name, check_selectors, normalised, sizes
 from .packet import PacketStruct
 from .pattern import IdPattern, describe_values
 from .place import SourceLine
-from .selectors import check_selectors
 
 if TYPE_CHECKING:
+    from ..plan.nodes import MessagePlan
     from .protocol import Protocol
 
 Direction = Literal["to device", "from device"]
@@ -337,6 +337,13 @@ class Message:
         return PacketStruct(self)
 
     @property
+    def plan(self) -> MessagePlan:
+        """The layout: every field with its place, unit, names and conditions (see `aces_bus.protocol.plan`)."""
+        from ..plan.flatten import flatten
+
+        return flatten(self)
+
+    @property
     def fields(self) -> tuple[str, ...]:
         """Names of a record's fields, in order."""
         names = [capture.name for capture in self.identifier.captures]
@@ -405,17 +412,7 @@ class Message:
             slot = next(s for s in payload.slots if s.name == name)
             low = min(slot.positions)
             for order in ("little", "big"):
-                run = range(low, low + 8 * size)
-                want = (
-                    tuple(run)
-                    if order == "little"
-                    else tuple(
-                        p
-                        for byte in range(low // 8 + size - 1, low // 8 - 1, -1)
-                        for p in range(8 * byte, 8 * byte + 8)
-                    )
-                )
-                if low % 8 == 0 and slot.positions == want:
+                if low % 8 == 0 and slot.positions == whole_bits(low // 8, size, order):
                     return self.payload_start + low // 8, size, "little" if order == "little" else "big"
             raise SpecError(f"{self.place.of_field(name)}: check field {name!r} is not {size} whole bytes")
         offset = self.payload_start

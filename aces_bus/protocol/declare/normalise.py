@@ -3,8 +3,10 @@
 1. construct's own `Enum`, `FlagsEnum` and `Flag` become ours, which know raw mode; choices by an enumeration come out the
    same in both modes (`choices`). Nothing else changes meaning.
 2. Whatever would lose bytes (unnamed padding, seeking, ignored tails) or hide them is refused here, with its line, however
-   deep it stands (`vocabulary`). What has content takes all of its bytes.
+   deep it is (`vocabulary`). What has content takes all of its bytes.
 3. What repeats moves on: an item that can have no bytes is refused, one that has none just now ends the reading.
+4. A multiplexed field goes by the raw number of its selector. In a `BitLayout` that is at hand; a `Struct` knows its fields
+   only as records show them, so that there the two must be one (`check_selectors`).
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from ...errors import FieldError, SpecError
 from .bits import BitLayout
 from .choices import Known, enumerations_around, enumerations_of, equal_in_both, switch_by_both
 from .delimited import Delimited
-from .fields import Enumeration, Flags, Multiplexed
+from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude, inner_constructs
 from .head import enumeration_of
 from .place import SourceLine
 from .vocabulary import TRANSFORMS, refusal_of
@@ -78,7 +80,7 @@ class _Walk:
         self.bound: dict[int, c.LazyBound] = {}
 
     def of(self, con: c.Construct, path: str, known: Known) -> Any:
-        """What stands for `con`; raises `SpecError` for what cannot be in a payload."""
+        """What replaces `con`; raises `SpecError` for what cannot be in a payload."""
         place = self.place
         if isinstance(con, c.Renamed):
             if con.name is None:
@@ -415,3 +417,32 @@ def _either(cases: list[c.Construct]) -> tuple[int, int | None]:
     found = [sizes(case) for case in cases]
     tops = [high for _, high in found if high is not None]
     return min(low for low, _ in found), max(tops) if len(tops) == len(found) else None
+
+
+def check_selectors(con: c.Construct, place: SourceLine, path: str = "payload") -> None:
+    """Raise `SpecError` for a `Multiplexed` that is no field of its own, or goes by what is not the raw number."""
+    if isinstance(con, Multiplexed):
+        raise SpecError(f"{con.place}: {path}: Multiplexed makes a named field of a Struct or BitLayout")
+    if isinstance(con, c.Struct):
+        by_name = {item.name: item for item in con.subcons if item.name}
+        for item in con.subcons:
+            body = item.subcon if isinstance(item, c.Renamed) else item
+            if isinstance(body, Multiplexed):
+                _check_selector(by_name[body.selector], body.selector, place)
+                body = body.body
+            check_selectors(body, place, f"{path}.{item.name}" if item.name else path)
+        return
+    for one in inner_constructs(con):
+        check_selectors(one, place, path)
+
+
+def _check_selector(field: c.Construct, name: str, place: SourceLine) -> None:
+    while isinstance(field, (c.Renamed, c.Default, Field)):
+        if isinstance(field, SignMagnitude) or (
+            isinstance(field, Quantity) and (field.scale != 1 or field.offset or field.unknown or field.names)
+        ):
+            raise SpecError(
+                f"{place.of_field(name)}: selector {name!r} is a {type(field).__name__}; a field of a Struct is"
+                " multiplexed by a plain number, an Enumeration or Flags"
+            )
+        field = field.subcon

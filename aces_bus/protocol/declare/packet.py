@@ -11,12 +11,15 @@ bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for C
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
+from contextlib import suppress
 from operator import index
 from typing import TYPE_CHECKING, Any
 
 from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
 
 from ...errors import FieldError
+from ..keys import EXTENDED, REMOTE
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
@@ -26,7 +29,6 @@ from .pattern import IdPattern, describe_values
 if TYPE_CHECKING:
     from .message import Message
 
-EXTENDED, REMOTE = 0x8000_0000, 0x4000_0000
 FD_FLAG = 0x04
 
 
@@ -77,7 +79,7 @@ class PacketStruct(Construct):
             return self._read(stream, context, path)
         except (NotThisError, LengthError, WrongCheckError, ContentError):
             raise
-        except Exception as error:  # whatever a construct raises, its own or somebody else's
+        except Exception as error:  # whatever a construct raises, construct's own or a user's
             raise ContentError(self.message, error, path) from error
 
     def _read(self, stream: Any, context: Any, path: str) -> Container:
@@ -95,9 +97,7 @@ class PacketStruct(Construct):
             is_kind = flags[:2] == (message.extended, message.remote) and flags[2] in message.formats
             if captures is None or not is_kind:
                 raise NotThisError("another identifier", path=path)
-            for capture in message.identifier.captures:
-                raw = captures[capture.name]
-                values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+            _read_captures(message.identifier, captures, context, values)
             data, end = packet[5:], len(packet) - 5
         else:
             judged = message.framing.judge(packet, 0, silent=True, extras=message.extras)
@@ -121,10 +121,30 @@ class PacketStruct(Construct):
                 raise NotThisError("a constant is another", path=path)
         if short or (message.lengths is not None and len(data) not in message.lengths):
             raise LengthError(f"length {len(data)}", path=path)
+        self._fields(values, data, end, context, path)
+        check = message.check
+        if check is not None and check.field is not None:
+            found = values.pop(check.field)
+            if found != check.compute(message.covered(data, identifier)):
+                raise WrongCheckError("checksum", path=path)
+        return values
+
+    def look(self, data: bytes, end: int) -> Container:
+        """The fields of a packet's bytes up to `end`, in physical units, as far as they can be read: whether it is whole,
+        and its check, are not asked."""
+        values, context = Container(), Container(raw=False)
+        context._params = context
+        with suppress(Exception):  # whatever a construct raises, construct's own or a user's
+            self._fields(values, data, end, context, "(looking)")
+        return values
+
+    def _fields(self, values: Container, data: bytes, end: int, context: Any, path: str) -> None:
+        """Read head fields and payload into `values`."""
+        message = self.message
         inner = Container(
             _=context, _params=context._params, _root=None, _parsing=True, _building=False, _sizing=False
         )
-        for head in heads:
+        for head in message.heads:
             self._read_head(head, data, context, values, f"{path} -> {head.name}")
         inner.update(values)
         for head in message.heads_written:
@@ -141,20 +161,11 @@ class PacketStruct(Construct):
             raise LengthError("bytes left over", path=path)
         for name in message.payload_names:
             values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
-        check = message.check
-        if check is not None and check.field is not None:
-            found = values.pop(check.field)
-            if found != check.compute(message.covered(data, identifier)):
-                raise WrongCheckError("checksum", path=path)
-        return values
 
     @staticmethod
     def _read_head(head: Head, data: bytes, context: Any, values: Container, path: str) -> None:
         if head.pattern is not None and not head.is_own:
-            captures = head.pattern.match(head.number(data)) or {}
-            for capture in head.pattern.captures:
-                raw = captures[capture.name]
-                values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+            _read_captures(head.pattern, head.pattern.match(head.number(data)) or {}, context, values)
         elif head.name is not None and not head.is_constant:
             values[head.name] = head.field._parsereport(
                 io.BytesIO(data[head.offset : head.offset + head.size]), context, path
@@ -189,12 +200,7 @@ class PacketStruct(Construct):
             stream.write(self.framed(message.framing, head, body.getvalue()))
             return obj
         data = head + body.getvalue()
-        captures = {}
-        for capture in message.identifier.captures:
-            given = _given(obj, capture.name, path)
-            captures[capture.name] = (
-                index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
-            )
+        captures = _captured(message.identifier, obj, raw, path)
         identifier = message.identifier.number(captures)
         if message.identifier.match(identifier) is None:
             raise FieldError(f"{path}: no identifier for {captures}")
@@ -214,13 +220,7 @@ class PacketStruct(Construct):
         if framing is not None and framing.affine is not None and head.name == framing.affine.length.name:
             return bytes(head.size)
         if head.pattern is not None and not head.is_own:
-            captures = {}
-            for capture in head.pattern.captures:
-                given = _given(obj, capture.name, path)
-                captures[capture.name] = (
-                    index(given) if raw else capture.to_raw(given, f"{path} -> {capture.name}")
-                )
-            return head.bytes(head.pattern.number(captures))
+            return head.bytes(head.pattern.number(_captured(head.pattern, obj, raw, path)))
         if head.name is None:
             return bytes(head.field.build(None))
         out = io.BytesIO()
@@ -306,6 +306,22 @@ class PacketStruct(Construct):
         from construct import SizeofError
 
         raise SizeofError("a packet's size depends on its message", path=path)
+
+
+def _read_captures(pattern: IdPattern, captures: Mapping[str, int], context: Any, values: Container) -> None:
+    """Put the parts of a number into `values`."""
+    for capture in pattern.captures:
+        raw = captures[capture.name]
+        values[capture.name] = raw if is_raw(context) else capture.to_physical(raw)
+
+
+def _captured(pattern: IdPattern, obj: Any, raw: bool, path: str) -> dict[str, int]:
+    """The raw parts of a number, from the fields that are given."""
+    given = {capture: _given(obj, capture.name, path) for capture in pattern.captures}
+    return {
+        capture.name: index(value) if raw else capture.to_raw(value, f"{path} -> {capture.name}")
+        for capture, value in given.items()
+    }
 
 
 def _described(pattern: IdPattern) -> str:

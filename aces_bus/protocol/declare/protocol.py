@@ -19,7 +19,7 @@ from . import ambiguity
 from .checks import Check
 from .examples import as_examples
 from .framing import Framing
-from .message import DIRECTIONS, ConfigurationCondition, Direction, Message, Request, as_requests
+from .message import DIRECTIONS, ConfigurationCondition, Direction, Message, as_requests
 from .pattern import as_pattern
 from .place import caller
 
@@ -462,6 +462,3 @@ def may_coexist(one: Message, other: Message) -> bool:
     if not share_dialect(one, other):
         return False
     return not any(a.excludes(b) for a in one.when for b in other.when)
-
-
-__all__ = ["Configuration", "Link", "Protocol", "Request", "Variant", "may_coexist"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 
 class Stuffing:
-    """Turns data into what stands on the wire, and back."""
+    """Turns data into the bytes on the wire, and back."""
 
     def stuff(self, data: bytes) -> bytes:
         raise NotImplementedError

@@ -1,6 +1,6 @@
 """Which words of construct a payload may have: every class of its module is named here, and why those that are refused are.
 
-1. A word is refused when what it reads cannot be built again byte for byte, when it runs somebody's program on bytes from a
+1. A word is refused when what it reads cannot be built again byte for byte, when it runs a program on bytes from a
    wire, or when it reads later than `feed`. A class that is not named here, from a construct yet to come, is refused too.
 2. Types of your own (`Field`, adapters, any `Construct`) are taken as they are: what they lose, the laws find.
 """
@@ -121,7 +121,7 @@ TRANSFORMS: dict[Any, int] = {core.bytes2bits: 8, core.swapbytes: 1, core.swapbi
 
 
 def construct_class(con: c.Construct) -> type | None:
-    """The class that decides about a construct: its own, or for types of somebody's own the nearest of construct's.
+    """The class that decides about a construct: its own, or for a user's type the nearest of construct's.
 
     None for a class of construct's that is not named here.
     """

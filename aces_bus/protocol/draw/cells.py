@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from ..declare.fields import number_runs
@@ -20,7 +20,7 @@ BIT = 8
 ROW = 8 * BIT + 7
 #: Lists of more bytes than this are one row; in messages of more bytes, so is each number of whole bytes.
 LONGEST = 16
-#: What stands above a picture of fields whose bits are those of others, too.
+#: The title of a picture of fields whose bits are those of others, too.
 SHARING = "of the same bits:"
 
 
@@ -57,7 +57,7 @@ class _Cells:
             self.bits.setdefault(position, (label, index, len(bits)))
 
 
-#: A row: what stands in front, and its cells as (columns, text).
+#: A row: the text in front, and its cells as (columns, text).
 Row = tuple[str, list[tuple[int, str]]]
 
 
@@ -78,9 +78,10 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
     always: list[_Cells] = [base]
     variants: dict[p.When, list[_Cells]] = {}
     is_brief = plan.least > LONGEST
-    for one, outer in _placed(plan.fields, "", None):
-        layers = always if outer is None else variants.setdefault(outer, [_Cells()])
-        _claim(_free(layers, one[1]), *one, is_brief=is_brief)
+    for one in p.walk(plan.fields, is_long):
+        if one.node.is_leaf or is_long(one.node):
+            layers = variants.setdefault(one.whens[-1], [_Cells()]) if one.whens else always
+            _claim(_free(layers, one.node), one.path, one.node, is_brief=is_brief)
     for when, layers in variants.items():
         selector = when.selector.name
         for position in layers[0].bits:
@@ -102,9 +103,7 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
 
 def _free(layers: list[_Cells], node: p.Node) -> _Cells:
     """The first picture in which no other field has the bits of this one; a new one where there is none."""
-    bits: Sequence[int] = node.bits if isinstance(node, p.Scalar) else ()
-    if isinstance(node, p.Scalar) and node.kind == "float" and not bits:
-        bits = range(8 * node.offset, 8 * (node.offset + (node.size or 0)))
+    bits = node.place if isinstance(node, p.Scalar) and not node.is_bytes else ()
     for cells in layers:
         # Only numbers share bits; bytes of open size stand behind them.
         if cells.taken.isdisjoint(bits):
@@ -147,27 +146,10 @@ def marks_of(message: Message) -> list[Mark]:
 
 # ---------------------------------------------------------------------- who owns which bits
 
-_When = p.When | None
-_Place = tuple[str, p.Node]
-
-
-def _placed(fields: Sequence[p.PlanField], prefix: str, when: _When) -> Iterator[tuple[_Place, _When]]:
-    for one in fields:
-        inner = one.when or when
-        if isinstance(one.node, p.NestedRecord):
-            yield from _placed(one.node.fields, f"{prefix}{one.name}.", inner)
-        elif isinstance(one.node, p.Many) and not is_long(one.node):
-            for index, item in enumerate(one.node.items):
-                if isinstance(item, p.NestedRecord):
-                    yield from _placed(item.fields, f"{prefix}{one.name}.{index}.", inner)
-                else:
-                    yield from _placed([p.PlanField(f"{one.name}.{index}", item)], prefix, inner)
-        else:
-            yield (prefix + one.name, one.node), inner
-
 
 def is_long(node: p.Node) -> bool:
-    span = span_of(node)
+    """Whether a list is drawn and listed as a whole."""
+    span = span_of(node) if isinstance(node, p.Many) else None
     return span is not None and span[1] > LONGEST
 
 
@@ -177,12 +159,7 @@ def span_of(node: p.Node) -> tuple[int, int] | None:
         if node.bits and len(node.bits) != 8 * node.size:
             return None
         return node.offset, node.size
-    items: list[p.Node] = []
-    if isinstance(node, p.Many):
-        items = list(node.items)
-    elif isinstance(node, p.NestedRecord):
-        items = [one.node for one in node.fields]
-    spans = [span_of(item) for item in items]
+    spans = [span_of(inner.node) for _, inner in node.children]
     if not spans or spans[0] is None:
         return None
     start = end = spans[0][0]
@@ -201,12 +178,10 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
         assert span is not None
         cells.blocks[span[0]] = _Block(*span, f"{label}.0…{len(node.items) - 1}")
     elif isinstance(node, p.FromIdentifier) and node.number is not None:
-        bits = node.number.bits
-        if node.is_alone:
-            text = f"{label}" if not node.constant and not node.shift else f"{node.constant:#04x} + {label}"
-            cells.claim(text if not node.shift else f"{text} << {node.shift}", bits)
-        else:
-            cells.claim(label, bits[node.shift : node.shift + node.width])
+        text = label
+        if node.is_alone and (node.constant or node.shift):
+            text = f"{node.constant:#04x} + {label}" + (f" << {node.shift}" if node.shift else "")
+        cells.claim(text, node.place)
     elif isinstance(node, p.DelimitedField):
         cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
     elif isinstance(node, p.MoreCells):
@@ -214,29 +189,22 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
 
 
 def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) -> None:
-    if node.kind in ("bytes", "text"):
+    if node.is_bytes:
         if node.size == 1:
             cells.claim(label, range(8 * node.offset, 8 * node.offset + 8))
         else:
             cells.blocks[node.offset] = _Block(node.offset, node.size, label)
         return
     assert node.size is not None
-    bits = node.bits
-    if not bits:  # a float
-        little = tuple(range(8 * node.offset, 8 * (node.offset + node.size)))
-        bits = little if node.order == "little" else p.big_endian_bits(node.offset, node.size)
-    is_flags = any(isinstance(step, p.FlagBits) for step in node.steps)
+    bits = node.place
     is_whole = not node.bits if node.kind == "float" else node.is_whole
-    if is_brief and node.size > 1 and not is_flags and is_whole:
+    if is_brief and node.size > 1 and not node.flags and is_whole:
         order = "low" if bits[0] < bits[-1] else "high"
         cells.blocks[node.offset] = _Block(
             node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True
         )
         return
-    flags = {
-        number: name for step in node.steps if isinstance(step, p.FlagBits) for name, number in step.bits
-    }
-    for number, name in flags.items():
+    for name, number in node.flags.items():
         cells.claim(name, (bits[number],))
     cells.claim(label, bits)
 
@@ -354,18 +322,3 @@ def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
 def listed(values: Sequence[int]) -> str:
     """Numbers one by one, or many as their runs."""
     return ", ".join(map(str, values)) if len(values) <= 4 else number_runs(values)
-
-
-__all__ = [
-    "BIT",
-    "ROW",
-    "LayoutPanel",
-    "Mark",
-    "Row",
-    "is_long",
-    "listed",
-    "marks_of",
-    "panels",
-    "range_text",
-    "span_of",
-]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ..declare.bits import whole_bits
 from ..declare.message import Message
 from ..declare.pattern import describe_values
 from ..plan import nodes as p
@@ -13,7 +14,7 @@ from .cells import is_long, listed, range_text, span_of
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One line of a field table. `place` is where it stands, `range` what it can be or, if stated, what may be sent."""
+    """One line of a field table. `place` is where it is, `range` what it can be or, if stated, what may be sent."""
 
     name: str
     place: str
@@ -28,7 +29,16 @@ class FieldRow:
 
 def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
     """The fields of a message; `captured` says what captured parts can be."""
-    return list(_table(plan.fields, "", captured or {}))
+    rows: list[FieldRow] = []
+    for one in p.walk(plan.fields, is_long):
+        if one.node.is_leaf or is_long(one.node):
+            doc = one.doc
+            if one.whens:
+                when = one.whens[-1]
+                only = f"only while {when.selector.name} is {listed(when.values)}"
+                doc = f"{only}; {doc}" if doc else only
+            rows.append(_field_row(one.path, one.node, doc, captured or {}))
+    return rows
 
 
 def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
@@ -44,23 +54,6 @@ def captured_values(message: Message) -> dict[str, str]:
     return {capture.name: describe_values(capture.values) for capture in captures}
 
 
-def _table(fields: Sequence[p.PlanField], prefix: str, captured: Mapping[str, str]) -> Iterator[FieldRow]:
-    for one in fields:
-        name, node, doc = prefix + one.name, one.node, one.doc
-        if one.when is not None:
-            doc = f"only while {one.when.selector.name} is {listed(one.when.values)}" + (
-                f"; {doc}" if doc else ""
-            )
-        if isinstance(node, p.NestedRecord):
-            yield from _table(node.fields, f"{name}.", captured)
-        elif isinstance(node, p.Many) and not is_long(node):
-            for index, item in enumerate(node.items):
-                inner = p.PlanField(f"{one.name}.{index}", item, doc if not index else "", None)
-                yield from _table([inner], prefix, captured)
-        else:
-            yield _field_row(name, node, doc, captured)
-
-
 def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -> FieldRow:
     if isinstance(node, p.Many):
         span = span_of(node)
@@ -73,18 +66,13 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
     if isinstance(node, p.Scalar):
         return _scalar_row(name, node, doc)
     if isinstance(node, p.FromIdentifier):
-        if node.number is not None:
-            place = bits_place(
-                node.number.bits if node.is_alone else node.number.bits[node.shift : node.shift + node.width]
-            )
-        else:
-            place = (
-                "identifier" if node.is_alone else f"identifier {node.shift + node.width - 1}…{node.shift}"
-            )
-        scale, offset, _ = _scaling(node.steps)
-        names = _names(node.steps)
+        place = bits_place(node.place)
+        if node.number is None:
+            last = node.shift + node.width - 1
+            place = "identifier" if node.is_alone else f"identifier {last}…{node.shift}"
+        kind = f"uint{node.width}"
         return FieldRow(
-            name, place, f"uint{node.width}", node.unit, scale, offset, captured.get(name, ""), names, doc
+            name, place, kind, node.unit, *_scaling(node)[:2], captured.get(name, ""), _names(node), doc
         )
     if isinstance(node, p.FromRequest):
         return FieldRow(name, "request", "as there", doc=doc)
@@ -92,9 +80,8 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
         return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
     if isinstance(node, p.DelimitedField):
         kind = {"names": "enumeration"}.get(node.conversion, node.conversion)
-        names = ", ".join(f"{raw}={text}" for raw, text in node.names)
         note = "may be left out" if node.optional else ""
-        return FieldRow(name, f"field {node.index}", kind, node.unit, names=names, doc=doc or note)
+        return FieldRow(name, f"field {node.index}", kind, node.unit, names=_names(node), doc=doc or note)
     if isinstance(node, p.MoreCells):
         return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
     reason = node.reason if isinstance(node, p.Opaque) else ""
@@ -102,8 +89,8 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
 
 
 def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
-    scale, offset, bounds = _scaling(node.steps)
-    if node.kind in ("bytes", "text"):
+    scale, offset, span = _scaling(node)
+    if node.is_bytes:
         place = f"byte {node.offset}…" if node.size is None else f"byte {range_text(node.offset, node.size)}"
         return FieldRow(name, place, node.kind if node.size is None else f"{node.kind}[{node.size}]", doc=doc)
     assert node.size is not None
@@ -115,32 +102,25 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
             node.unit,
             scale,
             offset,
-            bounds or "",
+            span,
             doc=doc,
         )
     width = len(node.bits)
-    kind = f"{node.kind}{width}{_order_of(node)}"
-    low, high = (-(1 << width - 1), (1 << width - 1) - 1) if node.kind == "int" else (0, (1 << width) - 1)
+    kind: str = "sign+mag" if node.is_magnitude else node.kind
     for step in node.steps:
-        if isinstance(step, p.Magnitude):
-            kind = f"sign+mag{width}{_order_of(node)}"
-            high = (1 << width - 1) - 1
-            low = -high
-        elif isinstance(step, p.FlagBits):
-            kind = f"flags{width}{_order_of(node)}"
+        if isinstance(step, p.FlagBits):
+            kind = "flags"
         elif isinstance(step, p.ValueNames):
-            kind = f"enum{width}{_order_of(node)}"
-    span = bounds
-    if span is None:
-        edges = [float(low), float(high)]
+            kind = "enum"
+    kind = f"{kind}{width}{_order_of(node)}"
+    names = _names(node)
+    if not span and width <= 64 and (node.scale is not None or not names) and node.raw_range is not None:
+        edges = list(map(float, node.raw_range))
         for step in node.steps:
             if isinstance(step, p.Scale):
                 edges = [edge * step.scale + step.offset for edge in edges]
-        is_number = any(isinstance(step, p.Scale) for step in node.steps) or not _names(node.steps)
-        span = f"{_short(min(edges))}…{_short(max(edges))}" if is_number and width <= 64 else ""
-    return FieldRow(
-        name, bits_place(node.bits), kind, node.unit, scale, offset, span, _names(node.steps), doc
-    )
+        span = f"{_short(min(edges))}…{_short(max(edges))}"
+    return FieldRow(name, bits_place(node.bits), kind, node.unit, scale, offset, span, names, doc)
 
 
 def _order_of(node: p.Scalar) -> str:
@@ -151,7 +131,7 @@ def _order_of(node: p.Scalar) -> str:
         return " le" if node.order == "little" else " be"
     if list(node.bits) == list(range(node.bits[0], node.bits[0] + len(node.bits))):
         return " le"
-    if node.bits == p.big_endian_bits(node.offset, node.size or 0):
+    if node.bits == whole_bits(node.offset, node.size or 0, "big"):
         return " be"
     return ""
 
@@ -180,38 +160,25 @@ def bits_place(bits: Sequence[int]) -> str:
     return " + ".join(parts)
 
 
-def _scaling(steps: Sequence[p.Step]) -> tuple[str, str, str | None]:
-    """Scale, offset and stated range of a value."""
-    for step in steps:
-        if isinstance(step, p.Scale):
-            scale = "" if step.scale == 1 else _short(step.scale)
-            offset = _short(step.offset) if step.offset else ""
-            if step.bounds is not None:
-                return scale, offset, f"{_short(step.bounds[0])}…{_short(step.bounds[1])}"
-            if step.raw_bounds is not None:
-                ends = sorted(raw * step.scale + step.offset for raw in step.raw_bounds)
-                return scale, offset, f"{_short(ends[0])}…{_short(ends[1])}"
-            return scale, offset, None
-    return "", "", None
+def _scaling(node: p.Node) -> tuple[str, str, str]:
+    """Scale, offset and stated range of a value; empty where there is none."""
+    step = node.scale
+    if step is None:
+        return "", "", ""
+    scale = "" if step.scale == 1 else _short(step.scale)
+    limits = "" if step.limits is None else "…".join(map(_short, step.limits))
+    return scale, _short(step.offset) if step.offset else "", limits
 
 
-def _names(steps: Sequence[p.Step]) -> str:
-    for step in steps:
-        if isinstance(step, p.ValueNames):
-            return ", ".join(f"{raw}={name}" for raw, name in step.values)
-        if isinstance(step, p.FlagBits):
-            return ", ".join(f"bit {number}={name}" for name, number in step.bits)
-        if isinstance(step, p.Scale) and (step.unknown or step.names):
-            parts = [f"{raw}={name}" for raw, name in step.names]
-            unknown = "not known: " + ", ".join(_short(raw) for raw in step.unknown)
-            return ", ".join([*parts, unknown] if step.unknown else parts)
-    return ""
+def _names(node: p.Node) -> str:
+    parts = [f"{raw}={name}" for raw, name in node.value_names.items()]
+    parts += [f"bit {number}={name}" for name, number in node.flags.items()]
+    if node.scale is not None and node.scale.unknown:
+        parts.append("not known: " + ", ".join(map(_short, node.scale.unknown)))
+    return ", ".join(parts)
 
 
 def _short(number: float) -> str:
     if float(number).is_integer() and abs(number) < 1e12:
         return str(int(number))
     return f"{number:.6g}"
-
-
-__all__ = ["FieldRow", "bits_place", "captured_values", "field_table", "row_of"]

@@ -19,7 +19,6 @@ from collections.abc import Iterable, Sequence
 
 from ..declare.message import Message
 from ..plan import nodes as p
-from ..plan.flatten import flatten
 from .cells import BIT, ROW, Mark, Row, marks_of, panels
 
 
@@ -34,7 +33,7 @@ def draw_text(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
 
 def picture(message: Message) -> list[str]:
     """The layout of a message, with its checks and matched numbers."""
-    return draw_text(flatten(message), marks_of(message))
+    return draw_text(message.plan, marks_of(message))
 
 
 def _picture(rows: Sequence[Row]) -> list[str]:
@@ -89,6 +88,3 @@ def _rule(above: set[int], below: set[int], *, is_first: bool = False, is_last: 
         for at in range(1, ROW + 1)
     ]
     return f"      {left}{''.join(middle)}{right}"
-
-
-__all__ = ["draw_text", "picture"]

@@ -16,15 +16,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import CallerError
-from .leaves import Loss
-from .problems import ImportedProtocol, ImportProblem
+from .problems import ImportedProtocol, ImportProblem, Loss
 
 #: What files are taken for, by their suffix.
 SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf")
 
 
 def load_database(path: str | Path) -> ImportedProtocol:
-    """A database file as a protocol, told by its suffix.
+    """A database file as a protocol; its suffix says of which kind it is.
 
     What cannot be taken over is listed in `problems`, never dropped silently. Raises `CallerError` when the file cannot
     be read, is of none of the kinds, has nothing that can be used, or when the library that reads it is not installed.

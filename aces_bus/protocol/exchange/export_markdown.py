@@ -19,8 +19,6 @@ from ..declare.message import Message
 from ..declare.pattern import describe_values
 from ..declare.protocol import Variant
 from ..plan import nodes as p
-from ..plan.flatten import flatten
-from .leaves import PlanLeaf, flags_of, plan_leaves, scale_of, value_names
 from .problems import clean_text
 
 _LINKS = {"can": "CAN", "serial": "serial line", "datagram": "datagrams"}
@@ -118,7 +116,7 @@ class _Page:
     # ------------------------------------------------------------------ one message
 
     def _message(self, message: Message) -> list[str]:
-        plan = flatten(message)
+        plan = message.plan
         lines = [_escaped(message.doc), ""] if message.doc else []
         lines += [f"- {fact}" for fact in self._facts(message, plan)]
         picture = draw.picture(message)
@@ -143,7 +141,7 @@ class _Page:
                 "",
                 *_table(("field", "place", "type", "unit", "scale", "offset", "range", "meaning"), rows),
             ]
-        for names, values in _values(plan_leaves(plan)):
+        for names, values in _values(plan.leaves):
             shown = ", ".join(f"`{name}`" for name in names)
             lines += ["", f"Values of {shown}:", "", *_table(("value", "name"), values)]
         return lines
@@ -221,7 +219,7 @@ def _told_by(message: Message) -> str:
             shown = describe_values(head.pattern.captures[0].values)
         parts.append(f"{head.name}={shown}" if head.name else shown)
     start = len(message.framing.sync) if message.framing is not None else 0
-    for constant in flatten(message).constants:
+    for constant in message.plan.constants:
         if constant.offset >= start and constant.offset not in covered:
             mask = "" if constant.mask == 0xFF else f" & {constant.mask:#04x}"
             parts.append(f"byte {constant.offset}{mask}={constant.value:#04x}")
@@ -231,7 +229,7 @@ def _told_by(message: Message) -> str:
 def _lengths(message: Message) -> str:
     if message.lengths is not None:
         return message.describe_lengths.removesuffix(" bytes")
-    plan = flatten(message)
+    plan = message.plan
     return f"{plan.least}…" if plan.lengths is None else ", ".join(map(str, plan.lengths))
 
 
@@ -259,20 +257,20 @@ def _joined(doc: str, source: str) -> str:
     return " ".join(filter(None, [*doc.split(), f"(source: {source})" if source else ""]))
 
 
-def _values(found: Iterable[PlanLeaf]) -> list[tuple[list[str], list[tuple[str, str]]]]:
+def _values(found: Iterable[p.NodePath]) -> list[tuple[list[str], list[tuple[str, str]]]]:
     """The named values of fields; fields that have the same share a table."""
     tables: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for leaf in found:
         rows: list[tuple[str, str]] = []
-        if isinstance(leaf.node, (p.Scalar, p.FromIdentifier)):
-            names = value_names(leaf.node)
+        if not isinstance(leaf.node, p.DelimitedField):
+            names = leaf.node.value_names
             rows += [(str(value), _escaped(name)) for value, name in sorted(names.items())[:MOST_VALUES]]
             if len(names) > MOST_VALUES:
                 rows.append(("…", f"{len(names) - MOST_VALUES} more"))
-            scale = scale_of(leaf.node)
+            scale = leaf.node.scale
             rows += [(f"{value:g}", "*not known*") for value in (scale.unknown if scale is not None else ())]
         if isinstance(leaf.node, p.Scalar):
-            rows += [(f"bit {bit}", _escaped(name)) for bit, name in flags_of(leaf.node).items()]
+            rows += [(f"bit {bit}", _escaped(name)) for bit, name in leaf.node.flag_names.items()]
         if isinstance(leaf.node, p.DelimitedField):
             rows += [(_code(text, is_cell=True), _escaped(name)) for text, name in leaf.node.names]
         if rows:
@@ -323,6 +321,3 @@ def _anchors(headings: Iterable[str]) -> list[str]:
         seen[anchor] = count + 1
         found.append(f"{anchor}-{count}" if count else anchor)
     return found
-
-
-__all__ = ["print_markdown"]

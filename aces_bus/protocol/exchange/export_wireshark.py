@@ -11,36 +11,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Literal
 
-from ..declare.ambiguity import needing_context
+from ..declare.ambiguity import needing_context, ordered, request_names
+from ..declare.bits import runs_of, whole_bits
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
 from ..declare.framing import Framing
 from ..declare.message import Direction, Message
-from ..declare.order import ordered
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
 from ..declare.stuffing import Cobs, Insert, Slip
-from ..live.context import Context
 from ..plan import nodes as p
-from ..plan.flatten import flatten
-from .import_names import unused
-from .leaves import (
-    Loss,
-    PlanLeaf,
-    bits_of,
-    fixed_leaves,
-    flags_of,
-    is_magnitude,
-    one_line,
-    runs,
-    scale_of,
-    snake,
-    value_names,
-)
-from .lua import lua_literal
+from ..plan.flatten import fixed_leaves
+from .names import snake, unused
+from .problems import Loss, one_line
 
 #: Who may speak, as the dissector's preference has it.
 Way = Direction | Literal["both", "by port"]
@@ -69,13 +55,12 @@ class _Printer:
         modes: dict[str, Any] = {"both": None if self.is_can else "both"}
         if not self.is_can:
             modes |= {"to device": "to device", "from device": "from device"}
-        #: By mode: the messages, those that need their request, what is asked and what answers.
-        self.modes: dict[str, tuple[list[Message], frozenset[str], Context]] = {}
+        #: By mode: the messages, names of those that need their request, of what is asked, of what answers.
+        self.modes: dict[str, tuple[list[Message], frozenset[str], frozenset[str], frozenset[str]]] = {}
         for mode, messages_for in modes.items():
             messages = ordered(variant.messages_for(messages_for))
             contextual = needing_context(messages)
-            context = Context(messages, contextual, variant.protocol.broadcast)
-            self.modes[mode] = (messages, contextual, context)
+            self.modes[mode] = (messages, contextual, *request_names(messages, contextual))
         self.framings = list(dict.fromkeys(m.framing for m in self.modes["both"][0] if m.framing is not None))
 
     def print(self, direction: Way, port: int) -> tuple[str, list[Loss]]:
@@ -115,7 +100,7 @@ class _Printer:
     # ------------------------------------------------------------------ messages
 
     def _message(self, message: Message) -> dict[str, Any]:
-        plan = flatten(message)
+        plan = message.plan
         own = unused(snake(message.name), self.taken)
         table: dict[str, Any] = {"name": message.name}
         if self.is_can:
@@ -151,17 +136,19 @@ class _Printer:
         return table
 
     def _one_of(self, one: p.OneOf) -> dict[str, Any]:
-        bits = bits_of(one.number)
+        bits = one.number.place
         return {"pieces": _pieces(bits), "last": max(bits) // 8, "values": _values(one.values)}
 
     def _requests(self, message: Message, table: dict[str, Any]) -> None:
         """What a message answers, and what answers it."""
         table["bound"] = {
             mode: message.name in contextual
-            for mode, (messages, contextual, _) in self.modes.items()
+            for mode, (messages, contextual, *_) in self.modes.items()
             if message in messages
         }
-        table["answers"] = {mode: True for mode, (_, _, c) in self.modes.items() if message.name in c.answers}
+        table["answers"] = {
+            mode: True for mode, (*_, answers) in self.modes.items() if message.name in answers
+        }
         if any(table["bound"].values()) or table["answers"]:
             links = [(one, False) for one in message.reply_to] + [(one, True) for one in message.after]
             if not any(table["bound"].values()):
@@ -176,7 +163,7 @@ class _Printer:
                 for request, is_sticky in links
             ]
             table["within"] = message.within
-        if any(message.name in context.requests for _, _, context in self.modes.values()):
+        if any(message.name in asked for _, _, asked, _ in self.modes.values()):
             kinds = {
                 tuple(sorted(other.outer_names & request.message.outer_names))
                 for other in self.modes["both"][0]
@@ -193,8 +180,7 @@ class _Printer:
         check = self._check(message.check, message.name, message.check_extra)
         if "kind" not in check:
             return None
-        number = p.Scalar("uint", offset, size, order)
-        return {**check, "at": offset, "pieces": _pieces(bits_of(number))}
+        return {**check, "at": offset, "pieces": _pieces(whole_bits(offset, size, order))}
 
     def _check(self, check: Check, where: str, extra: bytes = b"") -> dict[str, Any]:
         table: dict[str, Any] = {"size": check.size, "is_big": check.order == "big"}
@@ -237,9 +223,7 @@ class _Printer:
             table["not_inside"] = _values(framing.not_inside)
         if framing.affine is not None:
             head = framing.affine.length
-            bits = bits_of(
-                p.Scalar("uint", head.offset, head.size, "big" if head.order == "big" else "little")
-            )
+            bits = whole_bits(head.offset, head.size, head.order)
             table["length"] = {
                 "pieces": _pieces(bits),
                 "last": head.offset + head.size - 1,
@@ -254,8 +238,7 @@ class _Printer:
             table["check"] = self._check(framing.check, "")
         extra = framing.extra_head
         if extra is not None:
-            order: Literal["little", "big"] = "big" if extra.order == "big" else "little"
-            table["extra"] = _pieces(bits_of(p.Scalar("uint", extra.offset, extra.size, order)))
+            table["extra"] = _pieces(whole_bits(extra.offset, extra.size, extra.order))
         stuffing = framing.stuffing
         if isinstance(stuffing, Insert):
             table["stuffing"] = {
@@ -284,12 +267,12 @@ class _Printer:
             table = self._leaf(leaf, message, plan, f"{own}.{unused(leaf.identifier, taken)}")
             table["is_outer"] = leaf.path in outer or None
             if leaf.whens:
-                selector, values = leaf.whens[-1]
-                table["when"] = [selector, dict.fromkeys(values, True)]
+                selector, when = leaf.conditions[-1]
+                table["when"] = [selector, dict.fromkeys(when.values, True)]
             found.append(table)
         if plan.opaque:
-            payload = p.Scalar("bytes", rest, None)
-            leaf = PlanLeaf("payload", payload, (), f"not taken apart: {plan.opaque}")
+            field = p.PlanField("payload", p.Scalar("bytes", rest, None), f"not taken apart: {plan.opaque}")
+            (leaf,) = p.walk([field])
             found.append(self._leaf(leaf, message, plan, f"{own}.{unused('payload', taken)}"))
         return found
 
@@ -297,14 +280,14 @@ class _Printer:
         self.fields.append([abbr, label, kind, base, names, one_line(doc) or None])
         return len(self.fields)
 
-    def _leaf(self, leaf: PlanLeaf, message: Message, plan: p.MessagePlan, abbr: str) -> dict[str, Any]:
+    def _leaf(self, leaf: p.NodePath, message: Message, plan: p.MessagePlan, abbr: str) -> dict[str, Any]:
         node, table = leaf.node, {"path": leaf.path}
         more: dict[str, Any] = {}
         if isinstance(node, p.FromIdentifier):
             if node.number is None:
                 more = {"kind": "identifier"}
             else:
-                bits = bits_of(node.number)
+                bits = node.number.place
                 part: dict[str, Any] = {"constant": node.constant, "shift": node.shift}
                 # Alone in its number it is (number − constant) ÷ 2^shift, which the program takes where there is no width.
                 part["width"] = None if node.is_alone else node.width
@@ -326,7 +309,7 @@ class _Printer:
             more = self._scalar(leaf, node, plan, message, abbr)
         return {**table, **more}
 
-    def _rest(self, leaf: PlanLeaf, node: p.Rest, message: Message, abbr: str) -> dict[str, Any]:
+    def _rest(self, leaf: p.NodePath, node: p.Rest, message: Message, abbr: str) -> dict[str, Any]:
         if node.size > 8:
             self._lose(
                 message.name, leaf.path, "bits without a field are not shown in layouts of more than 8 bytes"
@@ -355,9 +338,9 @@ class _Printer:
         }
 
     def _scalar(
-        self, leaf: PlanLeaf, node: p.Scalar, plan: p.MessagePlan, message: Message, abbr: str
+        self, leaf: p.NodePath, node: p.Scalar, plan: p.MessagePlan, message: Message, abbr: str
     ) -> dict[str, Any]:
-        if node.kind in ("bytes", "text"):
+        if node.is_bytes:
             kind = "bytes" if node.kind == "bytes" else "string"
             number = self._field(abbr, leaf.path, kind, None, None, leaf.doc)
             return {
@@ -367,7 +350,7 @@ class _Printer:
                 "size": node.size,
                 "tail": plan.tail,
             }
-        bits = bits_of(node)
+        bits = node.place
         width = len(bits)
         if width > WIDEST:
             self._lose(message.name, leaf.path, f"a number of {width} bits is shown as bytes")
@@ -377,13 +360,13 @@ class _Printer:
         more: dict[str, Any] = {"kind": node.kind, "width": width, **_placed(bits)}
         if node.kind == "float":
             return more | self._number(leaf, node, abbr, "double", width)
-        is_signed = node.kind == "int" or is_magnitude(node)
-        if is_magnitude(node):
+        is_signed = node.kind == "int" or node.is_magnitude
+        if node.is_magnitude:
             more["magnitude"] = True
         kind = f"{'int' if is_signed else 'uint'}{_size(width)}"
         more |= self._number(leaf, node, abbr, kind, width)
         more["is_signed"] = is_signed or None
-        if flags := flags_of(node):
+        if flags := node.flag_names:
             more["flags"] = [
                 [bit, self._field(f"{abbr}.{name}", name, "boolean", None, None, "")]
                 for bit, name in flags.items()
@@ -391,10 +374,10 @@ class _Printer:
         return more
 
     def _number(
-        self, leaf: PlanLeaf, node: p.Scalar | p.FromIdentifier, abbr: str, kind: str, width: int
+        self, leaf: p.NodePath, node: p.Scalar | p.FromIdentifier, abbr: str, kind: str, width: int
     ) -> dict[str, Any]:
         """The fields of a number: the quantity with the raw number below it, or the raw number alone."""
-        scale, names = scale_of(node), value_names(node)
+        scale, names = node.scale, node.value_names
         more: dict[str, Any] = {"unit": one_line(node.unit)}
         if kind != "double" and width > 32:
             more["is_wide"] = True
@@ -439,8 +422,7 @@ def _covered(part: Any) -> dict[str, Any]:
 def _pieces(bits: Sequence[int]) -> list[list[int]]:
     """Bits as the program reads them: {byte, shift, width, place in the number}."""
     found: list[list[int]] = []
-    at = 0
-    for first, width in runs(bits):
+    for first, at, width in runs_of(bits):
         while width:
             part = min(width, 8 - first % 8)
             found.append([first // 8, first % 8, part, at])
@@ -483,4 +465,61 @@ def _values(values: Collection[int]) -> dict[Any, Any]:
     return dict.fromkeys(listed, True)
 
 
-__all__ = ["PREFERENCES", "Way", "print_dissector"]
+#: Columns of a line before a table is broken over several.
+WIDTH = 110
+# fmt: off
+_NAMES = frozenset((
+    "and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local", "nil", "not",
+    "or", "repeat", "return", "then", "true", "until", "while",
+))
+# fmt: on
+
+
+def lua_string(text: str | bytes) -> str:
+    """A string literal; characters beyond ASCII as their UTF-8 bytes."""
+    data = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
+    out = []
+    for byte in data:
+        plain = 0x20 <= byte < 0x7F and byte not in b'"\\'
+        out.append(chr(byte) if plain else f"\\{byte:03d}")
+    return '"' + "".join(out) + '"'
+
+
+def lua_literal(value: Any, indent: int = 0) -> str:
+    """A value as a Lua expression: tables over several lines where they are long."""
+    flat = _flat(value)
+    if len(flat) + indent <= WIDTH or not isinstance(value, (Mapping, Sequence)) or isinstance(value, str):
+        return flat
+    pad = "  " * (indent // 2 + 1)
+    lines = []
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            if one is not None:
+                lines.append(f"{pad}{_key(key)} = {lua_literal(one, indent + 2)},")
+    else:
+        lines = [f"{pad}{lua_literal(one, indent + 2)}," for one in value]
+    return "\n".join(["{", *lines, "  " * (indent // 2) + "}"])
+
+
+def _flat(value: Any) -> str:
+    if value is None:
+        return "nil"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, (str, bytes)):
+        return lua_string(value)
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
+    else:
+        inner = ", ".join(_flat(one) for one in value)
+    return f"{{ {inner} }}" if inner else "{}"
+
+
+def _key(key: Any) -> str:
+    if isinstance(key, str) and key.isascii() and key.isidentifier() and key not in _NAMES:
+        return key
+    return f"[{_flat(key)}]"

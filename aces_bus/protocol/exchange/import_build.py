@@ -5,16 +5,16 @@
 2. What our language does not hold is left out and listed, one problem each; the rest of the message stays.
 3. Ranges (minimum, maximum) bind only what is sent. `0|0` means none.
 
-How a message is told: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
+How a message is recognised: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
 `trailing`. A message of up to 8 bytes is it in both formats, classic and CAN FD: most databases do not say which it is.
 
-J1939 messages are told by their parameter group (SAE J1939-21): `priority` and `source` are captured, and `destination`
+J1939 messages are recognised by their parameter group (SAE J1939-21): `priority` and `source` are captured, and `destination`
 where the group is addressed (PDU format below 240). Where a group has several messages, each has its declared identifier's
 source address (and destination, and priority, where that does not tell them apart). Frames of other sources are the first
 message where all are laid out alike, else unknown. A message that is no parameter group goes before one that is.
 
 Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools
-raises; names that a value table has twice are told apart by their number; signals that share bits all decode.
+raises; names that a value table has twice get their number; signals that share bits all decode.
 """
 
 from __future__ import annotations
@@ -34,12 +34,11 @@ from ...frames import FD_LENGTHS
 from ...plain_text import without_controls
 from ..declare.bits import BitLayout, bits, float_bits
 from ..declare.fields import Enumeration, Multiplexed, Quantity
-from ..declare.message import Message
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
-from .import_names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportProblem, clean_text
+from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .problems import ImportProblem, clean_text, without_place
 
 #: The field of the bytes behind the declared ones.
 TRAILING = "trailing"
@@ -210,7 +209,7 @@ class _Builder:
             )
         except AcesError as error:
             del self.problems[known:]
-            raise _LeftOut(_without_place(error)) from None
+            raise _LeftOut(without_place(error)) from None
         made.place = SourceLine(self.path, taken.line or 1)
 
     def _layout(
@@ -233,7 +232,7 @@ class _Builder:
                     field = self._multiplexed(signal, field, by_name, names, raws)
             except (_LeftOut, AcesError) as reason:
                 shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
-                self.problems.append(ImportProblem(line, f"{shown}: {_without_place(reason)}: left out"))
+                self.problems.append(ImportProblem(line, f"{shown}: {without_place(reason)}: left out"))
                 continue
             name = unused(signal.name, taken)
             if by_name[signal.name] is signal:
@@ -251,7 +250,7 @@ class _Builder:
             try:
                 return BitLayout(size, *fields, trailing=trailing)
             except AcesError as error:
-                text = re.sub(r" \([^()]*:\d+\)", "", _without_place(error).partition("; if that")[0])
+                text = re.sub(r" \([^()]*:\d+\)", "", without_place(error).partition("; if that")[0])
                 text = f"message {clean_text(message.name)}: {text}: all are decoded, and what is sent must agree"
                 self._note(self.lines(message, None), text)
         return BitLayout(size, *fields, overlapping=overlapping, trailing=trailing)
@@ -279,13 +278,6 @@ class _Builder:
 
 def _key(message: Any) -> tuple[int, bool, int, bool]:
     return message.frame_id, bool(message.is_extended_frame), message.length, bool(message.is_fd)
-
-
-def _without_place(error: Exception) -> str:
-    """A complaint without the `file:line: ` of the program that declared it."""
-    text = str(error)
-    head, separator, rest = text.partition(": ")
-    return rest if separator and head.rpartition(":")[2].isdigit() else text
 
 
 def _group(identifier: int) -> int:
@@ -532,6 +524,3 @@ def _number(conversion: Any, raw: int) -> int:
     if conversion.choices and raw in conversion.choices:
         return raw
     return int(raw * conversion.scale + conversion.offset)
-
-
-__all__ = ["Message", "build"]

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import gc
-import logging
 import re
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -17,7 +16,6 @@ from typing import Any, NamedTuple
 
 from ...errors import CallerError
 from .import_build import build
-from .import_names import unused
 from .import_statements import (
     MESSAGE,
     Statement,
@@ -28,7 +26,8 @@ from .import_statements import (
     split_statements,
     usable,
 )
-from .problems import ImportedProtocol, ImportProblem, excerpt
+from .names import unused
+from .problems import ImportedProtocol, ImportProblem, excerpt, quiet
 
 #: Bytes of the largest file that is read.
 MOST_BYTES = 64 * 1024 * 1024
@@ -113,22 +112,10 @@ def _cantools() -> Any:
     return cantools.database
 
 
-@contextmanager
-def _quiet() -> Generator[None, None, None]:
-    """cantools logs what we say better."""
-    logger = logging.getLogger("cantools")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
-
-
 def _try(text: str, kind: str) -> Any:
     """The database; raises whatever cantools raises."""
     cantools = _cantools()
-    with _quiet():
+    with quiet("cantools"):
         # Not strict: what overlaps or does not fit is for `build` to say, signal by signal.
         return cantools.load_string(text, database_format=kind, strict=False)
 
@@ -289,7 +276,7 @@ def _parsed_signals(
     message: Statement, complaint: Callable[[str], _Complaint | None], problems: list[ImportProblem]
 ) -> list[Statement]:
     """Leaves a message the signals that can be parsed; gives what was found inside those that cannot: a string that was
-    not closed has taken in what stands behind."""
+    not closed has taken in what follows."""
     waiting = message.inner[::-1]
     message.inner = []
     behind: list[Statement] = []
@@ -396,6 +383,3 @@ class _Search:
         if signal is not None:
             at = max(at, self._text.find(signal.name, at))
         return self._text.count("\n", 0, at) + 1 if at else 0
-
-
-__all__ = ["FORMATS", "load_dbc", "protocol_name", "read_text"]

@@ -10,7 +10,6 @@ The protocol also has what every node speaks (CiA 301, 7.2.5, 7.2.7, 7.2.8): Nmt
 from __future__ import annotations
 
 import io
-import logging
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,8 +24,8 @@ from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
 from .import_build import TRAILING
 from .import_dbc import protocol_name, read_text
-from .import_names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportedProtocol, ImportProblem, clean_text, excerpt
+from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .problems import ImportedProtocol, ImportProblem, clean_text, excerpt, quiet, without_place
 
 #: PDOs of a device (CiA 301, 7.5.1), and the identifiers of the first four where the file gives none (7.3.5).
 MOST_PDOS = 512
@@ -153,14 +152,9 @@ def _read(sections: Sequence[_Section]) -> Any:
     text = "[DeviceInfo]\n" + "".join(one.text for one in sections)
     # With a node's number canopen resolves $NODEID; 0 leaves what is added to it.
     is_known = re.search(r"(?im)^NodeID=", text) is not None
-    logger = logging.getLogger("canopen")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        read: Any = import_eds  # has no types
+    read: Any = import_eds  # has no types
+    with quiet("canopen"):
         return read(io.StringIO(text), None if is_known else 0)
-    finally:
-        logger.setLevel(before)
 
 
 # ---------------------------------------------------------------------- messages
@@ -246,8 +240,7 @@ class _Builder:
                 **more,
             )
         except AcesError as error:
-            text = re.sub(r"^\S+:\d+: ", "", str(error))
-            self.problems.append(ImportProblem(self.line(index), f"{name}: {text}: left out"))
+            self.problems.append(ImportProblem(self.line(index), f"{name}: {without_place(error)}: left out"))
             return
         made.place = SourceLine(self.path, self.line(index) or 1)
 
@@ -351,6 +344,3 @@ class _Builder:
         doc = f"object {index:04X}h/{sub}"
         said = clean_text(getattr(one, "description", "") or "")
         return c.Renamed(place, newname=unused(text, taken), newdocs=f"{said} ({doc})" if said else doc)
-
-
-__all__ = ["load_eds"]

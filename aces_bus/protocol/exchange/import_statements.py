@@ -1,9 +1,9 @@
-"""A DBC file as a list of statements: where each begins, and which of them nobody should be asked to load.
+"""A DBC file as a list of statements: where each begins, and which of them must not be loaded.
 
 1. Every line belongs to one statement; a `BO_` has its `SG_` lines inside.
 2. Nothing here depends on cantools: it is what makes its refusal of a whole file a refusal of one statement.
 3. Statements that would cost memory or time beyond measure (a message of a billion bytes, multiplexers of millions of
-   combinations) are taken out before anybody reads them.
+   combinations) are taken out before they are read.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _flat(lines: list[str], first: int) -> Iterator[Statement]:
     parts: list[str] = []
     for number, line in enumerate(lines, first):
         start = None if in_string else _START.match(line)
-        # What follows NS_ is a list of words that begin statements elsewhere; it stands indented.
+        # What follows NS_ is a list of words that begin statements elsewhere; it is indented.
         if start is not None and in_list and line[:1] in " \t":
             start = None
         # A signal or a message's head is one line: a word in the first column behind it begins something unknown.
@@ -281,15 +281,3 @@ def _combinations(name: str, by_parent: dict[str, dict[str, int]], depth: int) -
         count * (1 + _combinations(child, by_parent, depth + 1))
         for child, count in by_parent.get(name, {}).items()
     )
-
-
-__all__ = [
-    "MESSAGE",
-    "Statement",
-    "grouped",
-    "join_statements",
-    "resplit",
-    "safe_statements",
-    "split_statements",
-    "usable",
-]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from ..declare.protocol import Protocol
@@ -38,6 +41,19 @@ class ImportProblem:
 
 
 @dataclass(frozen=True)
+class Loss:
+    """What another form cannot say of a field ("" for the whole message), of a message ("" for all), and what is done."""
+
+    message: str
+    field: str
+    reason: str
+
+    def __str__(self) -> str:
+        where = ".".join(filter(None, (self.message, self.field)))
+        return f"{where}: {self.reason}" if where else self.reason
+
+
+@dataclass(frozen=True)
 class ImportedProtocol:
     """A foreign file as a protocol. `statements` counts what the file consists of: of a DBC statements and signals, of
     an EDS sections, of the others messages."""
@@ -68,6 +84,25 @@ class ImportedProtocol:
         return f"{self.path}: {', '.join(parts)}; first: {first}"
 
 
+@contextmanager
+def quiet(library: str) -> Generator[None, None, None]:
+    """Silence a library's log: what it says of a file is said better here."""
+    logger = logging.getLogger(library)
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def without_place(error: Exception) -> str:
+    """A complaint without the `file:line: ` of the program that declared it."""
+    text = str(error)
+    head, separator, rest = text.partition(": ")
+    return rest if separator and head.rpartition(":")[2].isdigit() else text
+
+
 def excerpt(text: str) -> str:
     """The beginning of a statement, on one line."""
     flat = " ".join(clean_text(text).split())
@@ -75,8 +110,10 @@ def excerpt(text: str) -> str:
 
 
 def clean_text(text: str) -> str:
-    """A text of somebody else's without characters that do not print; lines stay lines."""
+    """A text from elsewhere without characters that do not print; lines stay lines."""
     return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
 
 
-__all__ = ["ImportProblem", "ImportedProtocol", "clean_text", "excerpt"]
+def one_line(text: str) -> str:
+    """A text from elsewhere as part of a comment: printable, without line ends."""
+    return " ".join(clean_text(text).split())

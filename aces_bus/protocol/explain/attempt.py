@@ -109,6 +109,3 @@ def candump_text(frame: Any) -> str:
         bool(frame.is_fd),
     )
     return frame_text(word)
-
-
-__all__ = ["Attempt", "Death", "FieldRead", "Step", "TemplateTrace", "candump_text"]

@@ -7,22 +7,21 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 from construct import ConstructError
 
 from ...errors import AcesError
-from ..declare.bits import FLOATS
-from ..declare.fields import FlagSet
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError
 from ..declare.pattern import describe_values
 from ..draw import Mark, marks_of
 from ..plan import nodes as p
-from ..plan.flatten import flatten
 
 #: The value of a constant behind its name.
 _VALUE = re.compile(r" 0x[0-9a-f]{2}$")
@@ -33,7 +32,7 @@ class Template:
 
     def __init__(self, message: Message, name: str) -> None:
         self.message, self.name = message, name
-        self.plan = flatten(message)
+        self.plan = message.plan
         self.framing: Framing | None = message.framing
         self.is_moved = self.framing is not None and self.framing.stuffing is not None
         self.marks: list[Mark] = marks_of(message)
@@ -142,7 +141,7 @@ class Template:
 
         return self.framing is not None and isinstance(self.framing.stuffing, Insert)
 
-    # ------------------------------------------------------------------ what stands where
+    # ------------------------------------------------------------------ what is where
 
     def label(self, at: int, size: int | None, prefix: bytes = b"") -> str:
         """What byte `at` of a packet is to it; "" where it does not say. `prefix` are the bytes up to it, where known."""
@@ -189,12 +188,11 @@ class Template:
         for head in self.message.heads_written:
             if head.name is not None:
                 yield head.name, [*range(head.offset, head.offset + head.size)]
-        for name, node in _leaves(self.plan.fields, ""):
-            places = _bytes_of(node)
-            if places:
-                yield name, places
-            elif isinstance(node, p.Scalar) and node.size is None:
-                yield name, [*range(node.offset, node.offset + 512)]
+        for leaf in self.plan.leaves:
+            if places := _bytes_of(leaf.node):
+                yield leaf.path, places
+            elif isinstance(leaf.node, p.Scalar) and leaf.node.size is None:
+                yield leaf.path, [*range(leaf.node.offset, leaf.node.offset + 512)]
 
     def _delimited(self, prefix: bytes) -> tuple[str, list[tuple[str, Any, str]]]:
         """To which field between separators the last byte belongs, and the field that it completes."""
@@ -213,139 +211,44 @@ class Template:
 
     # ------------------------------------------------------------------ what was read
 
-    def _field_ends(self) -> dict[int, list[tuple[str, p.Node, str]]]:
+    def _field_ends(self) -> dict[int, list[p.NodePath]]:
         """By the byte that completes them: the fields with a fixed place."""
-        found: dict[int, list[tuple[str, p.Node, str]]] = {}
-        if self.is_moved:
-            return found
-        for field in self.plan.fields:
-            if field.when is not None:
-                continue
-            for name, node in _leaves([field], ""):
-                places = _bytes_of(node)
-                if places:
-                    found.setdefault(max(places), []).append((name, node, getattr(node, "unit", "")))
+        found: dict[int, list[p.NodePath]] = {}
+        for leaf in self.plan.leaves if not self.is_moved else ():
+            places = _bytes_of(leaf.node)
+            if places and not leaf.field.when:
+                found.setdefault(max(places), []).append(leaf)
         return found
 
     def readings(self, data: bytes) -> list[tuple[str, Any, str]]:
         """(name, value, unit) of the fields that the last byte of `data` completes."""
         if self.plan.split is not None and not self.is_moved and len(data) > self.plan.split.start:
             return self._delimited(data)[1]
-        return [
-            (name, value_of(node, data), unit)
-            for name, node, unit in self._ends.get(len(data) - 1, ())
-            if _is_readable(node)
-        ]
-
-
-def _is_readable(node: p.Node) -> bool:
-    return isinstance(node, p.Scalar) or (isinstance(node, p.FromIdentifier) and node.number is not None)
-
-
-def _leaves(fields: Any, prefix: str) -> Iterator[tuple[str, p.Node]]:
-    for field in fields:
-        yield from _inside(field.node, f"{prefix}{field.name}")
-
-
-def _inside(node: p.Node, name: str) -> Iterator[tuple[str, p.Node]]:
-    if isinstance(node, p.NestedRecord):
-        yield from _leaves(node.fields, f"{name}.")
-    elif isinstance(node, p.Many):
-        for index, item in enumerate(node.items):
-            yield from _inside(item, f"{name}.{index}")
-    else:
-        yield name, node
+        ended = self._ends.get(len(data) - 1)
+        if ended is None:
+            return []
+        # What has not come yet is as the template demands, else zero.
+        filled = bytearray(max(len(data), self.plan.least))
+        for one in self.plan.one_of:
+            number, size = one.number, one.number.size or 0
+            filled[number.offset : number.offset + size] = one.values[0].to_bytes(size, number.order)
+        for constant in self.plan.constants:
+            filled[constant.offset] |= constant.value
+        filled[: len(data)] = data
+        values = self.message.struct.look(bytes(filled), len(filled) - self.plan.tail)
+        found: list[tuple[str, Any, str]] = []
+        for leaf in ended:
+            with suppress(LookupError):
+                found.append((leaf.path, reduce(getitem, leaf.way, values), leaf.node.unit))
+        return found
 
 
 def _bytes_of(node: p.Node) -> list[int]:
-    if isinstance(node, p.Scalar):
-        if node.bits:
-            return sorted({bit // 8 for bit in node.bits})
-        if node.size is not None:
-            return [*range(node.offset, node.offset + node.size)]
     if isinstance(node, p.FromIdentifier) and node.number is not None:
-        return _bytes_of(node.number)
-    return []
-
-
-# ---------------------------------------------------------------------- values
-
-
-def value_of(node: p.Node, data: bytes) -> Any:
-    """The value of a field of fixed place, as a record shows it."""
-    if isinstance(node, p.FromIdentifier):
-        assert node.number is not None
-        number = _bits(node.number, data)
-        return _stepped(captured(node, number), node.steps)
-    assert isinstance(node, p.Scalar)
-    if node.kind in ("bytes", "text"):
-        assert node.size is not None
-        raw = data[node.offset : node.offset + node.size]
-        return raw if node.kind == "bytes" else raw.decode("latin-1").rstrip("\0")
-    if node.kind == "float":
-        if node.bits:
-            width = len(node.bits)
-            value: Any = struct.unpack(FLOATS[width], _bits(node, data).to_bytes(width // 8, "big"))[0]
-        else:
-            size = node.size or 4
-            order = "<" if node.order == "little" else ">"
-            raw = data[node.offset : node.offset + size]
-            value = struct.unpack(order + {2: "e", 4: "f", 8: "d"}[size], raw)[0]
-        return _stepped(value, node.steps)
-    number = _bits(node, data)
-    width = len(node.bits)
-    if node.kind == "int" and number >> width - 1:
-        number -= 1 << width
-    return _stepped(number, node.steps)
-
-
-def captured(node: p.FromIdentifier, number: int) -> int:
-    """The raw capture in a number."""
-    if node.is_alone:
-        return number - node.constant >> node.shift
-    return number >> node.shift & ((1 << node.width) - 1)
-
-
-def stepped(node: p.FromIdentifier, raw: int) -> Any:
-    """A raw capture as a record shows it."""
-    return _stepped(raw, node.steps)
-
-
-def _bits(node: p.Scalar, data: bytes) -> int:
-    number = 0
-    for index, bit in enumerate(node.bits):
-        number |= (data[bit // 8] >> bit % 8 & 1) << index
-    return number
-
-
-def _stepped(value: Any, steps: tuple[p.Step, ...]) -> Any:
-    for step in steps:
-        if isinstance(step, p.Magnitude):
-            limit = (1 << step.width - 1) - 1
-            value = -(value & limit) if value > limit else value & limit
-        elif isinstance(step, p.ValueNames):
-            value = dict(step.values).get(value, value)
-        elif isinstance(step, p.FlagBits):
-            value = type("FlagSet", (FlagSet,), {"bits": dict(step.bits), "__slots__": ()})(value)
-        else:
-            value = _scaled(value, step)
-    return value
-
-
-def _scaled(value: Any, step: p.Scale) -> Any:
-    if step.unknown and value in step.unknown:
-        return None
-    names = dict(step.names)
-    if value in names:
-        return names[value]
-    if step.offset:
-        return value * step.scale + step.offset
-    return value * step.scale if step.scale != 1 else value
+        node = node.number
+    return sorted({bit // 8 for bit in node.place})
 
 
 def _said(error: BaseException) -> str:
     lines = [line for line in str(error).splitlines() if line and not line.startswith("Error in path")]
     return " ".join(" ".join(lines).split()) or type(error).__name__
-
-
-__all__ = ["Template", "captured", "stepped", "value_of"]

@@ -1,41 +1,26 @@
-"""The reference, watched: each of its decisions as an `Attempt`.
+"""The reference's decisions, each as an `Attempt`.
 
-1. What is decided is the reference's own doing: this class only keeps what it decided on, and asks each template
-   afterwards, word by word. So the records explained are those of every scanner (law 2).
+1. What is decided, and by what, is in the reference's items: this class asks each template afterwards, byte by byte. So
+   the records explained are those of every scanner (law 2).
 2. Attempts are explained when they are looked at; deciding costs what the reference costs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Direction, Message
 from ..declare.packet import can_image
 from ..declare.protocol import Variant
-from ..live.context import Context
-from ..reference import Reference, ReferenceItem
+from ..reference import PastRequest, Reference, ReferenceItem
 from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace
 from .template import Template
-from .words import captures, frame_cell, frame_death, unchosen, words_of
 
-#: Under this name a remembered request says which message it was.
-_ASKED = "_message"
 #: Words of one attempt that are explained; of longer packets the first ones and the last.
 WORDS = 160
-
-
-@dataclass(frozen=True)
-class _Decided:
-    """What the reference decided at one place: how much it knew, and what it was asked before."""
-
-    start: int
-    known: int
-    is_silent: bool
-    found: ReferenceItem
-    request: tuple[str, Mapping[str, Any]] | None
 
 
 class Tracer(Reference):
@@ -45,18 +30,15 @@ class Tracer(Reference):
         self, variants: Sequence[Variant], *, direction: Direction | Literal["both"] | None = None
     ) -> None:
         super().__init__(variants, direction=direction)
-        self._decided: list[_Decided] = []
-        self._request: tuple[str, Mapping[str, Any]] | None = None
         is_alone = len({variant.name for variant in variants}) == 1
         self.templates: list[Template] = []
-        self._extras: dict[Framing, dict[int, bytes]] = {}
-        for variant, messages, _, context in self.sides:
-            _mark_requests(context)
+        for variant, messages, _, _ in self.sides:
             for message in messages:
                 name = message.name if is_alone else f"{variant.name}.{message.name}"
                 self.templates.append(Template(message, name))
-                if message.framing is not None and message.extras is not None:
-                    self._extras.setdefault(message.framing, {}).update(message.extras)
+        messages = [template.message for template in self.templates]
+        framings = {message.framing for message in messages if message.framing is not None}
+        self._extras = {framing: framing.extras_of(messages) for framing in framings}
 
     @property
     def interesting(self) -> frozenset[str]:
@@ -65,27 +47,6 @@ class Tracer(Reference):
         for _, _, contextual, context in self.sides:
             found |= set(contextual) | set(context.requests) | set(context.answers)
         return frozenset(found)
-
-    # ------------------------------------------------------------------ watching
-
-    def _accepted(
-        self, context: Context, message: Message, image: bytes, channel: Any, time: float | None, request: Any
-    ) -> tuple[str, Message, Any]:
-        if request is not None:
-            asked = {name: value for name, value in request.items() if not name.startswith("_")}
-            self._request = (str(request.get(_ASKED, "?")), asked)
-        return super()._accepted(context, message, image, channel, time, request)
-
-    def _until(self, data: bytes, start: int, found: list[ReferenceItem], *, silent: bool) -> int:
-        while start < len(data):
-            self._request = None
-            item = self._at(data, start, silent=silent)
-            if item is None:
-                break
-            self._decided.append(_Decided(start, len(data), silent, item, self._request))
-            found.append(item)
-            start += item.size
-        return start
 
     # ------------------------------------------------------------------ streams
 
@@ -103,158 +64,80 @@ class Tracer(Reference):
         `wanted` are the offsets that matter: attempts that touch none of them are left out. Bytes that are skipped one
         after the other for the same reason are one attempt.
         """
-        self._decided = []
-        found = self.stream(data, idle_at=idle_at, sent_at=sent_at)
-        decided = self._decided[: len(found)]
-        if decided and decided[-1].found != found[-1]:  # what was incomplete is pending now
-            decided[-1] = replace(decided[-1], found=found[-1])
         attempts: list[Attempt] = []
-        last: tuple[str, bool] | None = None
-        for one in decided:
-            if wanted is not None and not _touches(one, base, wanted):
+        for item in self.stream(data, idle_at=idle_at, sent_at=sent_at):
+            start = base + item.offset
+            if wanted is not None and not (start < wanted.stop and wanted.start < start + item.size):
                 continue
-            kind = (one.found.reason, one.found.message is None and one.found.reason == "skipped")
-            if kind[1] and last == kind and attempts:
-                before = attempts[-1]
-                if before.start + before.run == base + one.start:
-                    attempts[-1] = replace(
-                        before,
-                        run=before.run + 1,
-                        resumes=base + one.start + 1,
-                        raw=before.raw + data[one.start : one.start + 1],
-                    )
-                    continue
-            attempts.append(self._explain(data, one, base))
-            last = kind
+            before = attempts[-1] if attempts else None
+            is_again = before is not None and before.found.reason == "skipped" == item.reason
+            if before is not None and is_again and before.start + before.run == start:
+                raw = before.raw + data[item.offset : item.offset + 1]
+                attempts[-1] = replace(before, run=before.run + 1, resumes=start + 1, raw=raw)
+            else:
+                attempts.append(self._explain(data, item, base))
         return attempts
 
-    def _explain(self, data: bytes, one: _Decided, base: int) -> Attempt:
-        end = one.known
-        found = one.found
-        steps: list[Step] = []
-        alive = list(self.templates)
-        dead: dict[str, tuple[int, str]] = {}
-        sizes: dict[Framing, int] = {}
+    def _explain(self, data: bytes, found: ReferenceItem, base: int) -> Attempt:
+        start, end = found.offset, found.known
+        contest = _Contest(self.templates)
+        sizes: dict[Framing | None, int] = {}
         size: int | None = found.size if found.message is not None else None
-        traces: list[tuple[int, bytes, list[Death], list[Template]]] = []
-        at = one.start
+        offsets: list[int] = []
+        at = start
         left_out = 0
-        while alive and at < end:
+        while contest.alive and at < end:
             at += 1
-            prefix = data[one.start : at]
+            prefix = data[start:at]
             is_last = at == end or (size is not None and len(prefix) == size)
-            died: list[Death] = []
-            verdicts: dict[Framing, Judgement] = {}
-            for template in list(alive):
-                framing = template.framing
-                assert framing is not None
-                if framing not in verdicts:
-                    verdicts[framing] = framing.judge(
-                        prefix, 0, silent=at == end and one.is_silent, extras=self._extras.get(framing)
-                    )
-                    known = _size_of(framing, prefix)
-                    if known is not None:
-                        sizes[framing] = known
-                judged = verdicts[framing]
-                why = template.death(prefix, judged, sizes.get(framing))
-                if why is None and template.message.name != found.message:
-                    is_whole = judged.verdict is Verdict.WHOLE
-                    if is_whole:
-                        why = template.last_word(prefix, one.request[1] if one.request is not None else None)
-                        why = why or unchosen(template, found, one.request)
-                    elif at == end and one.is_silent and found.reason != "pending":
-                        why = "incomplete", "the line falls silent before it is whole"
-                    elif is_last and found.message is not None:
-                        why = "order", f"{found.message} is complete"
-                if why is not None:
-                    died.append(Death(template.name, *why))
-                    dead[template.name] = len(traces), why[0]
-                    alive.remove(template)
-            traces.append((at - one.start - 1, prefix, died, list(alive)))
+            silent = at == end and found.is_silent
+            framings = {t.framing for t in contest.alive if t.framing is not None}
+            verdicts: dict[Framing | None, Judgement] = {
+                one: one.judge(prefix, 0, silent=silent, extras=self._extras[one]) for one in framings
+            }
+            sizes |= {one: known for one in framings if (known := _size_of(one, prefix)) is not None}
+            contest.word(
+                (t, _death(t, prefix, verdicts[t.framing], sizes.get(t.framing), found, silent, is_last))
+                for t in contest.alive
+            )
+            offsets.append(at - start - 1)
             if is_last:
                 break
-            if len(traces) == WORDS and alive:
+            if len(offsets) == WORDS and contest.alive:
                 # Of what is longer only the end is of interest: there length, end and check decide.
                 reach = size or max(
-                    sizes.get(t.framing) or t.framing.max_size for t in alive if t.framing is not None
+                    sizes.get(t.framing) or t.framing.max_size for t in contest.alive if t.framing is not None
                 )
-                last = min(end, one.start + reach)
+                last = min(end, start + reach)
                 left_out = max(0, last - at - 1)
                 at += left_out
-        lead = self._lead(found, traces)
-        for offset, prefix, died, living in traces:
-            known = sizes.get(lead.framing) if lead.framing is not None else None
+        lead = contest.lead(found)
+        steps: list[Step] = []
+        for offset, (died, living) in zip(offsets, contest.words, strict=True):
+            prefix = data[start : start + offset + 1]
+            what = lead.label(offset, size if size is not None else sizes.get(lead.framing), prefix)
             read = _readings(lead, living, prefix)
-            what = lead.label(offset, size if size is not None else known, prefix)
-            steps.append(
-                Step(
-                    str(base + one.start + offset),
-                    f"{prefix[-1]:02X}",
-                    what,
-                    tuple(died),
-                    read,
-                    tuple(t.name for t in living),
-                )
-            )
-        steps = _completed(steps, found, lead)
-        rows = self._rows([t[0] for t in traces], dead, sizes, size, found, lead)
+            place, names = str(base + start + offset), tuple(t.name for t in living)
+            steps.append(Step(place, f"{prefix[-1]:02X}", what, tuple(died), read, names))
         return Attempt(
-            base + one.start,
+            base + start,
             tuple(t.name for t in self.templates),
-            tuple(steps),
-            rows,
+            tuple(_completed(steps, found, lead)),
+            contest.rows(
+                found,
+                lambda t, index: t.cell(offsets[index], size if t is lead and size else sizes.get(t.framing)),
+            ),
             replace(found, offset=base + found.offset),
-            base + one.start + found.size,
-            one.request,
+            base + start + found.size,
+            _asked(found.request),
             left_out=left_out,
-            raw=data[one.start : one.start + found.size],
+            raw=data[start : start + found.size],
         )
-
-    def _lead(
-        self, found: ReferenceItem, traces: Sequence[tuple[int, bytes, list[Death], list[Template]]]
-    ) -> Template:
-        """The template whose words are named: the one that was accepted, else one that lived longest."""
-        for template in self.templates:
-            if found.message is not None and template.message.name == found.message:
-                if found.protocol in (None, template.message.protocol.name):
-                    return template
-        by_name = {template.name: template for template in self.templates}
-        for _, _, died, living in reversed(traces):
-            if living:
-                return living[0]
-            if died:
-                return by_name[died[0].template]
-        return self.templates[0]
-
-    def _rows(
-        self,
-        offsets: Sequence[int],
-        dead: Mapping[str, tuple[int, str]],
-        sizes: Mapping[Framing, int],
-        size: int | None,
-        found: ReferenceItem,
-        lead: Template,
-    ) -> tuple[TemplateTrace, ...]:
-        rows: list[TemplateTrace] = []
-        for template in self.templates:
-            dies_at, why = dead.get(template.name, (None, ""))
-            upto = len(offsets) if dies_at is None else dies_at + 1
-            known = sizes.get(template.framing) if template.framing is not None else None
-            cells = tuple(
-                template.cell(at, size if template is lead and size else known) for at in offsets[:upto]
-            )
-            rows.append(
-                TemplateTrace(
-                    template.name, cells, dies_at, template is lead and found.message is not None, why
-                )
-            )
-        return tuple(rows)
 
     # ------------------------------------------------------------------ frames
 
     def explain_frame(self, frame: Any, number: int = 0) -> Attempt:
         """What a frame is, and why; frames must come in their order, since replies hang on requests."""
-        self._request = None
         (found,) = self.frames([frame])
         found = replace(found, offset=number)
         data = bytes(frame.data)
@@ -267,58 +150,37 @@ class Tracer(Reference):
         )
         if frame.is_error_frame:
             return Attempt(number, (), (), (), found, number + 1, is_can=True, frame=frame, raw=data)
-        alive = list(self.templates)
-        dead: dict[str, tuple[int, str]] = {}
-        deaths: list[list[Death]] = []
-        living: list[list[Template]] = []
+        contest = _Contest(self.templates)
         words = words_of(frame, data)
-        for index in range(len(words)):
-            died: list[Death] = []
-            for template in list(alive):
-                why = frame_death(template, frame, data, words[index])
-                is_over = index == len(words) - 1 and why is None
-                if is_over and template.message.name != found.message:
-                    request = self._request[1] if self._request is not None else None
-                    why = template.last_word(image, request)
-                    if why is None:
-                        why = unchosen(template, found, self._request)
-                if why is not None:
-                    died.append(Death(template.name, *why))
-                    dead[template.name] = index, why[0]
-                    alive.remove(template)
-            deaths.append(died)
-            living.append(list(alive))
-        lead = self._lead(found, [(0, b"", d, a) for d, a in zip(deaths, living, strict=True)])
+        for word in words:
+            contest.word(
+                (
+                    t,
+                    frame_death(t, frame, data, word)
+                    or (_whole_death(t, image, found) if word is words[-1] else None),
+                )
+                for t in contest.alive
+            )
+        lead = contest.lead(found)
         steps: list[Step] = []
-        for index, (place, word, offset) in enumerate(words):
+        for (place, text, offset), (died, living) in zip(words, contest.words, strict=True):
             read: tuple[FieldRead, ...] = ()
             what = {"id": "identifier", "kind": "kind of frame", "length": "length"}.get(place, "")
             if place == "id" and lead.message.identifier.match(frame.arbitration_id) is not None:
-                read = captures(lead, living[index], frame)
+                read = captures(lead, living, frame)
             elif offset is not None:
                 what = lead.label(offset, len(data), data[: offset + 1])
-                if lead in living[index] or lead.name in {d.template for d in deaths[index]}:
-                    read = _readings(lead, living[index], data[: offset + 1])
-            steps.append(
-                Step(place, word, what, tuple(deaths[index]), read, tuple(t.name for t in living[index]))
-            )
-        steps = _completed(steps, found, lead)
-        rows: list[TemplateTrace] = []
-        for template in self.templates:
-            dies_at, cause = dead.get(template.name, (None, ""))
-            cells = tuple(
-                frame_cell(template, word) for word in words[: None if dies_at is None else dies_at + 1]
-            )
-            is_chosen = template is lead and found.message is not None
-            rows.append(TemplateTrace(template.name, cells, dies_at, is_chosen, cause))
+                if lead in living or lead.name in {d.template for d in died}:
+                    read = _readings(lead, living, data[: offset + 1])
+            steps.append(Step(place, text, what, tuple(died), read, tuple(t.name for t in living)))
         return Attempt(
             number,
             tuple(t.name for t in self.templates),
-            tuple(steps),
-            tuple(rows),
+            tuple(_completed(steps, found, lead)),
+            contest.rows(found, lambda t, index: frame_cell(t, words[index])),
             found,
             number + 1,
-            self._request,
+            _asked(found.request),
             is_can=True,
             frame=frame,
             raw=data,
@@ -329,19 +191,85 @@ class Tracer(Reference):
         return [self.explain_frame(frame, number) for number, frame in enumerate(frames)]
 
 
-def _mark_requests(context: Context) -> None:
-    """Let the requests that a context remembers say which message they were."""
-    note = context.note
+class _Contest:
+    """Which templates are still possible, word after word."""
 
-    def noted(name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
-        note(name, channel, time, {**values, _ASKED: name})
+    def __init__(self, templates: Sequence[Template]) -> None:
+        self.templates, self.alive = templates, list(templates)
+        #: By template, the number of the word that ruled it out, and the class of the reason.
+        self.dead: dict[str, tuple[int, str]] = {}
+        #: Of each word, what it ruled out, and what was possible behind it.
+        self.words: list[tuple[list[Death], list[Template]]] = []
 
-    setattr(context, "note", noted)  # noqa: B010 - a method of one object, on purpose
+    def word(self, reasons: Iterable[tuple[Template, tuple[str, str] | None]]) -> None:
+        """One word more; each template with the reason that rules it out."""
+        died: list[Death] = []
+        for template, why in list(reasons):
+            if why is not None:
+                died.append(Death(template.name, *why))
+                self.dead[template.name] = len(self.words), why[0]
+                self.alive.remove(template)
+        self.words.append((died, list(self.alive)))
+
+    def lead(self, found: ReferenceItem) -> Template:
+        """The template whose words are named: the one that was accepted, else one that lived longest."""
+        for template in self.templates:
+            if found.message is not None and template.message.name == found.message:
+                if found.protocol in (None, template.message.protocol.name):
+                    return template
+        for died, living in reversed(self.words):
+            if living:
+                return living[0]
+            if died:
+                return next(one for one in self.templates if one.name == died[0].template)
+        return self.templates[0]
+
+    def rows(self, found: ReferenceItem, cell: Callable[[Template, int], str]) -> tuple[TemplateTrace, ...]:
+        """What each template expects, up to the word that rules it out; `cell` gives one entry."""
+        lead, rows = self.lead(found), []
+        for template in self.templates:
+            dies_at, why = self.dead.get(template.name, (None, ""))
+            cells = tuple(
+                cell(template, index) for index in range(len(self.words) if dies_at is None else dies_at + 1)
+            )
+            is_chosen = template is lead and found.message is not None
+            rows.append(TemplateTrace(template.name, cells, dies_at, is_chosen, why))
+        return tuple(rows)
 
 
-def _touches(one: _Decided, base: int, wanted: range) -> bool:
-    start = base + one.start
-    return start < wanted.stop and wanted.start < start + one.found.size
+def _death(
+    template: Template,
+    prefix: bytes,
+    judged: Judgement,
+    size: int | None,
+    found: ReferenceItem,
+    silent: bool,
+    is_last: bool,
+) -> tuple[str, str] | None:
+    """Why a packet that begins with `prefix` is not the template's; None while it may be."""
+    why = template.death(prefix, judged, size)
+    if why is not None or template.message.name == found.message:
+        return why
+    if judged.verdict is Verdict.WHOLE:
+        return _whole_death(template, prefix, found)
+    if silent and found.reason != "pending":
+        return "incomplete", "the line falls silent before it is whole"
+    if is_last and found.message is not None:
+        return "order", f"{found.message} is complete"
+    return None
+
+
+def _whole_death(template: Template, image: bytes, found: ReferenceItem) -> tuple[str, str] | None:
+    """Why a whole packet or frame is not the template's; None where it is."""
+    if template.message.name == found.message:
+        return None
+    past = found.request
+    why = template.last_word(image, past.values if past is not None else None)
+    return why or unchosen(template, found, past)
+
+
+def _asked(past: PastRequest | None) -> tuple[str, Mapping[str, Any]] | None:
+    return (past.name, past.values) if past is not None else None
 
 
 def _size_of(framing: Framing, prefix: bytes) -> int | None:
@@ -374,4 +302,81 @@ def _completed(steps: list[Step], found: ReferenceItem, lead: Template) -> list[
     return [*steps[:-1], replace(steps[-1], read=(*steps[-1].read, *rest))]
 
 
-__all__ = ["WORDS", "Tracer"]
+#: Place, text, and of a byte its offset.
+Word = tuple[str, str, int | None]
+
+
+def words_of(frame: Any, data: bytes) -> list[Word]:
+    digits = 8 if frame.is_extended_id else 3
+    kinds = [
+        k for k, given in (("29 bits", frame.is_extended_id), ("remote", frame.is_remote_frame)) if given
+    ]
+    kinds += ["CAN FD"] if frame.is_fd else []
+    words: list[Word] = [("id", f"{frame.arbitration_id:0{digits}X}", None)]
+    words += [("kind", ", ".join(kinds), None)] if kinds else []
+    words.append(("length", str(len(data)), None))
+    return words + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
+
+
+def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tuple[str, str] | None:
+    message = template.message
+    place, _, offset = word
+    if place == "id":
+        if message.identifier.match(frame.arbitration_id) is None:
+            return "identifier", message.identifier.describe(8 if message.extended else 3)
+        is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)
+        return ("kind of frame", _kind(message)) if is_plain and not _is_kind(message, frame) else None
+    if place == "kind":
+        return None if _is_kind(message, frame) else ("kind of frame", _kind(message))
+    if place == "length":
+        if message.lengths is not None and len(data) not in message.lengths:
+            return "length", message.describe_lengths
+        return None
+    assert offset is not None
+    return template.death(data[: offset + 1], None, None)
+
+
+def _is_kind(message: Message, frame: Any) -> bool:
+    kind = (bool(frame.is_extended_id), bool(frame.is_remote_frame))
+    return kind == (message.extended, message.remote) and bool(frame.is_fd) in message.formats
+
+
+def _kind(message: Message) -> str:
+    kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
+    return ", ".join(kind for kind, given in kinds if given) or "a plain data frame"
+
+
+def unchosen(template: Template, found: ReferenceItem, request: PastRequest | None) -> tuple[str, str] | None:
+    """Why a template whose bytes fit is not what the frame is."""
+    asks = [*template.message.reply_to, *template.message.after]
+    if found.message is not None:
+        if request is not None and asks:
+            return "request", f"what was asked last, {request.name}, gives {found.message}"
+        return "order", f"{found.message} is tried first"
+    if asks and found.reason.startswith("unknown: needs"):
+        names = "|".join(dict.fromkeys(request.message.name for request in asks))
+        return "request", f"no {names} was seen that it answers"
+    return None
+
+
+def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[FieldRead, ...]:
+    raws = lead.message.identifier.match(frame.arbitration_id) or {}
+    name = "" if len(living) <= 1 else lead.name
+    return tuple(
+        FieldRead(name, one.name, one.to_physical(raws[one.name]), one.unit)
+        for one in lead.message.identifier.captures
+        if one.name in raws
+    )
+
+
+def frame_cell(template: Template, word: Word) -> str:
+    place, _, offset = word
+    message = template.message
+    if place == "id":
+        return message.identifier.describe(8 if message.extended else 3)
+    if place == "kind":
+        return _kind(message)
+    if place == "length":
+        return message.describe_lengths.removesuffix(" bytes")
+    assert offset is not None
+    return template.cell(offset, None)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..declare.bits import runs_of
 from ..declare.pattern import bounds
 from ..plan import nodes as p
-from .names import NameScope, is_plain, literal
-from .runs import FORMATS, clusters, compact, in_one_byte, is_balanced, run_order, runs_of, struct_format
-from .source import SourceText, comment_line
+from .runs import clusters, compact, in_one_byte, is_balanced, run_order
+from .source import NameScope, SourceText, comment_line, is_plain, literal
 
 TRANSPORT = "time, channel, key, raw, rx"
 #: What decoders call, given to every module of them.
@@ -76,7 +76,7 @@ class Decoder:
             out.line(f"# through construct: {comment_line(plan.opaque)}")
             self.opaque = self.module.new(f"opaque_{plan.name}", avoid=self.names)
             out.line(f"return {self.opaque}(data, key, time, channel, raw, rx, request)")
-            return self.setup, out.lines
+            return self.setup, out.printed
         self._fetch()
         tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by
         if self.guard or tests or not self.is_exact:
@@ -84,8 +84,10 @@ class Decoder:
         self._constants()
         if plan.is_checked:
             self.holds = self.module.new(f"holds_{plan.name}", avoid=self.names)
-            out.line(f"if not {self.holds}(data, key):")
-            out.line("    return None")
+            out.lines(
+                f"if not {self.holds}(data, key):",
+                "    return None",
+            )
         if plan.split is not None:
             self._split(plan.split)
         for line in self.unpacks:
@@ -95,8 +97,10 @@ class Decoder:
         if plan.lengths_by is not None:
             selector, table, other = plan.lengths_by
             lengths = self._table(f"_lengths_{plan.name}", literal(dict(table)))
-            out.line(f"if len(data) != {lengths}.get({self.present[selector]}, {other}):")
-            out.line("    return None")
+            out.lines(
+                f"if len(data) != {lengths}.get({self.present[selector]}, {other}):",
+                "    return None",
+            )
         made = self._type(plan.name)
         arguments = [self._value(field) for field in plan.fields]
         if sum(map(len, arguments)) + len(plan.name) < 60:
@@ -105,9 +109,11 @@ class Decoder:
             out.line(f"return {made}(")
             for field, argument in zip(plan.fields, arguments, strict=True):
                 out.line(f"    {argument},  # {field.name}")
-            out.line(f"    {TRANSPORT},")
-            out.line(")")
-        return self.setup, out.lines
+            out.lines(
+                f"    {TRANSPORT},",
+                ")",
+            )
+        return self.setup, out.printed
 
     def _lengths(self) -> None:
         plan, out = self.plan, self.body
@@ -136,7 +142,7 @@ class Decoder:
             values = one.values
             low, high = bounds(values)
             run = len(values) > 2 and len(values) == high - low + 1
-            number = self._integer(one.number, fetched=False)  # the test stands before the fetching
+            number = self._integer(one.number, fetched=False)  # the test comes before the fetching
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:
@@ -144,42 +150,23 @@ class Decoder:
                     f"not {low} <= {number} <= {high}" if run else f"{number} not in {literal(values)}"
                 )
         for test in tests:
-            self.body.line(f"if {test}:")
-            self.body.line("    return None")
+            self.body.lines(
+                f"if {test}:",
+                "    return None",
+            )
 
     # -------------------------------------------------- fetching
 
-    def _scalars(self) -> list[tuple[p.Scalar, bool]]:
-        """Every scalar, with whether it is always present."""
-        found: list[tuple[p.Scalar, bool]] = []
-
-        def visit(node: p.Node, always: bool) -> None:
-            if isinstance(node, p.Scalar):
-                found.append((node, always))
-            elif isinstance(node, p.Many):
-                for item in node.items:
-                    visit(item, always)
-            elif isinstance(node, p.NestedRecord):
-                for field in node.fields:
-                    visit(field.node, always and field.when is None)
-
-        for field in self.plan.fields:
-            visit(field.node, field.when is None)
-        return found
-
     def _fetch(self) -> None:
         """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
-        present = [s for s, always in self._scalars() if always]
+        leaves = self.plan.leaves
+        present = [leaf.node for leaf in leaves if isinstance(leaf.node, p.Scalar) and not leaf.whens]
         whole: list[p.Scalar] = []
         taken: list[tuple[int, int]] = []
         for s in dict.fromkeys(present):
             end = s.offset + (s.size or 0)
             # Of numbers that share bytes, one is fetched so; the others read for themselves.
-            if (
-                s.size is not None
-                and struct_format(s)
-                and not any(a < end and s.offset < b for a, b in taken)
-            ):
+            if s.size is not None and s.format and not any(a < end and s.offset < b for a, b in taken):
                 whole.append(s)
                 taken.append((s.offset, end))
         chunks: list[tuple[int, int, str, p.Scalar | None]] = [
@@ -205,8 +192,8 @@ class Decoder:
                 name = self.names.new(f"word{len(self.cells)}")
                 self.cells.append(FetchedBytes(name, start, end, order or "little"))
                 self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
-        for node in self._rests():
-            if (node.offset, node.size) in self.words:
+        for node in (leaf.node for leaf in leaves):
+            if not isinstance(node, p.Rest) or (node.offset, node.size) in self.words:
                 continue
             name = self.words[node.offset, node.size] = self.names.new(f"all{node.offset}")
             cell = FetchedBytes(name, node.offset, node.offset + node.size, "little")
@@ -225,7 +212,7 @@ class Decoder:
             name = self.names.new(f"v{len(self.cells)}")
             size = end - start
             if scalar is not None:
-                text += struct_format(scalar)
+                text += scalar.format
                 names.append(name)
                 self.atoms[scalar] = name
             elif size == 3:
@@ -236,7 +223,7 @@ class Decoder:
                     f"{name} = {one} << 16 | {other}" if order == "big" else f"{name} = {one} | {other} << 16"
                 )
             else:
-                text += FORMATS["uint", size]
+                text += p.FORMATS["uint", size]
                 names.append(name)
             is_unsigned = scalar is None or scalar.kind == "uint"
             self.cells.append(FetchedBytes(name, start, end, order or "little", is_unsigned))
@@ -261,24 +248,6 @@ class Decoder:
             ):
                 return cell
         return None
-
-    def _rests(self) -> list[p.Rest]:
-        """Every rest, also those of each nested record in an array."""
-        found: list[p.Rest] = []
-
-        def visit(node: p.Node) -> None:
-            if isinstance(node, p.Rest):
-                found.append(node)
-            elif isinstance(node, p.Many):
-                for item in node.items:
-                    visit(item)
-            elif isinstance(node, p.NestedRecord):
-                for field in node.fields:
-                    visit(field.node)
-
-        for field in self.plan.fields:
-            visit(field.node)
-        return found
 
     def _slice(self, start: int, end: int) -> str:
         if start == 0 and self.plan.lengths == (end,):
@@ -382,7 +351,7 @@ class Decoder:
         raise AssertionError(node)
 
     def _scalar(self, scalar: p.Scalar, name: str) -> str:
-        if scalar.kind in ("bytes", "text"):
+        if scalar.is_bytes:
             end = (
                 f"{scalar.offset + scalar.size}"
                 if scalar.size is not None
@@ -408,13 +377,13 @@ class Decoder:
     def _lone(self, scalar: p.Scalar, name: str) -> str:
         """A float that is not always there."""
         mark = "<" if scalar.order == "little" else ">"
-        made = f'Struct("{mark}{FORMATS["float", scalar.size or 0]}").unpack_from'
+        made = f'Struct("{mark}{p.FORMATS["float", scalar.size or 0]}").unpack_from'
         return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
 
     def _scattered(self, scalar: p.Scalar) -> str:
         """A float whose bits do not stand in whole bytes."""
         size = len(scalar.bits) // 8
-        helper = self._table(f"_float{8 * size}", f'Struct("<{FORMATS["float", size]}").unpack')
+        helper = self._table(f"_float{8 * size}", f'Struct("<{p.FORMATS["float", size]}").unpack')
         return f'{helper}(({self._integer(scalar)}).to_bytes({size}, "little"))[0]'
 
     def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
@@ -540,27 +509,29 @@ class Decoder:
         out = self.body
         end = f"-{split.end}" if split.end else ""
         if split.lead:
-            out.line(
-                f"if not data.startswith({literal(split.separator)}, {split.start}, len(data) - {split.end}):"
+            out.lines(
+                f"if not data.startswith({literal(split.separator)}, {split.start}, len(data) - {split.end}):",
+                "    return None",
             )
-            out.line("    return None")
         start = split.start + (len(split.separator) if split.lead else 0)
-        out.line(f"cells = data[{start}:{end}].split({literal(split.separator)})")
-        out.line("count = len(cells)")
-        out.line(
+        out.lines(
+            f"cells = data[{start}:{end}].split({literal(split.separator)})",
+            "count = len(cells)",
             f"if count < {split.least}:"
             if split.most is None
-            else f"if not {split.least} <= count <= {split.most}:"
+            else f"if not {split.least} <= count <= {split.most}:",
+            "    return None",
         )
-        out.line("    return None")
         for field in self.plan.fields:
             node = field.node
             if isinstance(node, p.DelimitedField) and node.form:
                 made = f"re.compile({literal(node.form.encode())}).fullmatch"
                 helper = self._table(f"_form_{field.name}_{self.plan.name}", made)
                 guard = f"count > {node.index} and " if node.optional else ""
-                out.line(f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):")
-                out.line("    return None")
+                out.lines(
+                    f"if {guard}cells[{node.index}] and not {helper}(cells[{node.index}]):",
+                    "    return None",
+                )
 
     def _cell(self, cell: p.DelimitedField, name: str) -> str:
         text = f"cells[{cell.index}]"

@@ -13,13 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ..declare.bits import runs_of
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
 from ..plan import nodes as p
-from .names import NameScope, is_plain, literal
-from .runs import compact, runs_of, struct_format
-from .source import SourceText, comment_line
+from .runs import compact
+from .source import NameScope, SourceText, comment_line, is_plain, literal
 
 #: What encoders call, given to every module of them.
 CALLED = ("Struct", "Unusual")
@@ -76,8 +76,10 @@ class _Encoder:
         names = [f.name for f in plan.fields if not isinstance(f.node, p.FromRequest)]
         out.line(f"def {self.function}(fields):")
         out.depth = 1
-        out.line(f"if len(fields) != {len(names)}:")
-        out.line("    raise Unusual")
+        out.lines(
+            f"if len(fields) != {len(names)}:",
+            "    raise Unusual",
+        )
         identifier = self._number(message.identifier)
         head, start = self._head(), message.payload_start
         scalars: list[tuple[p.Scalar, str, str]] = []
@@ -105,7 +107,7 @@ class _Encoder:
                 raise NoEncoder("nested records")
         body = self._body(scalars, start)
         out.line(f"return {identifier if message.framing is None else 'None'}, {head}, {body}")
-        return [*self.setup, *out.lines]
+        return [*self.setup, *out.printed]
 
     def _table(self, name: str, value: str) -> str:
         """The module's name for what the text `value` makes; only our own words are in it."""
@@ -168,23 +170,27 @@ class _Encoder:
                 if scalar.kind == "text":
                     raise NoEncoder("a text of open size")
                 tail = f"bytes({value})" if scalar.kind == "bytes" else ""
-                self.out.line(f"if not isinstance({value}, (bytes, bytearray)):")
-                self.out.line("    raise Unusual")
+                self.out.lines(
+                    f"if not isinstance({value}, (bytes, bytearray)):",
+                    "    raise Unusual",
+                )
                 self._tail_fits(value, scalar.offset)
                 continue
             if scalar.kind == "text":
                 raise NoEncoder("text")
             if scalar.kind == "bytes":
                 cells.append(_Packed(scalar.offset, scalar.size, "", f"{scalar.size}s", value))
-                self.out.line(f"if len({value}) != {scalar.size}:")
-                self.out.line("    raise Unusual")
+                self.out.lines(
+                    f"if len({value}) != {scalar.size}:",
+                    "    raise Unusual",
+                )
                 continue
             if scalar.kind == "float" and scalar.bits:
                 raise NoEncoder("a float that does not stand in whole bytes")
             number = self._raw(scalar, name, value)
-            if struct_format(scalar):
+            if scalar.format:
                 order = "" if scalar.size == 1 else "<" if scalar.order == "little" else ">"
-                cells.append(_Packed(scalar.offset, scalar.size, order, struct_format(scalar), number))
+                cells.append(_Packed(scalar.offset, scalar.size, order, scalar.format, number))
                 continue
             self._fits(scalar, number)
             first, last = min(scalar.bits) // 8, max(scalar.bits) // 8 + 1
@@ -216,14 +222,18 @@ class _Encoder:
             test = f"len({value}) > {ends[-1]}"
         else:
             test = f"not {ends[0]} <= len({value}) <= {ends[-1]}"
-        self.out.line(f"if {test}:")
-        self.out.line("    raise Unusual")
+        self.out.lines(
+            f"if {test}:",
+            "    raise Unusual",
+        )
 
     def _fits(self, scalar: p.Scalar, number: str) -> None:
         width = len(scalar.bits)
         shifted = number if scalar.kind == "uint" else f"({number} + {1 << width - 1:#x})"
-        self.out.line(f"if {shifted} >> {width}:")
-        self.out.line("    raise Unusual")
+        self.out.lines(
+            f"if {shifted} >> {width}:",
+            "    raise Unusual",
+        )
 
     def _packed(
         self,
@@ -271,7 +281,6 @@ class _Encoder:
         number = self._temporary()
         text = value
         steps = scalar.steps
-        magnitude = next((s for s in steps if isinstance(s, p.Magnitude)), None)
         for step in reversed(steps):
             if isinstance(step, p.Scale):
                 if step.names:
@@ -282,20 +291,26 @@ class _Encoder:
                 text = f"{table}.get({text}, {text})"
             elif isinstance(step, p.FlagBits):
                 variable = self._temporary()
-                self.out.line(f"{variable} = {text}")
-                self.out.line(f"if not isinstance({variable}, int):")
-                self.out.line("    raise Unusual")
+                self.out.lines(
+                    f"{variable} = {text}",
+                    f"if not isinstance({variable}, int):",
+                    "    raise Unusual",
+                )
                 text = f"int({variable})"
         self.out.line(f"{number} = {text}")
-        if magnitude is not None:
-            half = 1 << magnitude.width - 1
-            self.out.line(f"if {number}.__class__ is not int or not {-half + 1} <= {number} <= {half - 1}:")
-            self.out.line("    raise Unusual")
-            self.out.line(f"if {number} < 0:")
-            self.out.line(f"    {number} = {half:#x} - {number}")
-        elif scalar.kind != "float" and not struct_format(scalar):
-            self.out.line(f"if {number}.__class__ is not int:")
-            self.out.line("    raise Unusual")
+        if scalar.is_magnitude and scalar.raw_range is not None:
+            low, high = scalar.raw_range
+            self.out.lines(
+                f"if {number}.__class__ is not int or not {low} <= {number} <= {high}:",
+                "    raise Unusual",
+                f"if {number} < 0:",
+                f"    {number} = {high + 1:#x} - {number}",
+            )
+        elif scalar.kind != "float" and not scalar.format:
+            self.out.lines(
+                f"if {number}.__class__ is not int:",
+                "    raise Unusual",
+            )
         return number
 
     def _unscaled(self, step: p.Scale, text: str, scalar: p.Scalar, name: str) -> str:
@@ -305,16 +320,20 @@ class _Encoder:
         if len(scalar.bits) > 53 and (step.scale != 1 or step.offset):
             raise NoEncoder("a scaled number of more bits than a float has")
         given = self._temporary()
-        out.line(f"{given} = {text}")
-        out.line(f"if {given}.__class__ is not float and {given}.__class__ is not int:")
-        out.line("    raise Unusual")
+        out.lines(
+            f"{given} = {text}",
+            f"if {given}.__class__ is not float and {given}.__class__ is not int:",
+            "    raise Unusual",
+        )
         if is_float and step.unknown:
             raise NoEncoder("a float that may mean unknown")
         if step.bounds is not None:
             test = self._outside(step.bounds, given, where)
             if test:
-                out.line(f"if {test}:")
-                out.line("    raise Unusual")
+                out.lines(
+                    f"if {test}:",
+                    "    raise Unusual",
+                )
         if step.scale == 1 and not step.offset:
             number = given
         else:
@@ -340,8 +359,10 @@ class _Encoder:
             else []
         )
         if tests:
-            out.line(f"if {' or '.join(tests)}:")
-            out.line("    raise Unusual")
+            out.lines(
+                f"if {' or '.join(tests)}:",
+                "    raise Unusual",
+            )
         return raw
 
     def _outside(self, bounds: tuple[float, float], name: str, where: str) -> str:

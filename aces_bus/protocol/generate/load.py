@@ -17,17 +17,16 @@ import msgspec
 from construct import ConstructError
 
 from ...errors import AcesError
+from ..declare.delimited import degrees
 from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import can_image
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
-from ..plan.flatten import flatten
 from ..record import Part, Record, from_container
 from .decode import CALLED, Decoder
-from .names import NameScope
 from .records import part_names, print_records
-from .source import comment_line
+from .source import NameScope, comment_line
 
 Decode = Callable[..., Any]
 
@@ -41,13 +40,6 @@ def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, A
     namespace: dict[str, Any] = {"__name__": name, **names}
     exec(compile(source, filename, "exec"), namespace)
     return namespace
-
-
-def degrees(text: bytes) -> float:
-    """`4807.038` as degrees: what generated decoders call for NMEA positions."""
-    number = float(text)
-    whole = number // 100
-    return whole + (number - 100 * whole) / 60
 
 
 @cache
@@ -87,7 +79,7 @@ _CALLED: Mapping[str, Any] = {
 
 class _Parts(dict[tuple[str, tuple[str, ...]], type]):
     """Types of nested records by path and fields. What no walk of a construct foresees (fields that stop half way, values
-    of somebody's own adapter) gets its type when it is first seen."""
+    of a user's adapter) gets its type when it is first seen."""
 
     def __missing__(self, shape: tuple[str, tuple[str, ...]]) -> type:
         path, names = shape
@@ -116,7 +108,7 @@ class DecoderSet:
 
     def _made(self, name: str) -> Decode:
         message = self.variant.messages[name]
-        printed = Decoder(flatten(message), raw=self.raw, guard=self._guard)
+        printed = Decoder(message.plan, raw=self.raw, guard=self._guard)
         source = print_decoder(printed)
         types = _types(self.variant)[name]
         names = {**_CALLED, **printed.module.bound}
@@ -168,7 +160,7 @@ def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -
     parts = [f'"""Decoders of {comment_line(variant.label)}, {kind}: generated from its spec."""', ""]
     names = NameScope(CALLED)
     for message in variant.messages.values():
-        setup, lines = Decoder(flatten(message), raw=raw, guard=guard, names=names).print()
+        setup, lines = Decoder(message.plan, raw=raw, guard=guard, names=names).print()
         parts += [*setup, "", *lines, ""] if setup else ["", *lines, ""]
     return "\n".join(parts) + "\n"
 
@@ -184,7 +176,7 @@ class _Types(dict[str, dict[str, Any]]):
         variant, message = self._variant, self._variant.messages[name]
         called: dict[tuple[str, str], str] = {}
         label = f"{variant.label}: {name}"
-        source = print_records(label, [flatten(message)], called)
+        source = print_records(label, [message.plan], called)
         space = load_source(
             source,
             f"aces records of {label}",
@@ -238,7 +230,7 @@ def codec(variant: Variant, raw: bool = False, guard: bool = True) -> DecoderSet
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     """A decode function that goes through construct."""
     types = _types(variant)[message.name]
-    plan = flatten(message)
+    plan = message.plan
     parts = _Parts({shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)})
     record = types[message.name]
     framing = message.framing

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 from ..plan import nodes as p
-from .names import NameScope
-from .source import SourceText, comment_line
+from .source import NameScope, SourceText, comment_line
 
 #: What the text of record classes calls.
 CALLED = ("Record", "Part", "FlagSet", "Any")
@@ -23,10 +22,8 @@ PRIVATE = (
 
 def type_of(node: p.Node, *, raw: bool = False, called: Callable[[str], str] = str) -> str:
     """The Python type of a node's value, for annotations and stubs; `called` is how the text names a nested record."""
-    if isinstance(node, p.Scalar):
-        return _scalar_type(node.kind, node.steps, raw)
-    if isinstance(node, p.FromIdentifier):
-        return _scalar_type("uint", node.steps, raw)
+    if isinstance(node, (p.Scalar, p.FromIdentifier)):
+        return _scalar_type(node.kind if isinstance(node, p.Scalar) else "uint", node.steps, raw)
     if isinstance(node, p.Many):
         kinds = [type_of(item, raw=raw, called=called) for item in node.items]
         return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
@@ -74,22 +71,11 @@ def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
     return base
 
 
-def groups_of(fields: Iterable[p.PlanField]) -> list[p.NestedRecord]:
+def groups_of(fields: Sequence[p.PlanField]) -> list[p.NestedRecord]:
     """The nested records among fields, innermost first, each once."""
-    found: dict[str, p.NestedRecord] = {}
-
-    def visit(node: p.Node) -> None:
-        if isinstance(node, p.NestedRecord):
-            for field in node.fields:
-                visit(field.node)
-            found[node.type_name] = node
-        elif isinstance(node, p.Many):
-            for item in node.items:
-                visit(item)
-
-    for field in fields:
-        visit(field.node)
-    return list(found.values())
+    inward = sorted(p.walk(fields), key=lambda one: -len(one.way))
+    nested = [one.node for one in inward if isinstance(one.node, p.NestedRecord)]
+    return list({node.type_name: node for node in nested}.values())
 
 
 def part_names(plan: p.MessagePlan) -> list[str]:
@@ -115,8 +101,10 @@ def print_records(
     out = SourceText()
     names = NameScope(CALLED)
     types = {} if types is None else types
-    out.line(f'"""Records of {comment_line(label)}: generated from its spec."""')
-    out.line()
+    out.lines(
+        f'"""Records of {comment_line(label)}: generated from its spec."""',
+        "",
+    )
     for plan in plans:
         for group in groups_of(plan.fields):
             name = types[plan.name, group.type_name] = names.new(group.type_name)
@@ -139,8 +127,10 @@ def print_records(
         name = types[plan.name, plan.name] = names.new(plan.name)
         out.line(f"class {name}(Record, frozen=True, gc=False):")
         out.depth += 1
-        out.line(f'"""{comment_line(plan.doc) or plan.name}"""')
-        out.line()
+        out.lines(
+            f'"""{comment_line(plan.doc) or plan.name}"""',
+            "",
+        )
         for field in plan.fields:
             _annotate(out, field, plan, types)
         for private, kind in PRIVATE:

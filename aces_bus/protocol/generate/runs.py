@@ -1,34 +1,11 @@
-"""Where numbers stand in the bytes: whole, in runs of bits, side by side; and the pieces of text that fetch them."""
+"""The bytes that numbers are fetched with, and pieces of the text that fetches them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..declare.bits import runs_of
 from ..plan import nodes as p
-
-FORMATS = {
-    ("uint", 1): "B",
-    ("uint", 2): "H",
-    ("uint", 4): "I",
-    ("uint", 8): "Q",
-    ("int", 1): "b",
-    ("int", 2): "h",
-    ("int", 4): "i",
-    ("int", 8): "q",
-    ("float", 2): "e",
-    ("float", 4): "f",
-    ("float", 8): "d",
-}
-
-
-def struct_format(scalar: p.Scalar) -> str:
-    """The `struct` format of a whole number of usual size, else empty."""
-    if scalar.size is None or (scalar.kind, scalar.size) not in FORMATS:
-        return ""
-    is_plain = not scalar.bits if scalar.kind == "float" else scalar.is_whole
-    if not is_plain:
-        return ""
-    return FORMATS[scalar.kind, scalar.size]
 
 
 def clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:
@@ -57,22 +34,10 @@ def in_one_byte(scalar: p.Scalar) -> bool:
 
 def run_order(scalar: p.Scalar) -> str:
     """The byte order in which the field falls into fewer pieces."""
-    little = len(runs_of(list(scalar.bits)))
+    little = len(scalar.runs)
     size = scalar.size or 0
     big = len(runs_of([(scalar.offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]))
     return "big" if big < little else "little"
-
-
-def runs_of(positions: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Contiguous runs: (position of the lowest bit, its place in the number, width)."""
-    runs: list[tuple[int, int, int]] = []
-    for to, at in enumerate(positions):
-        if runs and runs[-1][0] + runs[-1][2] == at:
-            first, place, width = runs[-1]
-            runs[-1] = (first, place, width + 1)
-        else:
-            runs.append((at, to, 1))
-    return runs
 
 
 def is_balanced(text: str) -> bool:

@@ -1,21 +1,21 @@
-"""Prints the scanners: which message a frame is, and where packets stand in a stream.
+"""Prints the scanners: which message a frame is, where packets are in a stream, and why a packet's check fails.
 
 1. The text is the reference rule written out: at the lowest undecided offset the framings are tried in order; whole and
    checked: accept; all dead: skip one byte; still incomplete: wait.
 2. Losses are appended to `lost` as (offset, size, reason); nothing else is a bin.
+3. A check reads what is on the wire, and agrees with `Framing.judge`. The names it uses: `crc_N`, `xor`, `fletcher` (numbers
+   of bytes), `extras_N` (a message's bytes by its number), `text_N` (how a number is written), `texts_N` (numbers as
+   characters), `same_N` (whether characters are the same number).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..columns.segments import in_segments
-from ..declare.checks import Check, Extra
+from ..declare.checks import Check, Extra, Fletcher, Sum, Xor
 from ..declare.framing import Framing
 from ..plan.choose import Choice
-from .check import computed, print_check
-from .names import literal
-from .source import SourceText, comment_line
+from .source import SourceText, comment_line, literal
 
 ARGUMENTS = "data, key, time, channel, raw, rx"
 
@@ -23,12 +23,16 @@ ARGUMENTS = "data, key, time, channel, raw, rx"
 def print_choice(out: SourceText, name: str, choice: Choice) -> None:
     """A function `name(data, key, time, channel, raw, rx)` that tries the messages of `choice`."""
     if choice.offset is None:
-        out.line(f"def {name}({ARGUMENTS}):")
-        out.line("    return (")
+        out.lines(
+            f"def {name}({ARGUMENTS}):",
+            "    return (",
+        )
         for index, message in enumerate(choice.names):
             out.line(f"        {'or ' if index else ''}decode_{message}({ARGUMENTS})")
-        out.line("    )")
-        out.line()
+        out.lines(
+            "    )",
+            "",
+        )
         return
     table = []
     for value, case in choice.cases:
@@ -41,29 +45,33 @@ def print_choice(out: SourceText, name: str, choice: Choice) -> None:
     out.line(f"_{name} = {{")
     for entry in table:
         out.line(f"    {entry}")
-    out.line("}.get")
-    out.line()
-    out.line(f"def {name}({ARGUMENTS}):")
-    out.line(f"    decode = _{name}(data[{choice.offset}]) if len(data) > {choice.offset} else None")
-    out.line(f"    return decode({ARGUMENTS}) if decode is not None else None")
-    out.line()
+    out.lines(
+        "}.get",
+        "",
+        f"def {name}({ARGUMENTS}):",
+        f"    decode = _{name}(data[{choice.offset}]) if len(data) > {choice.offset} else None",
+        f"    return decode({ARGUMENTS}) if decode is not None else None",
+        "",
+    )
 
 
 def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     """The scan function of a wire: `framings` with the name of the function that decodes their packets."""
     out = SourceText()
-    out.line(f'"""Stream scanner of {comment_line(label)}: generated from its spec."""')
-    out.line()
+    out.lines(
+        f'"""Stream scanner of {comment_line(label)}: generated from its spec."""',
+        "",
+    )
     for number, (framing, _) in enumerate(framings):
         if _asks(framing):
             print_check(out, number, framing)
     out.line("def scan(buffer, base, i, stop, silent, time, emit, lose, state):")
     out.depth = 1
-    out.line(
-        '"""Decide `buffer` from `i` to `stop`, or as far as can be; `base` is its offset in the stream."""'
+    out.lines(
+        '"""Decide `buffer` from `i` to `stop`, or as far as can be; `base` is its offset in the stream."""',
+        "end = len(buffer)",
+        "starts = buffer.startswith",
     )
-    out.line("end = len(buffer)")
-    out.line("starts = buffer.startswith")
     for number, (framing, _) in enumerate(framings):
         if _asks_sums(framing):
             out.line(f"summed_{number} = sums_{number}.end - base")
@@ -75,24 +83,32 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
     for number, (framing, decode) in enumerate(framings):
         _framing(out, number, framing, decode, alone=len(framings) == 1)
     if len(framings) > 1:
-        out.line("if unclaimed:")
-        out.line("    lose(base + i, unclaimed, 'unknown')")
-        out.line("    i += unclaimed")
-        out.line("    continue")
-    out.line("if bad is not None:")
-    out.line("    lose(base + i, 1, bad)")
-    out.line("    i += 1")
-    out.line("    continue")
+        out.lines(
+            "if unclaimed:",
+            "    lose(base + i, unclaimed, 'unknown')",
+            "    i += unclaimed",
+            "    continue",
+        )
+    out.lines(
+        "if bad is not None:",
+        "    lose(base + i, 1, bad)",
+        "    i += 1",
+        "    continue",
+    )
     if all(framing.sync for framing, _ in framings):
-        out.line("# nothing here: on to the next byte that may open a packet")
-        out.line("found = seek(buffer, i + 1)")
-        out.line("j = found.start() if found is not None else end")
-        out.line("if j > stop:")
-        out.line("    j = stop")
+        out.lines(
+            "# nothing here: on to the next byte that may open a packet",
+            "found = seek(buffer, i + 1)",
+            "j = found.start() if found is not None else end",
+            "if j > stop:",
+            "    j = stop",
+        )
     else:
         out.line("j = i + 1")
-    out.line("lose(base + i, j - i, 'skipped')")
-    out.line("i = j")
+    out.lines(
+        "lose(base + i, j - i, 'skipped')",
+        "i = j",
+    )
     out.depth = 1
     out.line("return i")
     return out.text()
@@ -122,8 +138,10 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         return
     sync = framing.sync
     at = len(sync)
-    out.line(f"# {comment_line(f'{framing.name}: {describe(framing)}')}")
-    out.line(f"if starts({literal(sync)}, i):")
+    out.lines(
+        f"# {comment_line(f'{framing.name}: {describe(framing)}')}",
+        f"if starts({literal(sync)}, i):",
+    )
     out.depth += 1
     depth = out.depth
     if framing.not_next:
@@ -141,9 +159,11 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         if head.size > 1:
             length = f'from_bytes(buffer[i + {head.offset} : i + {head.offset + head.size}], "{head.order}")'
         factor = f"{framing.affine.factor} * " if framing.affine.factor != 1 else ""
-        out.line(f"size = {factor}{length} + {framing.affine.constant}")
-        out.line(f"if not {framing.min_size} <= size <= {framing.max_size}:")
-        out.line("    bad = bad or 'malformed: length'" if not alone else "    bad = 'malformed: length'")
+        out.lines(
+            f"size = {factor}{length} + {framing.affine.constant}",
+            f"if not {framing.min_size} <= size <= {framing.max_size}:",
+            "    bad = bad or 'malformed: length'" if not alone else "    bad = 'malformed: length'",
+        )
         _more(out, "end - i < size", word="elif")
         out.line("else:")
         out.depth += 1
@@ -200,30 +220,38 @@ def _ended(out: SourceText, number: int, framing: Framing, decode: str, *, alone
     if framing.not_inside:
         out.line(f"k = j if j >= 0 else i + {framing.max_size}")
         tests = [f"buffer.find({literal(bytes([byte]))}, {first}, k) >= 0" for byte in framing.not_inside]
-        out.line(f"if {' or '.join(tests)}:")
-        out.line("    bad = bad or 'malformed: a byte that no packet has'")
+        out.lines(
+            f"if {' or '.join(tests)}:",
+            "    bad = bad or 'malformed: a byte that no packet has'",
+        )
         word = "elif"
-    out.line(f"{word} j < 0:")
-    out.line(f"    if end - i >= {framing.max_size}:")
-    out.line("        bad = bad or 'malformed: no end'")
-    out.line("    elif not silent:")
-    out.line("        break")
-    out.line("    else:")
-    out.line("        bad = bad or 'malformed: incomplete'")
+    out.lines(
+        f"{word} j < 0:",
+        f"    if end - i >= {framing.max_size}:",
+        "        bad = bad or 'malformed: no end'",
+        "    elif not silent:",
+        "        break",
+        "    else:",
+        "        bad = bad or 'malformed: incomplete'",
+    )
     least = framing.min_size - back
     if least > at:
-        out.line(f"elif j - i < {least}:")
-        out.line(f"    if j - i > {at}:")
-        out.line("        bad = bad or 'malformed: length'")
-        out.line("else:")
+        out.lines(
+            f"elif j - i < {least}:",
+            f"    if j - i > {at}:",
+            "        bad = bad or 'malformed: length'",
+            "else:",
+        )
     else:
         out.line(f"elif j - i > {at}:")
     out.depth += 1
     out.line(f"j += {back}")
     if framing.check is not None:
         _asked(out, number, framing.check)
-        out.line("    bad = bad or reason")
-        out.line("else:")
+        out.lines(
+            "    bad = bad or reason",
+            "else:",
+        )
         out.depth += 1
     _accept(out, framing, decode, alone=alone, cut=framing.check is not None)
     out.depth = depth
@@ -238,9 +266,11 @@ def _more(out: SourceText, test: str, *, word: str = "if") -> None:
 
 
 def _wait(out: SourceText) -> None:
-    out.line("    if not silent:")
-    out.line("        break")
-    out.line("    bad = bad or 'malformed: incomplete'")
+    out.lines(
+        "    if not silent:",
+        "        break",
+        "    bad = bad or 'malformed: incomplete'",
+    )
 
 
 def _checked(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
@@ -253,26 +283,30 @@ def _checked(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         if plain is not None and check.kind != "crc":
             start = f"i + {plain}" if plain else "i"
             stored = _stored(check, "j")
-            out.line(f"if base + {start} <= sums_{number}.end:")
-            out.line(
-                f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}"
+            out.lines(
+                f"if base + {start} <= sums_{number}.end:",
+                f"    good = sums_{number}.compute(buffer, base, base + {start}, base + {end}) == {stored}",
+                "    if good:",
+                "        state.work -= j - i  # counted with the records, not read again",
+                "else:",
+                f"    good = {computed(check, number, f'buffer[{start}:{end}]')} == {stored}",
+                "    if not good:",
+                f"        sums_{number}.fail(buffer[{start}:{end}], base + {start})",
+                "if not good:",
             )
-            out.line("    if good:")
-            out.line("        state.work -= j - i  # counted with the records, not read again")
-            out.line("else:")
-            out.line(f"    good = {computed(check, number, f'buffer[{start}:{end}]')} == {stored}")
-            out.line("    if not good:")
-            out.line(f"        sums_{number}.fail(buffer[{start}:{end}], base + {start})")
-            out.line("if not good:")
         elif plain is not None and not _has_extra(check):
             start = f"i + {plain}" if plain else "i"
-            out.line(f"if crc_{number}(buffer[{start}:{end}]) != {_stored(check, 'j')}:")
-            out.line(f"    state.work += {size_expr(framing, plain)}")
+            out.lines(
+                f"if crc_{number}(buffer[{start}:{end}]) != {_stored(check, 'j')}:",
+                f"    state.work += {size_expr(framing, plain)}",
+            )
         else:
             _asked(out, number, check)
             failed, cut = "bad = bad or reason", True
-        out.line(f"    {failed}")
-        out.line("else:")
+        out.lines(
+            f"    {failed}",
+            "else:",
+        )
         out.depth += 1
     _accept(out, framing, decode, alone=alone, cut=cut)
 
@@ -281,19 +315,23 @@ def _asked(out: SourceText, number: int, check: Check) -> None:
     """Cuts the packet out, asks `check_N` of it, and begins the branch of a failure."""
     out.line("packet = buffer[i:j]")
     if check.kind == "crc":
-        out.line(f"reason = check_{number}(packet)")
-        out.line("if reason is not None:")
-        out.line("    state.work += j - i")
+        out.lines(
+            f"reason = check_{number}(packet)",
+            "if reason is not None:",
+            "    state.work += j - i",
+        )
         return
-    out.line(f"if i > summed_{number}:")
-    out.line(f"    reason = check_{number}(packet)")
-    out.line("    if reason is not None:")
-    out.line(f"        sums_{number}.fail(packet, base + i)")
-    out.line(f"        summed_{number} = j")
-    out.line("else:")
-    out.line(f"    reason = failure_{number}(buffer, base, i, j)")
-    out.line(f"    summed_{number} = sums_{number}.end - base")
-    out.line("if reason is not None:")
+    out.lines(
+        f"if i > summed_{number}:",
+        f"    reason = check_{number}(packet)",
+        "    if reason is not None:",
+        f"        sums_{number}.fail(packet, base + i)",
+        f"        summed_{number} = j",
+        "else:",
+        f"    reason = failure_{number}(buffer, base, i, j)",
+        f"    summed_{number} = sums_{number}.end - base",
+        "if reason is not None:",
+    )
 
 
 def size_expr(framing: Framing, start: int) -> str:
@@ -307,38 +345,52 @@ def _accept(out: SourceText, framing: Framing, decode: str, *, alone: bool, cut:
         out.line("packet = buffer[i:j]")
     data = "packet"
     if framing.stuffing is not None:
-        out.line(f"data = unstuff_{decode}(packet)")
-        out.line("if data is None:")
-        out.line("    bad = bad or 'malformed: stuffing'")
-        out.line("else:")
+        out.lines(
+            f"data = unstuff_{decode}(packet)",
+            "if data is None:",
+            "    bad = bad or 'malformed: stuffing'",
+            "else:",
+        )
         out.depth += 1
         data = "data"
-    out.line(f"record = {decode}({data}, base + i, time, None, packet, None)")
-    out.line("if record is not None:")
-    out.line("    emit(record)")
+    out.lines(
+        f"record = {decode}({data}, base + i, time, None, packet, None)",
+        "if record is not None:",
+        "    emit(record)",
+    )
     if alone:
-        out.line("else:")
-        out.line("    lose(base + i, j - i, 'unknown')")
-        out.line("i = j")
-        out.line("continue")
+        out.lines(
+            "else:",
+            "    lose(base + i, j - i, 'unknown')",
+            "i = j",
+            "continue",
+        )
     else:
-        out.line("    i = j")
-        out.line("    continue")
-        out.line("unclaimed = unclaimed or j - i")
+        out.lines(
+            "    i = j",
+            "    continue",
+            "unclaimed = unclaimed or j - i",
+        )
 
 
 def _judged(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
-    out.line(f"# {comment_line(f'{framing.name}: {describe(framing)}')}")
-    out.line(f"verdict, j, reason = judge_{number}(buffer, i, silent)")
-    out.line("if verdict == 'more':")
+    out.lines(
+        f"# {comment_line(f'{framing.name}: {describe(framing)}')}",
+        f"verdict, j, reason = judge_{number}(buffer, i, silent)",
+        "if verdict == 'more':",
+    )
     _wait(out)
     out.line("elif verdict == 'bad':")
-    if framing.check is not None and not in_segments(framing):
-        out.line("    if reason == 'malformed: checksum':")
-        out.line(f"        state.work += min(end - i, {framing.max_size})")
-    out.line("    bad = bad or reason")
-    out.line("elif verdict == 'whole':")
+    if framing.check is not None and not framing.is_enclosed:
+        out.lines(
+            "    if reason == 'malformed: checksum':",
+            f"        state.work += min(end - i, {framing.max_size})",
+        )
+    out.lines(
+        "    bad = bad or reason",
+        "elif verdict == 'whole':",
+    )
     depth = out.depth
     out.depth += 1
     _accept(out, framing, decode, alone=alone)
@@ -388,4 +440,92 @@ def describe(framing: Framing) -> str:
     return " | ".join(parts)
 
 
-__all__ = ["describe", "print_choice", "print_stream", "seek_pattern"]
+def print_check(out: SourceText, number: int, framing: Framing) -> None:
+    """`check_N(packet)`; packets that are stuffed as a whole cannot be checked so."""
+    check = framing.check
+    assert check is not None
+    back = check.size + len(framing.end)
+    text = check.text
+    if text is not None and check.bytes == 1:
+        out.lines(
+            f'texts_{number} = [text_{number}.format(n).encode("ascii") for n in range(256)]',
+            "",
+        )
+    out.line(f"def check_{number}(packet):")
+    out.depth += 1
+    out.line(f'"""Why the check of a packet fails ({comment_line(check.describe)}), or None."""')
+    if any(isinstance(part, Extra) for part in check.over or ()):
+        head = framing.extra_head
+        assert head is not None
+        key = f"packet[{head.offset}]"
+        if head.size > 1:
+            key = f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
+        out.lines(
+            f"message = {key}",
+            f"extra = extras_{number}(message)",
+            "if extra is None:",
+            "    return f'malformed: no message {message} to check by'",
+        )
+    found = computed(check, number, _covered(check, len(framing.sync), back))
+    wanted, stored = _wanted(check, number, found), _stored_behind(check, back)
+    if check.digits is not None:
+        out.lines(
+            f"wanted = {wanted}",
+            f"if {stored} != wanted and not same_{number}({stored}, wanted):",
+        )
+    else:
+        out.line(f"if {wanted} != {stored}:")
+    out.lines(
+        "    return 'malformed: checksum'",
+        "return None",
+    )
+    out.depth -= 1
+    out.line()
+
+
+def computed(check: Check, number: int, run: str) -> str:
+    """The check's number over `run`, as an expression."""
+    if isinstance(check, Sum):
+        return f"{'~' if check.inverted else ''}sum({run}) & {check.mask:#x}"
+    if isinstance(check, Fletcher):
+        return f"fletcher({run})"
+    if isinstance(check, Xor):
+        return f"xor({run})"
+    return f"crc_{number}({run})"
+
+
+def _covered(check: Check, sync: int, back: int) -> str:
+    if check.over is None:
+        return f"packet[{sync}:-{back}]"
+    parts = []
+    for part in check.over:
+        if isinstance(part, slice):
+            parts.append(
+                f"packet[{'' if part.start is None else part.start}:{'' if part.stop is None else part.stop}]"
+            )
+        elif isinstance(part, bytes):
+            parts.append(literal(part))
+        else:
+            parts.append("extra")
+    return " + ".join(parts)
+
+
+def _wanted(check: Check, number: int, found: str) -> str:
+    if check.text is None:
+        return f"({found})" if "&" in found else found
+    return (
+        f"texts_{number}[{found}]" if check.bytes == 1 else f'text_{number}.format({found}).encode("ascii")'
+    )
+
+
+def _stored_behind(check: Check, back: int) -> str:
+    """The number `back` bytes before the packet's end, as an expression."""
+    end = f"-{back - check.size}" if back > check.size else ""
+    if check.text is not None:
+        return f"packet[-{back}:{end}]"
+    if check.bytes == 1:
+        return f"packet[-{back}]"
+    if check.bytes == 2:
+        low, high = (back, back - 1) if check.order == "little" else (back - 1, back)
+        return f"(packet[-{low}] | packet[-{high}] << 8)"
+    return f'from_bytes(packet[-{back}:{end}], "{check.order}")'

@@ -1,28 +1,120 @@
-"""Text of Python, line by line: what the printers write into.
+"""Text of Python, line by line: what the printers write into; and the names and values in it.
 
 1. The printers decide nothing: the same plan gives the same text, byte for byte.
 2. What is printed is meant to be read: one function a message, one line a field.
-3. What a spec says in words enters only as a remark, on one line; its values enter by name (see `names`).
+3. What a spec says in words enters only as a remark, on one line.
+4. Every name in generated text comes from one `NameScope`: no two things can have the same, whatever a spec calls its own.
+5. A spec's values enter generated text by name. Only what `literal` knows is printed: integers, finite floats of Python's
+   own (which read back as what they are, and cost nothing as constants), bytes, and what is made of these.
 """
 
 from __future__ import annotations
+
+import builtins
+import keyword
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
 
 
 class SourceText:
     """Lines of Python with an indentation."""
 
     def __init__(self) -> None:
-        self.lines: list[str] = []
+        self.printed: list[str] = []
         self.depth = 0
 
     def line(self, text: str = "") -> None:
-        self.lines.append("    " * self.depth + text if text else "")
+        """Print one line at the present depth."""
+        self.printed.append("    " * self.depth + text if text else "")
+
+    def lines(self, *texts: str) -> None:
+        """Print several lines."""
+        for text in texts:
+            self.line(text)
 
     def text(self) -> str:
-        return "\n".join(self.lines) + "\n"
+        return "\n".join(self.printed) + "\n"
 
 
 def comment_line(text: str) -> str:
-    """The first line of somebody's text, for a remark or a docstring: whatever could end one is spelt out."""
+    """The first line of a text, for a comment or a docstring: whatever could end one is escaped."""
     first = text.strip().split("\n", 1)[0].replace("\\", "\\\\").replace('"', "'")
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in first)
+
+
+_PYTHON = frozenset([*keyword.kwlist, *keyword.softkwlist, *dir(builtins)])
+
+
+class NameScope:
+    """The names of a generated module, or (`inside` one) of a function in it.
+
+    `bound` are the values that the module's text calls by name: they must be given to the text when it is run.
+    """
+
+    def __init__(self, taken: Collection[str] = (), *, inside: NameScope | None = None) -> None:
+        self._taken = set(taken)
+        self._module = inside
+        self._shared: dict[tuple[str, str], str] = {}
+        self.bound: dict[str, Any] = {} if inside is None else inside.bound
+
+    def _has(self, name: str) -> bool:
+        return name in self._taken or (name in _PYTHON if self._module is None else self._module._has(name))
+
+    def new(self, wish: str, *, avoid: NameScope | None = None) -> str:
+        """A name that nothing else has: `wish`, or with a number behind it; none of `avoid` either."""
+        name, count = wish, 1
+        while self._has(name) or (avoid is not None and avoid._has(name)):
+            count += 1
+            name = f"{wish}_{count}"
+        self._taken.add(name)
+        return name
+
+    def shared(self, wish: str, content: str) -> tuple[str, bool]:
+        """The module's name for what `content` says, and whether it is new: the same wish and content are one."""
+        module = self._module if self._module is not None else self
+        known = module._shared.get((wish, content))
+        if known is not None:
+            return known, False
+        name = module.new(wish, avoid=self)
+        module._shared[wish, content] = name
+        return name, True
+
+    def bind(self, wish: str, value: Any) -> tuple[str, bool]:
+        """The module's name for a value, and whether it is new: the same wish and value are one."""
+        module = self._module if self._module is not None else self
+        count = 0
+        while True:
+            name, is_new = self.shared(wish, f"bound {count}")
+            if is_new:
+                module.bound[name] = value
+            if is_new or _is_same(module.bound[name], value):
+                return name, is_new
+            count += 1
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Whether two values are one: 2 and 2.0 are not, nor are 0.0 and -0.0."""
+    return one is other or (type(one) is type(other) and one == other and repr(one) == repr(other))
+
+
+def is_plain(number: Any) -> bool:
+    """Whether a number of a spec may be printed: not infinity, not NaN, no type of a user's."""
+    return type(number) is int or (type(number) is float and math.isfinite(number))
+
+
+def literal(value: Any) -> str:
+    """The text of a number, of bytes, or of a tuple, range or dict of such; raises `TypeError` for anything else."""
+    if isinstance(value, bool) or value is None or is_plain(value):
+        return repr(value)
+    if isinstance(value, int):
+        return repr(int(value))
+    if isinstance(value, (bytes, bytearray)):
+        return repr(bytes(value))
+    if isinstance(value, range):
+        return repr(value)
+    if isinstance(value, tuple):
+        return f"({', '.join(map(literal, value))}{',' if len(value) == 1 else ''})"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{literal(key)}: {literal(item)}' for key, item in value.items())}}}"
+    raise TypeError(f"{type(value).__name__} is not printed into generated code")

@@ -1,4 +1,4 @@
-"""Prints a protocol as a stub (`.pyi`): what editors and type checkers are told of its records.
+"""Prints a protocol as a stub (`.pyi`): the types of its records for editors and type checkers.
 
 1. The same protocol gives the same text, byte for byte.
 2. A message that several dialects have in different forms is one class with the fields of all.
@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import keyword
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import construct as c
 
@@ -18,10 +18,9 @@ from ..declare.message import Message
 from ..declare.protocol import Protocol
 from ..draw import row_of
 from ..plan import nodes as p
-from ..plan.flatten import NotFlat, flatten, scalar_of
-from .names import NameScope
+from ..plan.flatten import NotFlat, scalar_of
 from .records import type_of
-from .source import SourceText
+from .source import NameScope, SourceText
 
 #: What a stub's annotations call.
 WORDS = frozenset(
@@ -75,14 +74,20 @@ def print_stub(protocol: Protocol, variable: str) -> str:
     )
     if any(len(line) > LONGEST for line in body.split("\n")):
         head.line("# ruff: noqa: E501")
-    head.line("# fmt: off")
-    head.line()
+    head.lines(
+        "# fmt: off",
+        "",
+    )
     if typing:
-        head.line(f"from typing import {', '.join(typing)}")
-        head.line()
-    head.line(f"from aces_bus.protocol import {', '.join(ours)}")
-    head.line()
-    head.line(f"{variable}: Protocol")
+        head.lines(
+            f"from typing import {', '.join(typing)}",
+            "",
+        )
+    head.lines(
+        f"from aces_bus.protocol import {', '.join(ours)}",
+        "",
+        f"{variable}: Protocol",
+    )
     return head.text() + body
 
 
@@ -116,7 +121,7 @@ class _Printer:
         docs: dict[str, str] = {}
         parts: dict[str, list[str]] = {}
         for message in messages:
-            for field in flatten(message).fields:
+            for field in message.plan.fields:
                 kind = self._type(field, f"{name}.{field.name}", parts)
                 if isinstance(field.node, p.Opaque):
                     kind = self._opaque(message, field.name, parts)
@@ -128,8 +133,10 @@ class _Printer:
             self.out.line()
             for line in lines:
                 self.out.line(line)
-        self.out.line()
-        self.out.line(f"class {name}(Record, frozen=True):")
+        self.out.lines(
+            "",
+            f"class {name}(Record, frozen=True):",
+        )
         self.out.depth += 1
         self._doc(_message_doc(messages))
         for field_name, kinds in types.items():
@@ -171,21 +178,21 @@ class _Printer:
                 lines.append(f"    {field.name}: {self._type(field, f'{path}.{field.name}', parts)}")
             parts[path] = lines if len(lines) > 1 else [f"{lines[0]} ..."]
             return called
-        if isinstance(node, p.DelimitedField) and node.names:
-            return f"{_literal(name for _, name in node.names)} | str | None"
-        for step in getattr(node, "steps", ()):
-            if isinstance(step, p.ValueNames):
-                return f"{_literal(name for _, name in step.values)} | int"
-            if isinstance(step, p.Scale) and step.names:
-                return type_of(node).replace("str", _literal(name for _, name in step.names))
-            if isinstance(step, p.FlagBits):
-                names = [name for name, _ in step.bits if name.isidentifier() and not keyword.iskeyword(name)]
-                body = [f"    {name}: bool" for name in names]
-                called = self._class(path)
-                head = f"class {called}(FlagSet):"
-                parts[path] = [head, *body] if body else [f"{head} ..."]
-                return called
-        return type_of(node)
+        if node.flags:
+            names = [name for name in node.flags if name.isidentifier() and not keyword.iskeyword(name)]
+            body = [f"    {name}: bool" for name in names]
+            called = self._class(path)
+            head = f"class {called}(FlagSet):"
+            parts[path] = [head, *body] if body else [f"{head} ..."]
+            return called
+        # `str` among the types is the names of values, where these are known.
+        kind = type_of(node)
+        listed = _literal(node.value_names.values()) if node.value_names else "str"
+        return (
+            f"{listed} | {kind}"
+            if isinstance(node, p.DelimitedField) and node.names
+            else kind.replace("str", listed)
+        )
 
     def _opaque(self, message: Message, name: str, parts: dict[str, list[str]]) -> str:
         """The type of a field that construct decodes."""
@@ -217,7 +224,7 @@ class _Printer:
             return "Any"
 
 
-def _literal(names: Iterator[str]) -> str:
+def _literal(names: Iterable[str]) -> str:
     listed = ", ".join(
         f'"{name}"' if name.isprintable() and not set('"\\') & set(name) else repr(name)
         for name in dict.fromkeys(names)

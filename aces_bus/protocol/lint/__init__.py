@@ -1,6 +1,6 @@
 """What is wrong or doubtful in a spec that can be imported: rules over protocols, messages, fields, framings and buses.
 
-1. A rule reads and says; nothing is changed, nothing is printed, nothing is generated.
+1. A rule only reads; nothing is changed, printed or generated.
 2. What an import refuses is not asked again here: `SpecError` says it, with its line.
 
 The rules, by the name in brackets behind a finding:
@@ -37,7 +37,7 @@ from .finding import Level as Level
 from .finding import sort_key as sort_key
 from .framings import check_framings
 from .templates import check_templates
-from .wires import check_wire as check_wire
+from .templates import check_wire as check_wire
 
 
 def check_protocol(protocol: Protocol) -> list[Finding]:

@@ -23,6 +23,7 @@ from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError
 from ..declare.protocol import Protocol, Variant
 from ..declare.stuffing import Insert
+from ..record import plain_value
 from ..reference import Reference, ReferenceItem
 from .finding import Finding
 
@@ -77,7 +78,7 @@ def failure(message: Message, example: Example) -> str | None:
         return f"a field cannot be read: {_said(error)}"
     except (ConstructError, AcesError) as error:
         return f"it cannot be read: {_said(error)}"
-    found = plain_parsed(values)
+    found = plain_value(values)
     for name, wanted in example.fields.items():
         if name not in found:
             return f"there is no field {name!r} (there are: {', '.join(found)})"
@@ -109,7 +110,7 @@ def _wanted_check(message: Message, packet: bytes) -> str:
 
 def _reads_as(message: Message, image: bytes, found: Any) -> bool:
     try:
-        return agree(plain_parsed(message.struct.parse(image)), found)
+        return agree(plain_value(message.struct.parse(image)), found)
     except (ConstructError, AcesError):
         return False
 
@@ -182,15 +183,6 @@ def example_frame(word: ExampleFrame) -> Frame:
 # ---------------------------------------------------------------------- values
 
 
-def plain_parsed(value: Any) -> Any:
-    """What construct parsed, as dicts, lists and values, without its own entries."""
-    if isinstance(value, Mapping):
-        return {str(k): plain_parsed(v) for k, v in value.items() if not str(k).startswith("_")}
-    if isinstance(value, (list, tuple)):
-        return [plain_parsed(item) for item in value]
-    return value
-
-
 def merge_example(found: Any, wanted: Any) -> Any:
     """What was read with what an example says in its place; what the example leaves out stays as it was read."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
@@ -243,14 +235,3 @@ def show_value(value: Any) -> str:
 def _said(error: BaseException) -> str:
     lines = [line for line in str(error).splitlines() if not line.startswith("Error in path")]
     return " ".join(" ".join(lines or str(error).splitlines()).split()) or type(error).__name__
-
-
-__all__ = [
-    "agree",
-    "check_examples",
-    "example_frame",
-    "failure",
-    "plain_parsed",
-    "read_example",
-    "show_value",
-]

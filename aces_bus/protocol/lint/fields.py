@@ -1,24 +1,41 @@
-"""What is doubtful about fields: units, names, ranges, bits that belong to nobody, one number the other way round.
+"""What is doubtful about fields: units, names, ranges, bits that belong to no field, one number the other way round.
 
-1. A rule looks at what the spec wrote; what an import refuses is not asked again.
+1. A rule looks at what the spec wrote: name, adapters, and the number on the wire below them. What an import refuses is not
+   asked again.
+2. A construct that several messages share is one field: it is remarked upon once. What is no number of fixed size (texts,
+   bytes, opaque constructs) has no limits.
+3. The tables of units are data: SI with its prefixes, and what data sheets write beside it (`count`, `turn`, `%`, `rpm`).
 """
 
 from __future__ import annotations
 
+import difflib
+import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from math import isinf
+from typing import Any
 
 import construct as c
 
-from ..declare.bits import BitLayout
-from ..declare.fields import Enumeration, Quantity
+from ..declare.bits import BitLayout, Bits
+from ..declare.delimited import Delimited
+from ..declare.fields import (
+    Enumeration,
+    Field,
+    Multiplexed,
+    Quantity,
+    SignMagnitude,
+    inner_constructs,
+    wire_number,
+)
 from ..declare.head import enumeration_of
+from ..declare.message import Message
 from ..declare.pattern import IdField, describe_values
+from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
 from ..draw import bits_place
 from .finding import Finding, Level
-from .units import is_unit, suggest
-from .walk import Written, declared_fields
 
 #: One number against so many of the other byte order is remarked upon.
 FEW, MANY = 0.1, 8
@@ -225,11 +242,172 @@ def _layouts(con: c.Construct, name: str) -> Iterator[tuple[BitLayout, str]]:
         yield from _layouts(con.subcon, con.name or name)
     elif isinstance(con, BitLayout):
         yield con, name
-    elif isinstance(con, c.Struct):
-        for item in con.subcons:
-            yield from _layouts(item, name)
-    elif hasattr(con, "subcon"):
-        yield from _layouts(con.subcon, name)
+    else:
+        for inner in inner_constructs(con):
+            yield from _layouts(inner, name)
 
 
-__all__ = ["check_fields"]
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+#: Units that take prefixes: the base and derived units of SI (BIPM brochure, 9th edition), and some beside it.
+PREFIXED = _words(
+    "m g s A K mol cd rad sr Hz N Pa J W C V F Ω ohm Ohm S Wb T H lm lx Bq Gy Sv kat L l t eV Wh Ah VA var bar "
+    "gauss Gs G B bit bps baud Bd sps Sps cal gal dB"
+)
+PREFIXES = _words("Y Z E P T G M k h da d c m µ μ u n p f a z y Ki Mi Gi")
+#: Units that do not: angles, times and counts of data sheets, imperial ones, and names of SI written out.
+PLAIN = _words(
+    "% ‰ ppm ppb ° deg ° ' ″ ′ °C °F degC degF Celsius °/s deg/s min h d yr rpm RPM rev turn turns r count counts "
+    "cnt ct LSB lsb digit digits tick ticks step steps pulse pulses px pixel pixels sample samples ratio pu "
+    "in ft yd mi mph kph knot knots kn kt kts psi lb lbf lbs oz ozf ft·lb gf kgf rps cps fps dBm dBi dBV pH RH %RH "
+    "Nm mNm kNm Ncm atm mmHg inHg Torr torr mgauss ha byte bytes bits word words bool flag "
+    "degree degrees radian radians meter metre meters metres second seconds ampere volt watt newton kelvin hertz"
+)
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?\s*(?:[·*×]\s*)?")
+_FACTOR = re.compile(r"(?P<name>.*?[^\d^+\-⁰¹²³⁴⁵⁶⁷⁸⁹⁻])(?P<power>\^?[+-]?\d+|[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+)?$")
+
+
+def is_unit(text: str) -> bool:
+    """Whether `text` is a unit; an empty one is (a number without unit).
+
+    A unit is factors joined by `·`, `*`, `.` or a blank and divided by `/`, each with an optional whole exponent (`m/s²`,
+    `m/s^2`, `kg·m2`, `rad s-1`), perhaps behind a number (`2 µs`).
+
+    >>> [is_unit(text) for text in ("N·m", "0.1 mA", "rad/s²", "count", "degC", "bogus", "mm/", "kcount")]
+    [True, True, True, True, True, False, False, False]
+    """
+    text = text.strip()
+    if not text or text in PLAIN:
+        return True
+    number = _NUMBER.match(text)
+    rest = text[number.end() :] if number is not None else text
+    if not rest:
+        return text == "1"
+    if rest.startswith("/"):
+        rest = "1" + rest
+    if rest in PLAIN:
+        return True
+    bare = rest.replace("(", "").replace(")", "")
+    if rest.count("(") != rest.count(")"):
+        return False
+    return all(
+        all(_is_factor(factor) for factor in re.split(r"[·⋅*.\s]+", part.strip())) for part in bare.split("/")
+    )
+
+
+def _is_factor(text: str) -> bool:
+    if text == "1" or text in PLAIN:
+        return True
+    found = _FACTOR.match(text)
+    name = found["name"] if found is not None else text
+    if name in PLAIN or name in PREFIXED:
+        return True
+    return any(name[:size] in PREFIXES and name[size:] in PREFIXED for size in (1, 2))
+
+
+def suggest(text: str) -> str | None:
+    """A unit that was perhaps meant."""
+    folded = {name.lower(): name for name in sorted(PREFIXED | PLAIN)}
+    near = difflib.get_close_matches(text.strip().lower(), folded, n=1, cutoff=0.6)
+    return folded[near[0]] if near else None
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A field: its adapters from the outside in, and its innermost construct."""
+
+    owner: str
+    name: str
+    adapters: tuple[Any, ...]
+    inner: Any
+    #: Where its message is declared.
+    base: SourceLine
+
+    @property
+    def place(self) -> SourceLine:
+        """The line of our own construct, else that of its name in the message; of a database the message's."""
+        if not self.base.file.endswith(".py"):
+            return self.base
+        if self.adapters:
+            place: SourceLine = self.adapters[0].place
+            return place
+        return self.base.of_field(self.name.rpartition(".")[2]) if self.name else self.base
+
+    @property
+    def label(self) -> str:
+        return f"{self.owner}.{self.name}" if self.name else self.owner
+
+    @property
+    def limits(self) -> tuple[int, int] | None:
+        """The least and the greatest raw number."""
+        for adapter in self.adapters:
+            if isinstance(adapter, SignMagnitude):
+                return -adapter.limit, adapter.limit
+        inner = self.inner
+        if isinstance(inner, Bits):
+            return None if inner.is_float else _span(inner.width, inner.signed)
+        wire = wire_number(inner)
+        return wire.limits if wire is not None and wire.kind != "float" else None
+
+    @property
+    def byte_order(self) -> str | None:
+        """ "little" or "big" of a number of several bytes."""
+        wire = wire_number(self.inner)
+        return wire.order if wire is not None and wire.size > 1 else None
+
+
+def _span(width: int, signed: bool) -> tuple[int, int]:
+    return (-(1 << width - 1), (1 << width - 1) - 1) if signed else (0, (1 << width) - 1)
+
+
+def declared_fields(protocol: Protocol) -> Iterator[Written]:
+    """Every field that some message or register of the protocol has, each construct once."""
+    seen: set[int] = set()
+    for message in protocol.declared:
+        for item in [*_heads(message), *_payload(message)]:
+            key = id(item.adapters[0]) if item.adapters else id(item.inner)
+            # construct's own numbers (Byte, Int16ul) are shared by all specs: they are distinguished by name.
+            if item.adapters and key in seen:
+                continue
+            seen.add(key)
+            yield item
+    registers = protocol.register_map
+    for register in registers.values() if registers is not None else ():
+        yield from _walk(register.field, "register", register.name, register.place)
+
+
+def _heads(message: Message) -> Iterator[Written]:
+    for head in message.heads_written:
+        if head.name is not None:
+            yield from _walk(head.field, message.name, head.name, message.place)
+
+
+def _payload(message: Message) -> Iterator[Written]:
+    yield from _walk(message.payload, message.name, "", message.place)
+
+
+def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Written]:
+    if isinstance(con, c.Renamed):
+        inner = f"{name}.{con.name}" if name and con.name else con.name or name
+        yield from _walk(con.subcon, owner, inner, place)
+    elif isinstance(con, BitLayout):
+        for slot in con.slots:
+            yield from _walk(slot.field, owner, f"{name}.{slot.name}" if name else slot.name, place)
+    elif isinstance(con, Delimited):
+        for one in con.fields:
+            yield from _walk(one, owner, name, place)
+    elif isinstance(con, (Multiplexed, c.IfThenElse, c.Switch)) or hasattr(con, "subcons"):
+        for inner in inner_constructs(con):
+            yield from _walk(inner, owner, name, place)
+    else:
+        adapters: list[Any] = []
+        while hasattr(con, "subcon") and not isinstance(con, (c.Array, c.GreedyRange)):
+            if isinstance(con, Field):
+                adapters.append(con)
+            con = con.subcon
+        if isinstance(con, (c.Array, c.GreedyRange)):
+            yield from _walk(con.subcon, owner, name, place)
+            return
+        yield Written(owner, name, tuple(adapters), con, place)

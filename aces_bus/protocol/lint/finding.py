@@ -68,6 +68,3 @@ class Finding:
 def sort_key(finding: Finding) -> tuple[Any, ...]:
     """By file and line, worse ones first."""
     return finding.place.file, finding.place.line, LEVELS.index(finding.level), finding.rule, finding.text
-
-
-__all__ = ["LEVELS", "Finding", "Level", "sort_key"]

@@ -11,7 +11,6 @@ from ..declare.checks import Check
 from ..declare.framing import Framing
 from ..declare.message import Message
 from ..declare.protocol import Protocol
-from ..plan.flatten import flatten
 from ..plan.nodes import MessagePlan
 from .finding import Finding, Level
 
@@ -81,7 +80,7 @@ def _sizes(framing: Framing) -> Iterator[Finding]:
 
 
 def _message_size(message: Message, framing: Framing) -> Iterator[Finding]:
-    plan = flatten(message)
+    plan = message.plan
     sizes = plan.lengths
     stuffed = framing.stuffing is not None
     if plan.least > framing.max_size:
@@ -203,13 +202,13 @@ def _likely_sizes(framing: Framing, messages: list[Message]) -> list[int]:
         return [framing.fixed_size]
     found = {framing.max_size}
     for message in messages:
-        plan = flatten(message)
+        plan = message.plan
         found |= set(plan.lengths or (plan.least, plan.least + 8))
     return sorted(size for size in found if framing.min_size <= size <= framing.max_size)
 
 
 def _is_constant(message: Message, spans: dict[int, list[int]], start: int, tail: int) -> bool:
-    plan = flatten(message)
+    plan = message.plan
     if plan.lengths is None or len(plan.lengths) != 1:
         return False
     fixed = {one.offset for one in plan.constants if one.mask == 0xFF}
@@ -220,7 +219,7 @@ def _is_constant(message: Message, spans: dict[int, list[int]], start: int, tail
 def _message_check(message: Message, check: Check) -> Iterator[Finding]:
     start, size, _ = message.check_span
     own = set(range(start, start + size))
-    lengths = sorted(message.lengths or flatten(message).lengths or (flatten(message).least,))
+    lengths = sorted(message.lengths or message.plan.lengths or (message.plan.least,))
     longest = lengths[-1]
     if check.over is None:
         covered = [place for place in range(longest) if place not in own]
@@ -244,7 +243,7 @@ def _message_check(message: Message, check: Check) -> Iterator[Finding]:
                 "check-range",
                 f"its check leaves out {_listed(left, longest)}: a fault there goes unseen",
             )
-        fixed = {one.offset for one in flatten(message).constants if one.mask == 0xFF}
+        fixed = {one.offset for one in message.plan.constants if one.mask == 0xFF}
         if set(covered) <= fixed and not (_elsewhere(check) and len(message.identifier) > 1):
             yield _on(
                 message,
@@ -262,6 +261,3 @@ def _listed(places: set[int], size: int) -> str:
     if high - low + 1 != len(places):
         return "bytes " + ", ".join(map(str, sorted(places)[:8]))
     return f"the last {len(places)} bytes" if high == size - 1 else f"bytes {low}…{high}"
-
-
-__all__ = ["check_framings"]

@@ -1,18 +1,21 @@
-"""What is wrong with templates: messages that nothing can be, requests that cannot have been, order that settles nothing.
+"""What is wrong with templates: messages that nothing can be, requests that cannot have been, order that settles nothing;
+and on a bus of several protocols, frames and packets that two of them claim.
 
-1. CAN is decided exactly, as in `spec.ambiguity`; what is claimed of streams is proved or left out.
+1. CAN is decided exactly, as in `declare.ambiguity`, over identifier × flags × length × constants; what is claimed of
+   streams is proved or left out, and a witness is looked for.
 2. A finding about two messages names both places.
+3. On a bus frames are recognised by their bytes alone: it does not say which way a frame went.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
-from ..declare.ambiguity import Demands, conflict, demands, needing_context, solved
+from ..declare.ambiguity import Conflict, Demands, conflict, demands, needing_context, solved
+from ..declare.examples import ExampleFrame
 from ..declare.message import Message, Request
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Protocol, Variant
-from ..plan.flatten import flatten
 from .finding import Finding, Level
 
 #: Patterns of more numbers than this are not walked.
@@ -173,13 +176,8 @@ def _values(message: Message, name: str) -> range | frozenset[int] | None:
             if capture.name == name:
                 values = capture.values
                 return values if isinstance(values, range) else frozenset(values)
-    for field in flatten(message).fields:
-        bits = getattr(field.node, "bits", ())
-        kind = getattr(field.node, "kind", "")
-        if field.name == name and bits and kind in ("uint", "int"):
-            low = -(1 << len(bits) - 1) if kind == "int" else 0
-            return range(low, low + (1 << len(bits)))
-    return None
+    spans = [field.node.raw_range for field in message.plan.fields if field.name == name]
+    return range(spans[0][0], spans[0][1] + 1) if spans and spans[0] is not None else None
 
 
 def _fits(variant: Variant, message: Message, request: Request) -> bool:
@@ -240,7 +238,7 @@ def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
 
 def _covers(first: Message, other: Message) -> bool:
     """Whether every packet of `other` is one of `first`; False when that is not proved."""
-    plan = flatten(first)
+    plan = first.plan
     if plan.opaque or plan.split is not None or first.check is not None or first.framing is not other.framing:
         return False
     if (first.extended, first.remote) != (other.extended, other.remote):
@@ -254,7 +252,7 @@ def _covers(first: Message, other: Message) -> bool:
             return False
         lengths: list[int | None] = [*(other.lengths or ())]
     else:
-        theirs = flatten(other)
+        theirs = other.plan
         if plan.lengths is not None and plan.lengths != theirs.lengths:
             return False
         if plan.lengths is None and theirs.least < plan.least:
@@ -322,4 +320,64 @@ def _without_direction(protocol: Protocol) -> Iterator[Finding]:
         yield _finding("warning", "direction", without[0], f"no direction=, which all {others} others have")
 
 
-__all__ = ["check_templates"]
+#: Collisions of two protocols that are named one by one.
+SHOWN = 8
+
+
+def check_wire(variants: Sequence[Variant], level: Level = "error", where: str = "") -> Iterator[Finding]:
+    """The collisions of protocols on one bus, in the order in which they are tried; `where` names the bus."""
+    for index, first in enumerate(variants):
+        for second in variants[index + 1 :]:
+            if first.link != second.link or first.protocol is second.protocol:
+                continue
+            if None not in (first.channel, second.channel) and first.channel != second.channel:
+                continue
+            yield from _collisions(first, second, level, where)
+
+
+def _collisions(first: Variant, second: Variant, level: Level, where: str) -> Iterator[Finding]:
+    clashes: list[Conflict] = []
+    for one in first.messages.values():
+        for other in second.messages.values():
+            if one.framing is not None or not one.identifier.is_apart(other.identifier):
+                clash = conflict(one, other)
+                if clash is not None:
+                    clashes.append(clash)
+    clashes.sort(key=lambda clash: clash.witness is None)  # those with a packet to show first
+    shown = SHOWN if first.link == "can" else 1
+    for number, clash in enumerate(clashes[:shown], 1):
+        one, other = clash.one, clash.other
+        if one.protocol is not first.protocol:
+            one, other = other, one
+        more = len(clashes) - shown if number == min(shown, len(clashes)) else 0
+        and_more = f" (and {more} more pair{'s' if more > 1 else ''} of messages)" if more > 0 else ""
+        yield Finding(
+            "warning" if clash.witness is None else level,
+            "collision",
+            other.place,
+            f"{second.label} {other.name} collides with {first.label} {one.name} ({one.place}){where}:"
+            f" {clash.how}{and_more}; {_advice(first)}",
+            other.name,
+            witness_of(clash),
+            (one.place,),
+        )
+
+
+def _advice(first: Variant) -> str:
+    if first.link == "can":
+        return (
+            "give each a channel of its own (-p can0=NAME); else the one that is named first is tried first"
+        )
+    return "they need lines of their own; else the one that is named first is tried first"
+
+
+def witness_of(clash: Conflict) -> str | None:
+    """A conflict's packet or frame, as `aces spec explain` takes it."""
+    if clash.witness is None:
+        return None
+    if clash.identifier is None:
+        return f"hex:{clash.witness.hex().upper()}"
+    one = clash.one
+    return str(ExampleFrame(clash.witness, clash.identifier, one.extended, one.remote, one.fd)).replace(
+        " ", ""
+    )

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..declare.ambiguity import request_names
 from ..declare.message import Message, Request
 
 DEPTH = 8
@@ -49,42 +50,27 @@ class Context:
         self._seen: dict[tuple[Any, ...], list[Entry]] = {}
         self._count = 0
         self._broadcast = broadcast
+        #: Messages to note; and those that need no request to be recognised, but use one up: give them to `of`.
+        self.requests, self.answers = request_names(messages, names)
         for message in messages:
-            if message.name not in names:
-                continue
-            links = self._links.setdefault(message.name, [])
-            for requests, is_sticky in ((message.reply_to, False), (message.after, True)):
-                for request in requests:
-                    self._link(message, links, request, is_sticky)
-        # Replies that their bytes tell use up their request too: else it would stay open for a later one.
-        self._answers: frozenset[str] = frozenset()
-        for message in messages:
-            if message.name not in names and any(r.message.name in self._kinds for r in message.reply_to):
-                links = self._links.setdefault(message.name, [])
-                for request in message.reply_to:
-                    if request.message.name in self._kinds:
-                        self._link(message, links, request, False)
-                self._answers |= {message.name}
+            if message.name in names:
+                self._link(message, message.reply_to, is_sticky=False)
+                self._link(message, message.after, is_sticky=True)
+            elif message.name in self.answers:
+                some = tuple(one for one in message.reply_to if one.message.name in self.requests)
+                self._link(message, some, is_sticky=False)
 
-    def _link(self, message: Message, links: list[RequestLink], request: Request, is_sticky: bool) -> None:
-        shared = tuple(sorted(message.outer_names & request.message.outer_names))
-        links.append(RequestLink(request, shared, is_sticky))
-        self._kinds.setdefault(request.message.name, set()).add(shared)
+    def _link(self, message: Message, requests: Sequence[Request], *, is_sticky: bool) -> None:
+        links = self._links.setdefault(message.name, [])
+        for request in requests:
+            shared = tuple(sorted(message.outer_names & request.message.outer_names))
+            links.append(RequestLink(request, shared, is_sticky))
+            self._kinds.setdefault(request.message.name, set()).add(shared)
 
     def reset(self) -> None:
         """Forget what has been asked."""
         self._seen.clear()
         self._count = 0
-
-    @property
-    def requests(self) -> frozenset[str]:
-        """Names of the messages to note."""
-        return frozenset(self._kinds)
-
-    @property
-    def answers(self) -> frozenset[str]:
-        """Names of the messages that need no request to be told, but use one up: give them to `of`."""
-        return self._answers
 
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
         """A request has passed."""
@@ -154,19 +140,14 @@ class Context:
         within: float | None,
         time: float | None,
     ) -> Entry | None:
-        entries = self._seen.get((link.request.message.name, channel, link.shared, wanted))
-        if not entries:
-            return None
-        while entries and entries[-1].consumed:
-            entries.pop()
-        if not entries:
-            return None
-        entry = entries[-1]
-        if entry.answered and _who(link, values) in entry.answered:
-            return None
-        if within is not None and time is not None and entry.time is not None and time - entry.time > within:
-            return None
-        return entry
+        entries = self._seen.get((link.request.message.name, channel, link.shared, wanted), ())
+        for entry in reversed(entries):
+            if entry.consumed or (entry.answered and _who(link, values) in entry.answered):
+                continue
+            if None not in (within, time, entry.time) and time - entry.time > within:  # type: ignore[operator]
+                return None
+            return entry
+        return None
 
     def needs(self, messages: Sequence[Message]) -> str:
         """`needs request A|B`, for messages that had none."""
@@ -177,6 +158,3 @@ class Context:
 def _who(link: RequestLink, values: Mapping[str, Any]) -> tuple[Any, ...]:
     """The device that `values` are of."""
     return tuple(values.get(name) for name in link.shared)
-
-
-__all__ = ["Context"]

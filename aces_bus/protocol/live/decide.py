@@ -1,7 +1,7 @@
 """From messages to one function that decides among them: constants first, then requests, then order.
 
 1. A message that needs its request is tried before those that do not, and only with its request.
-2. Requests are noted as they are decoded, whether or not anybody looks at their records.
+2. Requests are noted as they are decoded, whether or not their records are used.
 """
 
 from __future__ import annotations
@@ -10,15 +10,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
-from ..declare.ambiguity import needing_context
+from ..declare.ambiguity import needing_context, ordered
 from ..declare.message import Direction, Message
-from ..declare.order import ordered
 from ..declare.protocol import Variant
 from ..generate.load import codec, load_source
 from ..generate.scan import print_choice
 from ..generate.source import SourceText
 from ..plan.choose import Choice, choose
-from ..plan.flatten import flatten
 from ..record import field_names
 from .context import Context
 
@@ -47,7 +45,7 @@ class Decider:
         self.source = ""
         #: Messages that rolling counters say were missed.
         self.missed = 0
-        #: The key of the last packet that needs a request to be told, and why; asked by `need_of`.
+        #: The key of the last packet that is recognised only with its request, and why; asked by `need_of`.
         self._need: tuple[int, str] = (-1, "")
         #: By message: the last value of each rolling counter of each device, whichever function decodes it.
         self._counters: dict[str, dict[Any, int]] = {}
@@ -64,7 +62,7 @@ class Decider:
         return self._need[1] if self._need[0] == key else ""
 
     def forget_need(self) -> None:
-        """The packet that needed a request has been told by somebody else."""
+        """The packet that needed a request was decoded by another protocol."""
         self._need = (-1, "")
 
     def decide(self, messages: Sequence[Message], *, alone: bool = False) -> Decode:
@@ -92,7 +90,7 @@ class Decider:
         if len(plain) == 1:
             decode = functions[plain[0].name]
         elif plain:
-            choice: Choice = choose([flatten(m) for m in plain])
+            choice: Choice = choose([m.plan for m in plain])
             out = SourceText()
             name = f"choose_{len(self._chosen)}"
             print_choice(out, name, choice)

@@ -104,7 +104,7 @@ def make_scanner(
 def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
     if links == {"can"}:
         if any(variant.channel is not None for variant in variants):
-            from .channels import ChannelScanner
+            from .can import ChannelScanner
 
             return ChannelScanner(variants, **more)
         return CanScanner(variants, **more)

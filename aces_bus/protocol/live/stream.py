@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..columns.segments import Segments, in_segments
 from ..counts import ScanCounts
-from ..declare.checks import Sums, xor_of
+from ..declare.checks import Sums, fletcher_of, xor_of
 from ..declare.framing import Framing, Verdict
 from ..declare.message import Direction
 from ..declare.protocol import Variant
@@ -23,8 +21,8 @@ from ..declare.stuffing import Insert
 from ..generate.load import load_source
 from ..generate.scan import plain_cover, print_stream, seek_pattern
 from ..record import Meta, Record, Unknown
+from .candidates import Overlaps, Segments, verdict_of
 from .decide import Decider
-from .overlaps import Overlaps
 
 if TYPE_CHECKING:
     from .find import PacketFinder
@@ -60,7 +58,7 @@ class StreamScanner:
         self.max_size = 0
         self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
         framings: list[tuple[Framing, str]] = []
-        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": _fletcher}
+        names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": fletcher_of}
         self._sums: list[Sums] = []
         #: What judges the candidates of stuffed framings.
         self._segments: list[Segments] = []
@@ -128,10 +126,7 @@ class StreamScanner:
     ) -> None:
         """The helpers that the printed text calls by name."""
         check = framing.check
-        extras: dict[int, bytes] | None = None
-        for message in decider.messages:
-            if message.framing is framing and message.extras is not None:
-                extras = {**(extras or {}), **message.extras}
+        extras = framing.extras_of(decider.messages)
         if check is not None and check.kind != "crc":
             sums = Sums(check)
             self._sums.append(sums)
@@ -143,7 +138,7 @@ class StreamScanner:
             names[f"same_{number}"] = check.same
         if extras is not None:
             names[f"extras_{number}"] = extras.get
-        if in_segments(framing):
+        if framing.is_enclosed:
             segments = Segments(framing, extras)
             self._segments.append(segments)
             names[f"judge_{number}"], names[f"unstuff_{decode}"] = segments, segments.unstuff
@@ -183,7 +178,7 @@ class StreamScanner:
         return [*self.feed(data, time), *self._advance(b"", self._time, silent=True)]
 
     def close(self) -> list[Record]:
-        """The stream has ended. A packet cut off by the end stays pending; what stands behind a false one is found."""
+        """The stream has ended. A packet cut off by the end stays pending; what follows a false one is found."""
         return self._advance(b"", self._time, silent=True, closing=True)
 
     def _advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
@@ -252,7 +247,7 @@ class StreamScanner:
         finder = self._finder
         starts, ends, stop = finder.find(buffer)
         if finder.summed:
-            # The scan function asks them too, for what stands between.
+            # The scan function asks them too, for the bytes between.
             self._sums[0].lend(base, base + finder.summed, *finder.sums)
             self._state.work += finder.summed
         decode, scan, emit = self._decode, self._scan, found.append
@@ -304,7 +299,7 @@ class StreamScanner:
     # ------------------------------------------------------------------ losses
 
     def _leave_pending(self, found: list[Any], buffer: bytes, base: int) -> None:
-        """At the end of the stream: what stands behind the last packet, from the first incomplete one on, is pending."""
+        """At the end of the stream: what follows the last packet, from the first incomplete one on, is pending."""
         last = 0
         if found:
             last = found[-1]._key + len(found[-1]._raw)
@@ -407,20 +402,11 @@ def has_size(framing: Framing) -> bool:
     return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
 
-def _fletcher(data: bytes) -> int:
-    return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
-
-
 def _judge(
     framing: Framing, extras: dict[int, bytes] | None
 ) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
     def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
-        judged = framing.judge(buffer, start, silent=silent, extras=extras)
-        if judged.verdict is Verdict.WHOLE:
-            return "whole", start + judged.size, ""
-        if judged.verdict is Verdict.BAD:
-            return "bad", 0, f"malformed: {judged.reason}"
-        return ("more" if judged.verdict is Verdict.MORE else "dead"), 0, ""
+        return verdict_of(framing.judge(buffer, start, silent=silent, extras=extras), start)
 
     return judge
 

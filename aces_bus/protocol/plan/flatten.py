@@ -5,14 +5,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import construct as c
 
 from ..declare import delimited as d
-from ..declare.bits import BitLayout, Bits, LayoutSlot
-from ..declare.fields import Counter, Enumeration, Flags, Multiplexed, Quantity, SignMagnitude, Text
+from ..declare.bits import BitLayout, Bits, LayoutSlot, whole_bits
+from ..declare.fields import (
+    Counter,
+    Enumeration,
+    Flags,
+    Multiplexed,
+    Quantity,
+    SignMagnitude,
+    Text,
+    inner_constructs,
+    wire_number,
+)
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.normalise import sizes
@@ -115,18 +127,9 @@ def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, 
         if not top:
             more = [con.trailing] if con.trailing else []
             found.append((path, (*con.names, *(["reserved"] if con.has_reserved else []), *more)))
-    elif isinstance(con, Multiplexed):
-        found += _parts(con.body, path, top=False)
-    elif isinstance(con, c.IfThenElse):
-        found += [*_parts(con.thensubcon, path, top=False), *_parts(con.elsesubcon, path, top=False)]
-    elif isinstance(con, c.Switch):
-        for case in [*con.cases.values(), con.default]:
-            found += _parts(case, path, top=False)
-    elif isinstance(con, (c.Sequence, c.FocusedSeq)):
-        for item in con.subcons:
-            found += _parts(item, path, top=False)
-    elif hasattr(con, "subcon"):
-        found += _parts(con.subcon, path, top=False)
+    else:
+        for inner in inner_constructs(con):
+            found += _parts(inner, path, top=False)
     return list(dict.fromkeys(found))
 
 
@@ -134,7 +137,7 @@ def _head(
     head: Head, is_shown: bool, fields: list[p.PlanField], constants: list[p.Constant], one_of: list[p.OneOf]
 ) -> None:
     number = p.Scalar(
-        "uint", head.offset, head.size, _order(head.order), _int_bits(head.offset, head.size, head.order)
+        "uint", head.offset, head.size, head.order, whole_bits(head.offset, head.size, head.order)
     )
     pattern = head.pattern
     if pattern is not None and not pattern.captures:
@@ -191,16 +194,6 @@ def _scale(quantity: Quantity) -> p.Scale:
     )
 
 
-def _order(order: str) -> Any:
-    return "big" if order == "big" else "little"
-
-
-def _int_bits(offset: int, size: int, order: str) -> tuple[int, ...]:
-    return (
-        p.big_endian_bits(offset, size) if order == "big" else tuple(range(8 * offset, 8 * (offset + size)))
-    )
-
-
 def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
     """The construct below the known adapters, the steps from it outward, unit and doc."""
     steps: list[p.Step] = []
@@ -239,39 +232,42 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
     found = tuple(steps)
     if isinstance(inner, Text):
         return p.Scalar("text", offset, inner.size, unit=unit)
-    if isinstance(inner, c.FormatField):
-        kind = inner.fmtstr[-1:]
-        order = "little" if inner.fmtstr.startswith("<") else "big"
-        if inner.fmtstr.startswith("="):
-            raise NotFlat("native byte order")
-        if kind in "efd":
-            return p.Scalar("float", offset, inner.length, _order(order), steps=found, unit=unit)
-        if kind in "BbHhLlQq":
-            signed = kind.islower()
-            return p.Scalar(
-                "int" if signed else "uint",
-                offset,
-                inner.length,
-                _order(order),
-                _int_bits(offset, inner.length, order),
-                found,
-                unit,
-            )
-    if (
-        isinstance(inner, c.BytesInteger)
-        and isinstance(inner.length, int)
-        and isinstance(inner.swapped, bool)
-    ):
-        order = "little" if inner.swapped else "big"
-        number = _int_bits(offset, inner.length, order)
-        if inner.signed:
-            return p.Scalar("int", offset, inner.length, _order(order), number, found, unit)
-        return p.Scalar("uint", offset, inner.length, _order(order), number, found, unit)
+    if isinstance(inner, c.FormatField) and inner.fmtstr.startswith("="):
+        raise NotFlat("native byte order")
+    wire = wire_number(inner)
+    if wire is not None:
+        bits = whole_bits(offset, wire.size, wire.order) if wire.kind != "float" else ()
+        return p.Scalar(wire.kind, offset, wire.size, wire.order, bits, found, unit)
     if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:
         return p.Scalar("bytes", offset, None)
     raise NotFlat(f"{type(inner).__name__} has no flat form")
+
+
+def fixed_leaves(message: Message) -> tuple[Sequence[p.NodePath], int]:
+    """The leaves of a message; of a payload that does not flatten also the numbers that stand before what has no fixed
+    place, and where that begins."""
+    plan = message.plan
+    found, offset = plan.leaves, message.payload_start
+    if not plan.opaque or not isinstance(message.payload, c.Struct):
+        return found, offset
+    known: dict[str, p.Node] = {}
+    for item in message.payload.subcons:
+        body = item.subcon if isinstance(item, c.Renamed) else item
+        if isinstance(body, c.Const):
+            offset += len(body.build(None))
+            continue
+        try:
+            scalar = _scalar(item, offset)
+        except NotFlat:
+            break
+        if scalar.size is None:
+            break
+        if item.name:
+            known[item.name] = scalar
+        offset += scalar.size
+    return [replace(leaf, node=known.get(leaf.path, leaf.node)) for leaf in found], offset
 
 
 class _Builder:
@@ -324,7 +320,7 @@ class _Builder:
             if body is c.Terminated:
                 continue
             if self.is_open:
-                raise NotFlat(f"{name or body!r} stands behind a field of open size")
+                raise NotFlat(f"{name or body!r} follows a field of open size")
             if isinstance(body, Multiplexed):
                 if not top or (selector is not None and selector.name != body.selector):
                     raise NotFlat("nested multiplexing")
@@ -333,7 +329,7 @@ class _Builder:
                     selector = self._select(body.selector, fields)
                 starts = {overlay.get(value, 0) for value in body.when}
                 if len(starts) != 1:
-                    raise NotFlat(f"{name} stands at several places")
+                    raise NotFlat(f"{name} is at several places")
                 start = starts.pop()
                 self.offset = base + start
                 known = len(self.constants)
@@ -351,7 +347,7 @@ class _Builder:
                 fields.append(p.PlanField(name, node, item.docs or "", when))
                 continue
             if overlay is not None:
-                raise NotFlat(f"{name} stands behind multiplexed fields")
+                raise NotFlat(f"{name} follows multiplexed fields")
             if name is None:
                 self._constant(body)
                 continue
@@ -459,13 +455,14 @@ class _Builder:
         if not inner.is_float:
             kind: Any = "int" if inner.signed else "uint"
             # A field that is its whole layout may be plain bytes, the highest first.
-            is_big = layout.size > 1 and bits == p.big_endian_bits(self.offset, layout.size)
+            is_big = layout.size > 1 and bits == whole_bits(self.offset, layout.size, "big")
             way: Any = "big" if is_big else "little"
             return p.Scalar(kind, self.offset, layout.size, way, bits, tuple(steps), unit), doc
         start, size = min(bits) // 8, len(bits) // 8
-        for order in ("little", "big"):
-            if bits == _int_bits(start, size, order):
-                return p.Scalar("float", start, size, _order(order), (), tuple(steps), unit), doc
+        orders: tuple[Literal["little", "big"], ...] = ("little", "big")
+        for order in orders:
+            if bits == whole_bits(start, size, order):
+                return p.Scalar("float", start, size, order, (), tuple(steps), unit), doc
         return p.Scalar("float", self.offset, layout.size, "little", bits, tuple(steps), unit), doc
 
     def _delimited(self, con: d.Delimited) -> None:

@@ -4,12 +4,18 @@
 2. Positions are canonical bit numbers (8 × byte + bit, bit 0 least significant) from the first byte of the data (CAN) or
    of the packet (streams), lowest bit of the number first. Byte order exists only in that list.
 3. What does not flatten is marked `Opaque` with the reason; construct decodes it, slower and equally.
+4. Whoever needs the values of a message asks `plan.leaves` (or `walk`), and what is known of a value its node: a new kind
+   of node is a subclass of `Node` here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+from ..declare.bits import runs_of, whole_bits
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,19 @@ class Scale:
     rounding: str = "nearest"
     #: (raw, name) of raw values that are no quantity.
     names: tuple[tuple[int, str], ...] = ()
+
+    def physical(self, raw: float) -> float:
+        """A raw number in its unit, computed as everywhere."""
+        scaled = raw * self.scale if self.scale != 1 else raw
+        return scaled + self.offset if self.offset else scaled
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """What may be sent, in the unit; None where nothing is stated."""
+        if self.bounds is not None or self.raw_bounds is None:
+            return self.bounds
+        low, high = sorted(raw * self.scale + self.offset for raw in self.raw_bounds)
+        return low, high
 
 
 @dataclass(frozen=True)
@@ -53,8 +72,98 @@ class Magnitude:
 Step = Scale | ValueNames | FlagBits | Magnitude
 
 
+#: `struct` formats of numbers by kind and size.
+FORMATS: dict[tuple[str, int | None], str] = {
+    **{("uint", size): mark for size, mark in zip((1, 2, 4, 8), "BHIQ", strict=True)},
+    **{("int", size): mark for size, mark in zip((1, 2, 4, 8), "bhiq", strict=True)},
+    **{("float", size): mark for size, mark in zip((2, 4, 8), "efd", strict=True)},
+}
+
+
+class Node:
+    """What the value of a field is, and where it comes from.
+
+    `steps` lead from the wire to the record. What a kind of node does not have is empty or None.
+    """
+
+    unit: str = ""
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def children(self) -> Sequence[tuple[str | int, PlanField]]:
+        """The nodes inside, each with the step to its value in the record; empty for a single value."""
+        return ()
+
+    @property
+    def is_leaf(self) -> bool:
+        """Whether it is a single value."""
+        return True
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether zero or nothing need not be shown: bits without a field, bytes up to the end of the packet."""
+        return False
+
+    @property
+    def place(self) -> tuple[int, ...]:
+        """Canonical bit numbers, lowest bit of the number first; empty where it has no fixed place of its own."""
+        return ()
+
+    @property
+    def raw_range(self) -> tuple[int, int] | None:
+        """The least and the greatest raw integer; None for what is no integer of the message."""
+        return None
+
+    @property
+    def scale(self) -> Scale | None:
+        """What makes the raw number a quantity."""
+        return next((step for step in self.steps if isinstance(step, Scale)), None)
+
+    @property
+    def value_names(self) -> dict[Any, str]:
+        """The names of raw values."""
+        found: dict[Any, str] = {}
+        for step in self.steps:
+            if isinstance(step, ValueNames):
+                found.update(step.values)
+            elif isinstance(step, Scale):
+                found.update(step.names)
+        return found
+
+    @property
+    def flags(self) -> dict[str, int]:
+        """The bit number of each flag, by name."""
+        return {name: bit for step in self.steps if isinstance(step, FlagBits) for name, bit in step.bits}
+
+    @property
+    def flag_names(self) -> dict[int, str]:
+        """The names of single bits, rising."""
+        return dict(sorted((bit, name) for name, bit in self.flags.items()))
+
+    @property
+    def known_names(self) -> list[str] | None:
+        """The names that a value may have, flags too; None where it may be any text or bytes."""
+        return [*self.value_names.values(), *self.flags]
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The number of each name: raw, or in the unit where there is a scale."""
+        found: dict[str, float] = {}
+        for step in self.steps:
+            if isinstance(step, ValueNames):
+                found.update((name, raw) for raw, name in step.values)
+            elif isinstance(step, Scale):
+                found.update((name, step.physical(raw)) for raw, name in step.names)
+        return found
+
+    @property
+    def is_magnitude(self) -> bool:
+        """Whether it is a number of sign and magnitude."""
+        return any(isinstance(step, Magnitude) for step in self.steps)
+
+
 @dataclass(frozen=True)
-class Scalar:
+class Scalar(Node):
     """One value in the bytes.
 
     `kind` is "uint", "int" (two's complement), "float", "bytes" or "text". `size` is in bytes, None for "to the end".
@@ -74,36 +183,84 @@ class Scalar:
     def is_whole(self) -> bool:
         """Whether an integer is whole bytes in one byte order."""
         assert self.size is not None
-        run = tuple(range(8 * self.offset, 8 * (self.offset + self.size)))
-        if self.bits == run:
-            return self.order == "little" or self.size == 1
-        return self.order == "big" and self.bits == big_endian_bits(self.offset, self.size)
+        return self.bits == whole_bits(self.offset, self.size, self.order)
 
+    @property
+    def format(self) -> str:
+        """The `struct` format of a whole number of usual size, else empty."""
+        is_whole = self.size is not None and (not self.bits if self.kind == "float" else self.is_whole)
+        return FORMATS.get((self.kind, self.size), "") if is_whole else ""
 
-def big_endian_bits(offset: int, size: int) -> tuple[int, ...]:
-    """Canonical bit numbers of a big-endian number of `size` bytes, lowest bit first."""
-    return tuple(
-        p for byte in range(offset + size - 1, offset - 1, -1) for p in range(8 * byte, 8 * byte + 8)
-    )
+    @property
+    def runs(self) -> list[tuple[int, int, int]]:
+        """Its runs of bits that go upward: (lowest bit, place of that bit in the number, width)."""
+        return runs_of(self.bits)
+
+    @property
+    def is_bytes(self) -> bool:
+        """Whether the value is no number: bytes or a text."""
+        return self.kind in ("bytes", "text")
+
+    @property
+    def known_names(self) -> list[str] | None:
+        return None if self.is_bytes else super().known_names
+
+    @property
+    def is_quiet(self) -> bool:
+        return self.size is None
+
+    @property
+    def place(self) -> tuple[int, ...]:
+        return self.bits or (() if self.size is None else whole_bits(self.offset, self.size, self.order))
+
+    @property
+    def raw_range(self) -> tuple[int, int] | None:
+        if self.kind not in ("uint", "int"):
+            return None
+        width = len(self.place)
+        for step in self.steps:
+            if isinstance(step, Magnitude):
+                return -(1 << step.width - 1) + 1, (1 << step.width - 1) - 1
+        return (-(1 << width - 1), (1 << width - 1) - 1) if self.kind == "int" else (0, (1 << width) - 1)
 
 
 @dataclass(frozen=True)
-class Many:
-    """Several nodes under one name: a tuple."""
+class Many(Node):
+    """Several nodes under one name: a tuple. Its unit is what all items have."""
 
     items: tuple[Node, ...]
 
+    def __post_init__(self) -> None:
+        units = {item.unit for item in self.items}
+        object.__setattr__(self, "unit", units.pop() if len(units) == 1 else "")
+
+    @property
+    def children(self) -> Sequence[tuple[str | int, PlanField]]:
+        return [(index, PlanField(str(index), item)) for index, item in enumerate(self.items)]
+
+    @property
+    def is_leaf(self) -> bool:
+        return False
+
 
 @dataclass(frozen=True)
-class NestedRecord:
+class NestedRecord(Node):
     """A nested record."""
 
     type_name: str
     fields: tuple[PlanField, ...]
 
+    @property
+    def children(self) -> Sequence[tuple[str | int, PlanField]]:
+        return [(field.name, field) for field in self.fields]
+
+    @property
+    def is_leaf(self) -> bool:
+        return False
+
 
 @dataclass(frozen=True)
-class FromIdentifier:
+class FromIdentifier(Node):
     """A captured part of the CAN identifier, or of a head number.
 
     Alone in it: (number − constant) >> shift; beside others: `width` bits from `shift`. For an identifier `constant`
@@ -119,10 +276,24 @@ class FromIdentifier:
     #: The number it is part of: None for the identifier.
     number: Scalar | None = None
 
+    @property
+    def place(self) -> tuple[int, ...]:
+        """The bits of a part of a head number; of the whole number where the part is added to it."""
+        bits = self.number.place if self.number is not None else ()
+        return bits if self.is_alone else bits[self.shift : self.shift + self.width]
+
+    @property
+    def raw_range(self) -> tuple[int, int] | None:
+        return 0, (1 << self.width) - 1
+
 
 @dataclass(frozen=True)
-class FromRequest:
+class FromRequest(Node):
     """A field of the request that this message answers, as raw number."""
+
+    @property
+    def known_names(self) -> list[str] | None:
+        return None
 
 
 @dataclass(frozen=True)
@@ -145,7 +316,7 @@ class When:
 
 
 @dataclass(frozen=True)
-class Rest:
+class Rest(Node):
     """The bits of `size` bytes from `offset` that no field claims; `claimed` as masks of the little-endian word by the
     selector's raw value (None: any other).
 
@@ -159,9 +330,13 @@ class Rest:
     selector: Selector | None = None
     more: tuple[tuple[Selector, tuple[tuple[int, int], ...]], ...] = ()
 
+    @property
+    def is_quiet(self) -> bool:
+        return True
+
 
 @dataclass(frozen=True)
-class DelimitedField:
+class DelimitedField(Node):
     """A field of a delimited payload, by its number; `conversion` names how text becomes a value."""
 
     index: int
@@ -171,24 +346,35 @@ class DelimitedField:
     unit: str = ""
     optional: bool = False
 
+    @property
+    def value_names(self) -> dict[Any, str]:
+        return dict(self.names)
+
+    @property
+    def known_names(self) -> list[str] | None:
+        return None if self.conversion == "text" else super().known_names
+
 
 @dataclass(frozen=True)
-class MoreCells:
+class MoreCells(Node):
     """The cells beyond the declared ones, as texts."""
 
     start: int
 
+    @property
+    def known_names(self) -> list[str] | None:
+        return None
+
 
 @dataclass(frozen=True)
-class Opaque:
+class Opaque(Node):
     """Decoded by construct, for this reason."""
 
     reason: str
 
-
-Node = (
-    Scalar | Many | NestedRecord | FromIdentifier | FromRequest | Rest | DelimitedField | MoreCells | Opaque
-)
+    @property
+    def known_names(self) -> list[str] | None:
+        return None
 
 
 @dataclass(frozen=True)
@@ -199,6 +385,67 @@ class PlanField:
     node: Node
     doc: str = ""
     when: When | None = None
+
+
+@dataclass(frozen=True)
+class NodePath:
+    """A node and where its value is: `path` as columns and conditions name it (`servos.0.id`), `way` as the steps to the
+    value in the record.
+
+    `field` is the field of the message, `doc` that of the innermost one. `whens` are the conditions that it is there for,
+    the outermost first; `conditions` the same with the paths of their selectors, and with the conditions of these.
+    """
+
+    path: str
+    way: tuple[str | int, ...]
+    node: Node
+    field: PlanField
+    doc: str = ""
+    whens: tuple[When, ...] = ()
+    conditions: tuple[tuple[str, When], ...] = ()
+
+    @property
+    def identifier(self) -> str:
+        """The path as one name: `motor_0_errors`."""
+        return self.path.replace(".", "_")
+
+
+def walk(
+    fields: Sequence[PlanField], is_whole: Callable[[Node], bool] = lambda node: False
+) -> Iterator[NodePath]:
+    """Every node below these fields, the outer before the inner; of those that are taken as a whole only themselves."""
+    for field in fields:
+        yield from _inside(field.name, field, None, "", is_whole)
+
+
+def _inside(
+    step: str | int,
+    field: PlanField,
+    outer: NodePath | None,
+    prefix: str,
+    is_whole: Callable[[Node], bool],
+) -> Iterator[NodePath]:
+    path, when = f"{prefix}{step}", field.when
+    if outer is None:
+        here = NodePath(path, (step,), field.node, field, field.doc)
+    else:
+        # What is said of a list is said of its first item.
+        doc = field.doc if isinstance(step, str) else "" if step else outer.doc
+        here = NodePath(path, (*outer.way, step), field.node, outer.field, doc, outer.whens, outer.conditions)
+    if when is not None:
+        conditions = _conditions(prefix, when, here.conditions)
+        here = replace(here, whens=(*here.whens, when), conditions=conditions)
+    yield here
+    for inner, child in field.node.children if not is_whole(field.node) else ():
+        yield from _inside(inner, child, here, f"{path}.", is_whole)
+
+
+def _conditions(
+    prefix: str, when: When | None, known: tuple[tuple[str, When], ...]
+) -> tuple[tuple[str, When], ...]:
+    if when is None or any(when == one for _, one in known):
+        return known
+    return (*_conditions(prefix, when.selector.when, known), (prefix + when.selector.name, when))
 
 
 @dataclass(frozen=True)
@@ -263,3 +510,12 @@ class MessagePlan:
     @property
     def is_flat(self) -> bool:
         return not self.opaque
+
+    def walk(self) -> Iterator[NodePath]:
+        """Every node of the message, the outer before the inner."""
+        return walk(self.fields)
+
+    @cached_property
+    def leaves(self) -> tuple[NodePath, ...]:
+        """The single values of a record, in order."""
+        return tuple(one for one in self.walk() if one.node.is_leaf)

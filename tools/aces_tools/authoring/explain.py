@@ -31,7 +31,7 @@ from typing import Any
 from aces_bus.errors import CallerError
 from aces_bus.protocol.declare.fields import FlagSet
 from aces_bus.protocol.explain import Attempt
-from aces_bus.protocol.lint.examples import plain_parsed
+from aces_bus.protocol.record import plain_value
 
 from ..console import Output, check_suffix, say, terminal_width, wants_colour
 from ..output.text import make_paint, no_paint
@@ -143,12 +143,12 @@ def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
         "raw": attempt.raw.hex(),
         "protocol": found.protocol,
         "message": found.message,
-        "fields": None if found.fields is None else plain_parsed(found.fields),
+        "fields": None if found.fields is None else plain_value(found.fields),
         "reason": found.reason or None,
         "resumes": None if attempt.is_can else attempt.resumes,
         "request": None
         if attempt.request is None
-        else {"message": attempt.request[0], "fields": plain_parsed(attempt.request[1])},
+        else {"message": attempt.request[0], "fields": plain_value(attempt.request[1])},
         "templates": list(attempt.templates),
         "steps": [
             {
@@ -159,7 +159,7 @@ def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
                     {
                         "template": r.template or None,
                         "field": r.name,
-                        "value": plain_parsed(r.value),
+                        "value": plain_value(r.value),
                         "unit": r.unit or None,
                     }
                     for r in step.read

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from aces_bus.protocol.draw.canvas import (
+from aces_bus.protocol.draw.svg import (
     BAD,
     BAD_INK,
     FAINT,
@@ -22,7 +22,8 @@ from aces_bus.protocol.draw.canvas import (
     text_width,
 )
 from aces_bus.protocol.explain import Attempt, Step, TemplateTrace
-from aces_bus.protocol.lint.examples import plain_parsed, show_value
+from aces_bus.protocol.lint.examples import show_value
+from aces_bus.protocol.record import plain_value
 
 TEMPLATES = 12
 COLUMNS = 20
@@ -90,7 +91,7 @@ def _read(
     for index, step in enumerate(steps):
         for one in step.read:
             unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
-            text = f"{one.name} = {show_value(plain_parsed(one.value))}{unit}"
+            text = f"{one.name} = {show_value(plain_value(one.value))}{unit}"
             if len(text) > 48:
                 text = text[:47] + "…"
             x = lefts[index] + 4
@@ -167,7 +168,7 @@ def _verdict(attempt: Attempt) -> tuple[str, str]:
     if found.message is not None:
         fields = found.fields or {}
         inside = ", ".join(
-            f"{k}={show_value(plain_parsed(v))}" for k, v in fields.items() if not k.startswith("_")
+            f"{k}={show_value(plain_value(v))}" for k, v in fields.items() if not k.startswith("_")
         )
         text = f"{found.message}({inside})"
         return text if len(text) <= 120 else text[:119] + "…", GOOD_INK

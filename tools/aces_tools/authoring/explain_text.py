@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from aces_bus.protocol.explain import Attempt, Death, FieldRead, Step
-from aces_bus.protocol.lint.examples import plain_parsed, show_value
+from aces_bus.protocol.lint.examples import show_value
+from aces_bus.protocol.record import plain_value
 
 from ..output.text import Paint
 
@@ -98,7 +99,7 @@ def _step(
 def _reading(one: FieldRead) -> str:
     unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
     owner = f"{one.template}." if one.template else ""
-    value = plain_parsed(one.value)
+    value = plain_value(one.value)
     shown = _hex(value) if isinstance(value, bytes) and value else show_value(value)
     return f"{owner}{one.name} = {shown}{unit}"
 
@@ -170,7 +171,7 @@ def _verdict(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
 
 
 def _listed(fields: Mapping[str, Any]) -> str:
-    return ", ".join(f"{k}={show_value(plain_parsed(v))}" for k, v in fields.items() if not k.startswith("_"))
+    return ", ".join(f"{k}={show_value(plain_value(v))}" for k, v in fields.items() if not k.startswith("_"))
 
 
 def _style(reason: str) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 from string import Template
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.exchange.import_names import TAKEN_BY_CODE
+from aces_bus.protocol.exchange.names import TAKEN_BY_CODE
 
 from ..console import say
 

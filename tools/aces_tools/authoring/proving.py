@@ -19,7 +19,7 @@ from construct import Construct
 from aces_bus.protocol import Message, Protocol
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.lint import Finding
-from aces_bus.protocol.lint.walk import Written
+from aces_bus.protocol.lint.fields import Written
 
 if TYPE_CHECKING:
     from aces_bus.testing.fuzz import Failure, Fuzzer

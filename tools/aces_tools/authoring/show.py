@@ -24,14 +24,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Message, draw
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
 
 from .. import protocols
 from ..console import Output, check_suffix, say
@@ -121,7 +120,7 @@ def _svg(arguments: argparse.Namespace) -> None:
 
 
 def _plan(arguments: argparse.Namespace) -> None:
-    plans = [(message, flatten(message)) for message in _chosen(arguments)]
+    plans = [(message, message.plan) for message in _chosen(arguments)]
     if arguments.json:
         print(json.dumps([_plain(plan) for _, plan in plans], ensure_ascii=False, indent=2))
         return
@@ -171,23 +170,9 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
 
 def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
     """The lines of the field table, each with the node that it comes from."""
-    nodes = dict(_leaves(plan.fields, ""))
+    nodes = {one.path: one.node for one in plan.walk()}
     for row in draw.field_table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
-
-
-def _leaves(fields: Sequence[p.PlanField], prefix: str) -> Iterator[tuple[str, p.Node]]:
-    for one in fields:
-        yield from _inside(f"{prefix}{one.name}", one.node)
-
-
-def _inside(name: str, node: p.Node) -> Iterator[tuple[str, p.Node]]:
-    yield name, node
-    if isinstance(node, p.NestedRecord):
-        yield from _leaves(node.fields, f"{name}.")
-    elif isinstance(node, p.Many):
-        for index, item in enumerate(node.items):
-            yield from _inside(f"{name}.{index}", item)
 
 
 def _steps(node: p.Node) -> str:
@@ -196,7 +181,7 @@ def _steps(node: p.Node) -> str:
     if isinstance(node, p.Opaque):
         return f"construct: {node.reason}" if node.reason else ""
     parts: list[str] = []
-    for step in getattr(node, "steps", ()):
+    for step in node.steps:
         if isinstance(step, p.Scale):
             scale = f"× {step.scale:.12g}" if step.scale != 1 else ""
             offset = f"{'+' if step.offset > 0 else '−'} {abs(step.offset):.12g}" if step.offset else ""
@@ -213,8 +198,7 @@ def _steps(node: p.Node) -> str:
             parts.append(f"{len(step.bits)} flags")
         else:
             parts.append(f"sign and magnitude of {step.width} bits")
-    unit = getattr(node, "unit", "")
-    return ", ".join([*parts, *([unit] if unit else [])])
+    return ", ".join([*parts, *filter(None, [node.unit])])
 
 
 def _plain(value: Any) -> Any:
@@ -259,7 +243,7 @@ def _paths(arguments: argparse.Namespace) -> None:
 
 
 def _path(message: Message, hangs: bool) -> dict[str, Any]:
-    plan = flatten(message)
+    plan = message.plan
     columns = "at once" if plan.is_flat and not hangs else "one by one"
     both = "" if message.framing is None else "read in both directions together, "
     why = plan.opaque or (f"{both}which message it is hangs on a request before it" if hangs else "")
@@ -269,20 +253,12 @@ def _path(message: Message, hangs: bool) -> dict[str, Any]:
         "columns": columns,
         "why": why,
         "fields": [
-            dict(zip(("field", "path", "how"), one, strict=True)) for one in _field_paths(plan.fields, "")
+            {"field": leaf.path, "path": "generated", "how": _how(leaf.node)}
+            if not isinstance(leaf.node, p.Opaque)
+            else {"field": leaf.path, "path": "construct", "how": leaf.node.reason}
+            for leaf in plan.leaves
         ],
     }
-
-
-def _field_paths(fields: Sequence[p.PlanField], prefix: str) -> Iterator[tuple[str, str, str]]:
-    for one in fields:
-        for name, node in _inside(f"{prefix}{one.name}", one.node):
-            if isinstance(node, (p.NestedRecord, p.Many)):
-                continue
-            if isinstance(node, p.Opaque):
-                yield name, "construct", node.reason
-            else:
-                yield name, "generated", _how(node)
 
 
 def _how(node: p.Node) -> str:
@@ -295,7 +271,7 @@ def _how(node: p.Node) -> str:
     if isinstance(node, (p.DelimitedField, p.MoreCells)):
         return "cut out of the text"
     assert isinstance(node, p.Scalar)
-    if node.kind in ("bytes", "text"):
+    if node.is_bytes:
         return "a slice"
     if (node.kind == "float" and not node.bits) or (node.bits and node.is_whole):
         return "unpacked by struct"

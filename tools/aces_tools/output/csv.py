@@ -22,7 +22,7 @@ from typing import Any
 from aces_bus.plain_text import cell_text
 from aces_bus.protocol import FlagSet, Unknown
 
-from .shape import OfKind, Plans, RecordLeaf, flag_names, json_value, record_leaves, unit_of
+from .shape import OfKind, Plans, RecordLeaf, flag_names, json_value, record_leaves
 
 _SPECIAL = re.compile(r'[",\r\n]').search
 
@@ -94,7 +94,7 @@ class Sheet:
 
     @staticmethod
     def _value(leaf: RecordLeaf, item: Any) -> list[Any]:
-        return [leaf.path, cell(leaf.get(item)), unit_of(leaf.node)]
+        return [leaf.path, cell(leaf.get(item)), leaf.node.unit]
 
     @staticmethod
     def _rows(rows: list[list[Any]]) -> bytes:

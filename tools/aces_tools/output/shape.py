@@ -12,11 +12,9 @@ from typing import Any, TypeVar
 import msgspec
 
 from aces_bus.protocol import FlagSet, Record, Variant
-from aces_bus.protocol.columns.gather import getter as getter
-from aces_bus.protocol.columns.gather import value_paths
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
+from aces_bus.protocol.record import getter as getter
 
 Convert = Callable[[Any], Any]
 T = TypeVar("T")
@@ -30,7 +28,7 @@ class Plans(Mapping[type[Record], p.MessagePlan]):
         self._records = [records_of(variant) for variant in variants]
 
     def __getitem__(self, kind: type[Record]) -> p.MessagePlan:
-        return flatten(kind._declared)
+        return kind._declared.plan
 
     def __iter__(self) -> Iterator[type[Record]]:
         for records in self._records:
@@ -103,11 +101,9 @@ def json_value(value: Any) -> Any:
 def is_single_value(node: p.Node) -> bool:
     """Whether msgspec writes the values of this node as they are."""
     if isinstance(node, p.Scalar):
-        return node.kind != "bytes" and not any(isinstance(step, p.FlagBits) for step in node.steps)
-    if isinstance(node, p.Many):
-        return all(map(is_single_value, node.items))
-    if isinstance(node, p.NestedRecord):
-        return all(is_single_value(field.node) for field in node.fields)
+        return node.kind != "bytes" and not node.flags
+    if not node.is_leaf:
+        return all(is_single_value(field.node) for _, field in node.children)
     return isinstance(node, (p.FromIdentifier, p.Rest, p.DelimitedField, p.MoreCells))
 
 
@@ -127,16 +123,10 @@ class RecordLeaf:
     conditional: bool = False
 
 
-def record_leaves(plan: p.MessagePlan) -> list[RecordLeaf]:
-    """The values of a record, tuples and nested records taken apart; what has no fixed shape is one value."""
-    return [
-        RecordLeaf(path, node, getter(way), bool(whens)) for path, _, node, way, whens in value_paths(plan)
-    ]
-
-
-def unit_of(node: p.Node) -> str:
-    """The unit of a single value, or of all items alike."""
-    if isinstance(node, p.Many):
-        units = {unit_of(item) for item in node.items}
-        return units.pop() if len(units) == 1 else ""
-    return str(getattr(node, "unit", ""))
+def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordLeaf]:
+    """The values of a record, nested records taken apart, and (`is_split`) lists; what has no fixed shape is one value."""
+    nodes = plan.leaves
+    if not is_split:
+        named = (one for one in plan.walk() if all(isinstance(step, str) for step in one.way))
+        nodes = tuple(one for one in named if not isinstance(one.node, p.NestedRecord))
+    return [RecordLeaf(one.path, one.node, getter(one.way), bool(one.whens)) for one in nodes]

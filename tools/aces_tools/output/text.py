@@ -23,7 +23,7 @@ from aces_bus.plain_text import printable as printable
 from aces_bus.protocol import FlagSet, Unknown
 from aces_bus.protocol.plan import nodes as p
 
-from .shape import OfKind, Plans, RecordLeaf, flag_names, getter, json_value, unit_of
+from .shape import OfKind, Plans, flag_names, getter, json_value, record_leaves
 
 Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
@@ -259,9 +259,9 @@ class _Fields:
     """The fields of one message as tokens."""
 
     def __init__(self, plan: p.MessagePlan) -> None:
-        parts = _parts(plan.fields, "", (), False)
         self._entries = [
-            (leaf, f"{leaf.path}=", value_printer(leaf.node), _unit(leaf.node), _Width()) for leaf in parts
+            (leaf, f"{leaf.path}=", value_printer(leaf.node), _unit(leaf.node), _Width())
+            for leaf in record_leaves(plan, is_split=False)
         ]
 
     def tokens(self, record: Any) -> list[PrintedField]:
@@ -269,10 +269,10 @@ class _Fields:
         for leaf, label, shown, unit, width in self._entries:
             value = leaf.get(record)
             if value is None:
-                if leaf.conditional:
+                if leaf.conditional or isinstance(leaf.node, p.FromRequest):
                     continue
                 text, mark = "unknown", ""
-            elif not value and _is_dull(leaf.node):
+            elif not value and leaf.node.is_quiet:
                 continue
             else:
                 text, mark = shown(value), unit
@@ -293,28 +293,8 @@ class _Width:
         return max(0, self.most - length)
 
 
-def _parts(
-    fields: Sequence[p.PlanField], prefix: str, way: tuple[str, ...], conditional: bool
-) -> list[RecordLeaf]:
-    """Fields, those of nested records under `outer.inner`; tuples stay whole."""
-    found: list[RecordLeaf] = []
-    for field in fields:
-        only_then = conditional or field.when is not None or isinstance(field.node, p.FromRequest)
-        if isinstance(field.node, p.NestedRecord):
-            found += _parts(field.node.fields, f"{prefix}{field.name}.", (*way, field.name), only_then)
-        else:
-            found.append(RecordLeaf(prefix + field.name, field.node, getter((*way, field.name)), only_then))
-    return found
-
-
-def _is_dull(node: p.Node) -> bool:
-    """Whether zero or nothing need not be told: bits without a field, bytes up to the end of the packet."""
-    return isinstance(node, p.Rest) or (isinstance(node, p.Scalar) and node.size is None)
-
-
 def _unit(node: p.Node) -> str:
-    unit = unit_of(node)
-    return f" {unit}" if unit else ""
+    return f" {node.unit}" if node.unit else ""
 
 
 def value_printer(node: p.Node) -> Show:
@@ -343,8 +323,7 @@ def _or_unknown(shown: Show, value: Any) -> str:
 
 def _show_many(node: p.Many) -> Show:
     shows = [value_printer(item) for item in node.items]
-    same = unit_of(node)
-    units = ["" if same else _unit(item) for item in node.items]
+    units = ["" if node.unit else _unit(item) for item in node.items]
 
     def many(values: Any) -> str:
         return f"[{', '.join(_or_unknown(s, v) + u for s, v, u in zip(shows, values, units, strict=True))}]"
@@ -353,11 +332,10 @@ def _show_many(node: p.Many) -> Show:
 
 
 def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
-    for step in node.steps:
-        if isinstance(step, p.FlagBits):
-            return lambda value: "{" + ", ".join(flag_names(value)) + "}"
-        if isinstance(step, p.ValueNames):
-            return _name
+    if node.flags:
+        return lambda value: "{" + ", ".join(flag_names(value)) + "}"
+    if any(isinstance(step, p.ValueNames) for step in node.steps):
+        return _name
     if isinstance(node, p.Scalar) and node.kind == "float":
         digits = {2: 4, 4: 7}.get(node.size or 0, 15)
         return lambda value: f"{value:.{digits}g}"

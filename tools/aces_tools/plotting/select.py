@@ -21,10 +21,8 @@ from functools import cached_property
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.columns.gather import kinds_of, value_paths
-from aces_bus.protocol.columns.table import ColumnKind
+from aces_bus.protocol.columns.table import ColumnKind, kinds_of
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
 
 from .formats import ImageFormat, parse_format
 
@@ -84,22 +82,23 @@ def declared(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
     found: dict[tuple[str, str], Declared] = {}
     for variant in variants:
         for name, message in variant.messages.items():
-            found[variant.name, name] = _declared(variant.name, name, flatten(message))
+            found[variant.name, name] = _declared(variant.name, name, message.plan)
     return found
 
 
 def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
     signals: list[PlotSignal] = []
     devices: list[str] = []
-    for kind, (path, _, node, way, conditional) in zip(kinds_of(plan), value_paths(plan), strict=True):
+    for kind, leaf in zip(kinds_of(plan), plan.leaves, strict=True):
+        path, node = leaf.path, leaf.node
         is_device = isinstance(node, p.FromIdentifier) or (
-            len(way) == 1 and path in DEVICE_NAMES and isinstance(node, p.Scalar) and node.kind == "uint"
+            len(leaf.way) == 1 and path in DEVICE_NAMES and isinstance(node, p.Scalar) and node.kind == "uint"
         )
         if is_device:
             devices.append(path)
         if kind.flags:
             signals += [
-                PlotSignal(protocol, message, f"{path}.{flag}", path, kind, bool(conditional), bit)
+                PlotSignal(protocol, message, f"{path}.{flag}", path, kind, bool(leaf.whens), bit)
                 for flag, bit in kind.flags.items()
             ]
             continue
@@ -110,7 +109,7 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
                 path,
                 path,
                 kind,
-                bool(conditional),
+                bool(leaf.whens),
                 is_number=not _is_text(node),
                 is_quiet=is_device or isinstance(node, p.Rest),
             )

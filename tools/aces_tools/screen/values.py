@@ -12,9 +12,8 @@ from aces_bus.protocol import Record, Variant, draw
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.plan.flatten import flatten
 
-from ..output.shape import RecordLeaf, getter, record_leaves, unit_of
+from ..output.shape import RecordLeaf, getter, record_leaves
 from ..output.text import value_printer
 
 #: Levels of a curve.
@@ -48,7 +47,7 @@ class FieldFormat:
         self.label = variant.label
         self.direction = message.direction
         self._message = message
-        plan = self._plan = flatten(message)
+        plan = self._plan = message.plan
         self.doc = plan.doc
         self.names = tuple(one.name for one in plan.fields)
         decide = dict.fromkeys(
@@ -57,7 +56,7 @@ class FieldFormat:
         #: The fields that say what the rest means, or whom it is about.
         self.page = tuple(name for name in decide if name in self.names)
         self._short: list[tuple[p.PlanField, Callable[[Any], Any], Callable[[Any], str], str]] = [
-            (one, getter((one.name,)), value_printer(one.node), unit_of(one.node)) for one in plan.fields
+            (one, getter((one.name,)), value_printer(one.node), one.node.unit) for one in plan.fields
         ]
         self._leaves: list[tuple[RecordLeaf, Callable[[Any], str], str]] | None = None
         self._rows: dict[str, draw.FieldRow] = {}
@@ -74,14 +73,14 @@ class FieldFormat:
             if value is None:
                 if one.when is None and not isinstance(one.node, p.FromRequest):
                     yield FieldText(one.name, "unknown", "")
-            elif value or not _is_dull(one.node):
+            elif value or not one.node.is_quiet:
                 yield FieldText(one.name, shown(value), unit)
 
     def values(self, record: Record, history: Sequence[Record] = (), width: int = 24) -> list[Value]:
         """Every single value, lists and nested records taken apart, with its curve over `history`."""
         if self._leaves is None:
             self._leaves = [
-                (leaf, value_printer(leaf.node), unit_of(leaf.node)) for leaf in record_leaves(self._plan)
+                (leaf, value_printer(leaf.node), leaf.node.unit) for leaf in record_leaves(self._plan)
             ]
             captured = draw.captured_values(self._message)
             self._rows = {row.name: row for row in draw.field_table(self._plan, captured)}
@@ -112,11 +111,6 @@ class FieldFormat:
         if self._picture is None:
             self._picture = draw.picture(self._message)
         return self._picture
-
-
-def _is_dull(node: p.Node) -> bool:
-    """Whether zero or nothing need not be told: bits without a field, bytes up to the end of the packet."""
-    return isinstance(node, p.Rest) or (isinstance(node, p.Scalar) and node.size is None)
 
 
 def sparkline(values: Sequence[Any]) -> str:

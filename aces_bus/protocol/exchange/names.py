@@ -37,4 +37,6 @@ def unused(name: str, taken: set[str]) -> str:
     return made
 
 
-__all__ = ["TAKEN_BY_CODE", "TAKEN_BY_RECORDS", "python_name", "unused"]
+def snake(name: str) -> str:
+    """`NameInfo3` as `name_info3`, in ASCII."""
+    return re.sub(r"\W", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name), flags=re.ASCII).lower()

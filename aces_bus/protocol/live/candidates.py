@@ -1,11 +1,13 @@
-"""Candidates in a stuffed packet that failed: what is between two end marks is unstuffed once, not once a candidate.
+"""Candidates that overlap: what one had unstuffed or read for its check is not done again for the next.
 
 1. `Segments` says word for word what `Framing.judge` says, of framings whose packets are stuffed as a whole and closed by
-   the one byte that stuffing keeps out of them (SLIP by C0, COBS by 00).
+   the one byte that stuffing keeps out of them (SLIP by C0, COBS by 00). What is between two of these is unstuffed once.
 2. The first candidate behind a mark goes straight through the framing: good streams cost nothing more. Only when it failed
    is the segment looked at as a whole: which candidates can be unstuffed at all, and what they have in common.
 3. `work` counts the bytes and blocks that were unstuffed beside those of packets, `checked` the bytes that failed checks
    have read: unstuffing a segment costs a few times its length, and a candidate that can be unstuffed its check.
+4. `Overlaps` says what the printed check says; only where its sum comes from differs. While checks hold, a packet is summed
+   directly, once, by the printed check. A failed one makes prefix sums, which answer for the candidates that begin in it.
 
 *Facts.* A candidate is a suffix of its segment. In SLIP a suffix can be unstuffed when it has no escape that is none, and
 its data are a suffix of the segment's. In COBS a suffix is a chain of blocks that must end at the mark; chains that meet go
@@ -15,20 +17,15 @@ on together, so that their data end alike.
 from __future__ import annotations
 
 import re
+from typing import Any
 
+from ..declare.checks import Covered, Extra, Sums
 from ..declare.framing import Framing, Judgement, Verdict
-from ..declare.stuffing import Cobs, Slip
+from ..declare.stuffing import Slip
 
 _NO_ESCAPE = re.compile(rb"\xdb(?![\xdc\xdd])")
 #: Chains whose data are kept, of one segment; a chain of less than this part of it is followed again each time.
 CHAINS = 64
-
-
-def in_segments(framing: Framing) -> bool:
-    """Whether `Segments` can judge a framing's candidates."""
-    kind = type(framing.stuffing)
-    mark = b"\xc0" if kind is Slip else b"\0" if kind is Cobs else None
-    return not framing.sync and framing.end == mark
 
 
 class SlipSegment:
@@ -143,20 +140,16 @@ class Segments:
             elif start > self._first and not self._has_not_next(buffer, start):
                 return self._judge(buffer, start)
         judged = framing.judge(buffer, start, silent=silent, extras=self._extras)
-        verdict = judged.verdict
-        if verdict is Verdict.WHOLE:
+        if judged.verdict is Verdict.WHOLE:
             self._data = judged.data
-            return "whole", start + judged.size, ""
-        if verdict is Verdict.MORE:
-            return "more", 0, ""
-        if verdict is Verdict.BAD and judged.reason not in ("no end", "length"):
+        elif judged.verdict is Verdict.BAD and judged.reason not in ("no end", "length"):
             # What begins behind it, up to the same mark, is judged together.
             self._buffer, self._first = buffer, start
             self._end = buffer.index(framing.end, start)
             self._segment = None
             self.work += self._end - start
             self.checked += self._end - start
-        return _said(judged, start)
+        return verdict_of(judged, start)
 
     def _judge(self, buffer: bytes, start: int) -> tuple[str, int, str]:
         """Judges a candidate inside the segment."""
@@ -177,7 +170,7 @@ class Segments:
         if judged.verdict is Verdict.BAD and judged.reason != "length":
             self.checked += len(data)
         self._data = judged.data
-        return _said(judged, start)
+        return verdict_of(judged, start)
 
     def unstuff(self, packet: bytes) -> bytes:
         """The data of `packet`, the whole one that was judged last."""
@@ -187,7 +180,8 @@ class Segments:
         return bool(self._framing.not_next) and buffer[start] in self._framing.not_next
 
 
-def _said(judged: Judgement, start: int) -> tuple[str, int, str]:
+def verdict_of(judged: Judgement, start: int) -> tuple[str, int, str]:
+    """A framing's verdict as scan functions take it: (verdict, end, reason)."""
     if judged.verdict is Verdict.WHOLE:
         return "whole", start + judged.size, ""
     if judged.verdict is Verdict.BAD:
@@ -195,4 +189,27 @@ def _said(judged: Judgement, start: int) -> tuple[str, int, str]:
     return ("more" if judged.verdict is Verdict.MORE else "dead"), 0, ""
 
 
-__all__ = ["Segments", "in_segments"]
+class Overlaps:
+    """Why the check of the packet at [start, end) of a buffer fails, or None, where prefix sums reach to `start`."""
+
+    def __init__(self, framing: Framing, sums: Sums, extras: dict[int, bytes] | None) -> None:
+        assert framing.check is not None
+        self.sums, self._check = sums, framing.check
+        self._extras, self._key = extras or {}, framing.extra_number
+        self._back = self._check.size + len(framing.end)
+        self._over: tuple[Covered, ...] = self._check.over or (slice(len(framing.sync), -self._back),)
+        self._has_extra = any(isinstance(part, Extra) for part in self._over)
+
+    def __call__(self, buffer: bytes, base: int, start: int, end: int) -> str | None:
+        extra: Any = b""
+        if self._has_extra:
+            key = self._key(buffer[start:end])
+            extra = self._extras.get(key)
+            if extra is None:
+                return f"malformed: no message {key} to check by"
+        check, sums, at = self._check, self.sums, end - self._back
+        found = sums.compute_runs(buffer, base, base + start, base + end, self._over, extra)
+        if not check.same(buffer[at : at + check.size], check.write(found)):
+            return "malformed: checksum"
+        sums.work -= end - start  # counted with the records, not read again
+        return None
