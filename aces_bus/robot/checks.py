@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Mapping
-from importlib.metadata import entry_points
 from itertools import islice
 from typing import Final, NamedTuple
 from typing import Protocol as Interface
@@ -18,10 +17,10 @@ from typing import Protocol as Interface
 import msgspec
 
 from ..device.config import DeviceConfig, Joint, Robot
+from ..device.drivers import list_drivers
 from ..errors import AcesError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
 
-DRIVERS: Final = "aces_bus.devices"
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
 SLIP: Final = 0.8
 #: More names than are searched and sorted for one complaint.
@@ -85,9 +84,9 @@ def _check_installed(
 
 
 def _check_driver(path: tuple[str, ...], name: str, complain: Complain) -> None:
-    """Complain when a driver is not installed. One that was found once is not looked for again: that takes milliseconds."""
+    """Complain when a driver is not installed. A known one is not searched for again: that takes milliseconds."""
     if name not in _drivers:
-        _drivers.update(point.name for point in entry_points(group=DRIVERS))
+        _drivers.update(list_drivers())
         _check_installed(path, "driver", name, _drivers, complain)
 
 
@@ -117,8 +116,6 @@ class _Spoken:
                 _check_installed(path, "protocol", name, list_protocols(), self._complain)
             except AcesError as error:
                 self._complain(path, f"protocol {name!r} cannot be used: {error}", True)
-            except Exception as error:  # whatever another package's import may raise
-                self._complain(path, f"protocol {name!r} cannot be imported: {error}", True)
         return self._loaded[name]
 
 
