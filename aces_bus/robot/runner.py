@@ -17,19 +17,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
 from ..controller.events import Listeners
 from ..controller.guard import Action, Bounds
-from ..device import UNKNOWN, Device, DeviceEvent, Job, stop_devices, wait_stopped
-from ..device.ticket import together
+from ..device import Device, DeviceEvent, Job, stop_devices, wait_stopped
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
-from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
-from .ending import Ended, RunLogger
-from .rig import Rig
-from .states import States
+from ..runtime import Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from .rig import Rig, States
 
 T = TypeVar("T")
 
@@ -47,6 +45,54 @@ WATCH, LOOK = 20_000_000, 1_000_000
 OF_LOGS = ("log-failed", "log-dropped")
 #: What fails again and again is told this often (ns).
 TELL_EVERY = 1_000_000_000
+
+
+class RunLogger(Protocol):
+    """What a runner asks of a logger."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """How often it samples."""
+        ...
+
+    @property
+    def states(self) -> Sequence[str]:
+        """The names of the states that it records."""
+        ...
+
+    def bind(self, states: Mapping[str, Any]) -> None:
+        """Take them."""
+        ...
+
+    def start(self, now: int) -> None:
+        """Begin."""
+        ...
+
+    def step(self, now: int) -> None:
+        """Sample once; must not block."""
+        ...
+
+    def stop(self, now: int) -> None:
+        """End: all is on disk."""
+        ...
+
+
+@dataclass
+class Ended:
+    """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
+    end itself, and of that `not_stopped` the devices that may still move, with why.
+    """
+
+    reason: str
+    tripped: dict[str, str]
+    seconds: float
+    failed: list[str] = field(default_factory=list[str])
+    not_stopped: dict[str, str] = field(default_factory=dict[str, str])
 
 
 class Runner:
@@ -364,13 +410,7 @@ class Runner:
         found = dict.fromkeys(self.rig.device(one) if isinstance(one, str) else one for one in some)
         able = [device for device in found if action in device.actions]
 
-        def begin() -> Any:
-            jobs = [getattr(device, action)() for device in able]
-            return together(
-                self.clock, f"{self.rig.robot.name} {action}", [job for job in jobs if job is not None]
-            )
-
-        self.clock.call(begin).wait(timeout_s)
+        self.clock.call(lambda: self.rig.each(action, able)).wait(timeout_s)
         return [device.name for device in able]
 
     def start(self) -> None:
@@ -540,13 +580,3 @@ class Runner:
         """The states that controllers read or write, as they call them."""
         names = [name for s in self.supervisors for name in (*s.writes, *s.states)]
         return list(dict.fromkeys(names))
-
-    def unknown_states(self) -> list[str]:
-        """Those states in use that have no fresh value."""
-        return [name for name, state in self.states._made.items() if state[0] is UNKNOWN]
-
-    @property
-    def clock_name(self) -> str:
-        """Which clock instants belong to."""
-        clock: EventClock = self.clock
-        return clock.name

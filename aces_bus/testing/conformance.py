@@ -23,9 +23,9 @@ from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
 from ..hardware.simulated.bus import ListeningNode, SimulatedBus
 from ..hardware.simulated.faults import NO_FAULTS, Faults
 from ..hardware.simulated.serial_line import Noise
+from ..robot.buses import VirtualRobot
 from ..robot.file import parse_robot
 from ..robot.rig import Simulation, simulate
-from ..robot.virtual import VirtualRobot
 
 #: Seconds of virtual time in which whatever is polled must have been heard.
 SETTLE = 3.0

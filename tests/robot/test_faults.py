@@ -187,7 +187,7 @@ def test_a_cable_that_is_pulled(is_serial: bool) -> None:
     assert kind in ("silent", "not sent", "error-passive", "bus-off")
     stopped_in_time(kind, ended, walk, look)
     assert ended.seconds < 0.5
-    assert {name.partition(".")[0] for name in run.unknown_states()} >= set(joints)
+    assert {name.partition(".")[0] for name in run.states.unknown} >= set(joints)
     # Whoever is behind the cable has not stopped, as far as anybody knows, and is named.
     on_it = {joint.device for joint in robot.joints.values()} & set(run.rig.devices)
     assert set(ended.not_stopped) == on_it
