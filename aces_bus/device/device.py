@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
 from .coalesce import CoalescingRule, Setpoint
-from .config import DeviceConfig, Joint, Robot, Sensor
-from .shadowing import refuse_hidden, refuse_shadowing
+from .config import DeviceConfig, Robot
 from .signals import UNKNOWN, Signal
+from .station import EndpointMember, refuse_shadowing
 from .ticket import Job, Steps, Ticket
 
 if TYPE_CHECKING:
@@ -99,36 +99,11 @@ def _same(value: Any) -> Any:
     return value
 
 
-#: What every device has as an attribute of its own.
-ATTRIBUTES = frozenset(
-    (
-        "host",
-        "config",
-        "robot",
-        "variant",
-        "name",
-        "clock",
-        "credentials",
-        "joints",
-        "sensors",
-        "signals",
-        "readable",
-        "last_heard",
-        "is_silent",
-        "is_driven",
-        "misses",
-        "missing_since",
-        "missed_at",
-        "awaiting",
-        "answered",
-        "timed_out",
-    )
-)
 #: Methods of `Device` that may be actions, too.
 ACTIONS = frozenset({"stop_motion"})
 
 
-class Device:
+class Device(EndpointMember):
     """One node. Class attributes are the driver's declaration.
 
     `actions` names the methods that programs and the command line may call: name → what it does; those in `asking` only
@@ -147,23 +122,22 @@ class Device:
     asking: ClassVar[Collection[str]] = ()
     silent_after: ClassVar[int] = 3
     stale_s: ClassVar[float] = 0.1
+    attributes = EndpointMember.attributes | {
+        *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
+        *("missed_at", "awaiting", "answered", "timed_out"),
+    }
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "signals" in cls.__dict__:
             raise TypeError(f"{cls.__name__}: signals are declared as `provides = (signal(…), …)`")
-        refuse_hidden(cls, ATTRIBUTES)
         for name in cls.actions:
             if name in vars(cls) and name in vars(Device) and name not in ACTIONS:
                 refuse_shadowing(cls, name, "an action")
 
     def __init__(self, host: Host, config: DeviceConfig, robot: Robot, variant: Variant) -> None:
-        self.host, self.config, self.robot, self.variant = host, config, robot, variant
-        self.name = config.name
-        self.clock = host.clock
-        self.credentials: dict[str, int] = dict(config.credentials)
-        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
-        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
+        super().__init__(host.clock, config, robot, variant)
+        self.host = host
         self.signals: dict[str, Signal] = {}
         #: The names of those that are read from messages.
         self.readable: set[str] = set()
@@ -487,10 +461,6 @@ class Device:
     def tell_event(self, kind: Kind, detail: str = "") -> None:
         """Tell what has happened."""
         self.host.tell(kind, self.name, detail)
-
-    def __repr__(self) -> str:
-        tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
-        return f"<{type(self).__name__} {self.name}: {tags}>"
 
 
 def slot_of(path: str) -> tuple[str, str, int | None]:

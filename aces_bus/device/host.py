@@ -26,8 +26,8 @@ from .device import Device
 from .events import DeviceEvent, EventLog, Kind
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
-from .station import BusEndpoint
-from .ticket import Ticket
+from .station import BusEndpoint, shown
+from .ticket import Steps, Ticket
 
 #: An answer this soon (ns) after another to the same request is a second device's.
 SECOND = 20_000_000
@@ -123,7 +123,7 @@ class Host(BusEndpoint[Device]):
             except FieldError as error:
                 raise CallerError(
                     f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
-                    f" {self._who(member) or 'none'}"
+                    f" {shown(member.credentials) or 'none'}"
                 ) from error
             turn = PollSlot(member, poll, word, 2 * self.port.wire_ns(word))
             if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
@@ -157,6 +157,28 @@ class Host(BusEndpoint[Device]):
         made = Device(self, config, NOBODY, self.variants[protocol])
         BusEndpoint.add(self, made)
         return made
+
+    def answers(
+        self,
+        protocol: str,
+        message: str,
+        *,
+        reply: str | tuple[str, ...],
+        timeout_s: float,
+        retries: int = 1,
+        fields: Mapping[str, Any] | None = None,
+        **credentials: int,
+    ) -> Steps:
+        """Steps that ask whether anybody with these credentials is there: the record that answered, or None."""
+        probe = self.probe(protocol, **credentials)
+        try:
+            return (
+                yield probe.ask(message, reply=reply, timeout_s=timeout_s, retries=retries, **(fields or {}))
+            )
+        except NoReplyError:
+            return None
+        finally:
+            self.remove(probe.name)
 
     def remove(self, name: str) -> None:
         """Take a device off; what was asked of it is forgotten."""
@@ -515,12 +537,8 @@ class Host(BusEndpoint[Device]):
             self.tell(
                 "two answers",
                 device.name,
-                f"{name} came twice; are there two devices with {self._who(device)}?",
+                f"{name} came twice; are there two devices with {shown(device.credentials)}?",
             )
-
-    @staticmethod
-    def _who(device: Device) -> str:
-        return ", ".join(f"{key} {value:#04x}" for key, value in device.credentials.items())
 
     # ------------------------------------------------------------------ half duplex: one at a time
 

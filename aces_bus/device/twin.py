@@ -21,13 +21,14 @@ from functools import partial
 from typing import Any, ClassVar, TypeVar
 from typing import Protocol as Interface
 
+import msgspec
+
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..protocol import Protocol, Variant
 from ..runtime import EventClock, Timer
-from .config import DeviceConfig, Joint, Robot, Sensor
+from .config import DeviceConfig, Robot
 from .port import Port
-from .shadowing import refuse_hidden, refuse_shadowing
-from .station import BusEndpoint
+from .station import BusEndpoint, EndpointMember, refuse_shadowing
 
 #: Bytes that are kept of a stream, for twins that answer what is not understood.
 TAIL = 512
@@ -80,29 +81,7 @@ FAULTS: Mapping[str, str] = {
 }
 
 
-#: What every twin has as an attribute of its own.
-ATTRIBUTES = frozenset(
-    (
-        "twins",
-        "config",
-        "robot",
-        "variant",
-        "world",
-        "name",
-        "clock",
-        "random",
-        "credentials",
-        "joints",
-        "sensors",
-        "active_faults",
-        "is_powered",
-        "requests",
-        "replies",
-    )
-)
-
-
-class Twin:
+class Twin(EndpointMember):
     """One simulated device. `faults` (class) are the ways in which this kind misbehaves beyond `FAULTS`."""
 
     #: What it speaks: the name of an installed protocol, or a protocol itself.
@@ -110,11 +89,13 @@ class Twin:
     faults: ClassVar[Mapping[str, str]] = {}
     #: From hearing a request to beginning the answer (ns).
     reply_delay_ns: int = 50_000
+    attributes = EndpointMember.attributes | {
+        *("twins", "world", "random", "active_faults", "is_powered", "requests", "replies"),
+    }
     _hearing: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        refuse_hidden(cls, ATTRIBUTES)
         found = dict(cls._hearing)
         for name, method in vars(cls).items():
             for message in getattr(method, "_hears", ()):
@@ -125,14 +106,9 @@ class Twin:
     def __init__(
         self, twins: Twins, config: DeviceConfig, robot: Robot, variant: Variant, world: World
     ) -> None:
-        self.twins: Twins = twins
-        self.config, self.robot, self.variant, self.world = config, robot, variant, world
-        self.name = config.name
-        self.clock = twins.clock
+        super().__init__(twins.clock, config, robot, variant)
+        self.twins, self.world = twins, world
         self.random = world.random(config.name)
-        self.credentials: dict[str, int] = dict(config.credentials)
-        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
-        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
         #: The faults that are on, with their amounts.
         self.active_faults: dict[str, float] = {}
         self.is_powered = True
@@ -225,8 +201,7 @@ class Twin:
         word = self.twins.word(self, message, fields)
         if self.variant.link != "can":
             return word
-        import msgspec  # a number that the spec does not know: its identifier is as near as any
-
+        # A number that the spec does not know: its identifier is as near as any.
         return msgspec.structs.replace(word, arbitration_id=word.arbitration_id ^ 1)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
@@ -271,10 +246,6 @@ class Twin:
         """End what repeats."""
         for timer in self._timers:
             timer.cancel()
-
-    def __repr__(self) -> str:
-        tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
-        return f"<{type(self).__name__} {self.name}: {tags}>"
 
 
 class Twins(BusEndpoint[Twin]):
@@ -334,8 +305,6 @@ def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:
     """A frame or packet with other data bytes."""
     if isinstance(word, (bytes, bytearray)):
         return change(bytes(word))
-    import msgspec
-
     return msgspec.structs.replace(word, data=change(word.data))
 
 

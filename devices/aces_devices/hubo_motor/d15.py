@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import UNKNOWN, Device, Driver, Host, Job, Joint, Poll, Steps, together
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.d15 import NUMBERS, POWER
 
 from .d15_twin import HuboMotorD15Twin
@@ -334,16 +334,9 @@ def _scan(host: Host, job: Job) -> Steps:
         job.progress = number / len(NUMBERS)
         if number == POWER:
             continue
-        probe = host.probe("hubo", board=number)
-        try:
-            yield probe.ask("GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01, retries=1)
-        except NoReplyError:
-            continue
-        finally:
-            host.remove(probe.name)
-        found.append(
-            DeviceConfig(name=f"B{number}", driver="hubo_d15", bus=host.name, credentials={"board": number})
-        )
+        who = {"board": number}
+        if (yield from host.answers("hubo", "GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01, **who)):
+            found.append(DeviceConfig(name=f"B{number}", driver="hubo_d15", bus=host.name, credentials=who))
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Device, Driver, Host, Job, Poll, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, NoReplyError
+from aces_bus.errors import CallerError
 
 from .twin import PowerTwin
 
@@ -77,18 +77,12 @@ def _scan(host: Host, job: Job) -> Steps:
         return found
     table = variant.tables["channels"]
     for board in [number for number, kind in table.items() if kind == "power"]:
-        probe = host.probe("hubo", board=board)
-        try:
-            yield probe.ask("PowerQuery", reply="Power", timeout_s=0.03, retries=1)
-        except NoReplyError:
-            continue
-        finally:
-            host.remove(probe.name)
-        found.append(
-            DeviceConfig(
-                name="JMC14", driver="hubo_power", bus=host.name, credentials={"board": board}, kind="power"
+        who = {"board": board}
+        if (yield from host.answers("hubo", "PowerQuery", reply="Power", timeout_s=0.03, **who)):
+            config = DeviceConfig(
+                name="JMC14", driver="hubo_power", bus=host.name, credentials=who, kind="power"
             )
-        )
+            found.append(config)
     return found
 
 

@@ -9,12 +9,12 @@ An axis of the robot's file: value = sign × (matrix · digits), or sign × what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError
 
 #: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).
 HAND_TAIL = bytes.fromhex("0038721200")
@@ -217,6 +217,14 @@ def _times(factor: float) -> Callable[[Any], Any]:
 # ---------------------------------------------------------------------- finding
 
 
+#: What a board is asked that may be there: message, answer, fields.
+_QUESTIONS: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
+    "old": ("DaOffsetQuery", "DaOffset", {}),
+    "imu": ("ImuRequest", "Imu", {"select": "imu"}),
+    "force": ("ForceTorqueRequest", "ForceTorque", {"mode": "ft_scaled"}),
+}
+
+
 def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.03) -> Steps:
     """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
 
@@ -231,31 +239,20 @@ def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout
     boards = [board for board, kind in table.items() if kind in kinds]
     found: list[DeviceConfig] = []
     for number, board in enumerate(boards):
-        probe = host.probe("hubo", board=board, sensor=board - 0x2F)
-        try:
-            if old:
-                yield probe.ask("DaOffsetQuery", reply="DaOffset", timeout_s=timeout_s, retries=1)
-            elif table[board] == "imu":
-                yield probe.ask("ImuRequest", reply="Imu", timeout_s=timeout_s, retries=1, select="imu")
-            else:
-                yield probe.ask(
-                    "ForceTorqueRequest",
-                    reply="ForceTorque",
-                    timeout_s=timeout_s,
-                    retries=1,
-                    mode="ft_scaled",
-                )
-        except NoReplyError:
+        who = {"board": board, "sensor": board - 0x2F}
+        message, reply, fields = _QUESTIONS["old" if old else "imu" if table[board] == "imu" else "force"]
+        told = yield from host.answers(
+            "hubo", message, reply=reply, timeout_s=timeout_s, fields=fields, **who
+        )
+        job.progress = (number + 1) / len(boards)
+        if told is None:
             continue
-        finally:
-            host.remove(probe.name)
-            job.progress = (number + 1) / len(boards)
         found.append(
             DeviceConfig(
                 name=f"{'IMU' if driver == 'hubo_imu' else 'FT'}_{board:02X}",
                 driver=driver,
                 bus=host.name,
-                credentials={"board": board, "sensor": board - 0x2F},
+                credentials=who,
                 kind=table[board],
             )
         )

@@ -24,7 +24,7 @@ from aces_bus.device import (
     together,
 )
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError
 
 from .twin import UNIT_S, QikTwin
 
@@ -260,14 +260,9 @@ def _scan(host: Host, job: Job) -> Steps:
 
 def _answers(host: Host, number: int, timeout_s: float) -> Steps:
     """Whether anybody answers to this number."""
-    probe = host.probe("pololu_qik", id=number)
-    try:
-        yield probe.ask("GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0)
-    except NoReplyError:
-        return False
-    finally:
-        host.remove(probe.name)
-    return True
+    return host.answers(
+        "pololu_qik", "GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0, id=number
+    )
 
 
 EXAMPLE = """

@@ -426,14 +426,12 @@ class RobotisRX(RegisterDevice):
 
     def _is_free(self, number: int) -> Steps:
         """Steps that fail when somebody answers to an id."""
-        probe = self.host.probe("robotis", id=number)
-        try:
-            yield probe.ask("Ping", reply=self.reply, timeout_s=self.timeout_s, retries=1)
-        except NoReplyError:
-            return
-        finally:
-            self.host.remove(probe.name)
-        raise DeviceError(f"{self.name}: a servo answers to id {number} already: two would answer")
+        if (
+            yield from self.host.answers(
+                "robotis", "Ping", reply=self.reply, timeout_s=self.timeout_s, id=number
+            )
+        ):
+            raise DeviceError(f"{self.name}: a servo answers to id {number} already: two would answer")
 
     def set_baud(self, baud: float, *, confirm: bool = False) -> Job:
         """Give the servo another line speed. It is deaf here from then on: open the line at that speed."""
