@@ -236,13 +236,15 @@ class Device(EndpointMember):
         upper: float | None = None,
         stale_s: float | None = None,
         owner: str | None = None,
+        is_read: bool = False,
         doc: str = "",
         source: str = "",
     ) -> Signal:
         """A new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
 
         `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
-        `to_si` and `from_si` convert. Values that are set beyond `lower` or `upper` are limited, and that is told.
+        `to_si` and `from_si` convert. `is_read`: the driver itself updates it from what it receives. Values that are set
+        beyond `lower` or `upper` are limited, and that is told.
         """
         whole = f"{owner or self.name}.{name}"
         if whole in self.signals:
@@ -277,7 +279,7 @@ class Device(EndpointMember):
             doc=doc,
             source=source,
         )
-        if of:
+        if of or is_read:
             self.readable.add(whole)
         sources = (of,) if isinstance(of, str) else of or ()
         if stale_s is None:
