@@ -52,7 +52,7 @@ class DriveAxis:
     """One joint of a drive."""
 
     def __init__(self, device: Cia402, joint: Joint) -> None:
-        self.device, self.joint = device, joint
+        self.device, self.joint, self.name, self.channel = device, joint, joint.name, joint.channel
         self.offset = 0x800 * joint.channel
         settings = device.config.settings
         self.units = units_of(device.name, joint, settings)

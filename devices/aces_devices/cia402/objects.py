@@ -5,13 +5,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from aces_bus.device import Device, Job, Steps
+from aces_bus.device import Job, MotorDevice, Steps
 from aces_bus.errors import AcesError, CallerError
 
 from .dictionary import object_of
 from .sdo import SdoChannel
+
+if TYPE_CHECKING:
+    pass
 
 #: What `identity` asks for: name, index, subindex. The first must be there.
 IDENTITY = (
@@ -24,7 +27,7 @@ IDENTITY = (
 )
 
 
-class ObjectAccess(Device):
+class ObjectAccess(MotorDevice["DriveAxis"]):
     """A CANopen node with its dictionary (canopen's) and its SDO channel."""
 
     dictionary: Any

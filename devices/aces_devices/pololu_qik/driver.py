@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import ceil
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import (
     Device,
@@ -24,6 +27,7 @@ from aces_bus.device import (
     together,
 )
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 
 from .twin import UNIT_S, QikTwin
@@ -67,6 +71,24 @@ def timeout_code(seconds: float) -> int:
     return min(choices)[1]
 
 
+class QikSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    answers: Annotated[
+        bool,
+        Meta(
+            description="true where the device's transmit line is wired: errors are asked for, settings read back"
+        ),
+    ] = False
+    errors_every_s: Annotated[
+        float, Meta(gt=0, description="how often errors are asked for (s), 0.5 when absent")
+    ] = 0.5
+    bits: Annotated[Literal[7, 8], Meta(description="7 (duty −127…127, when absent) or 8 (−255…255)")] = 7
+    timeout_s: Annotated[
+        float, Meta(ge=0, description="the serial time-out that `enable` sets (s), none when absent")
+    ] = 0.0
+
+
 class Qik(Device):
     """Signals: duty of each joint (set only); with answers, the device's errors."""
 
@@ -86,12 +108,8 @@ class Qik(Device):
 
     def setup(self) -> None:
         """A duty for each joint; errors, when somebody listens."""
-        settings = self.config.settings
-        self.bits = int(settings.get("bits", 7))
-        if self.bits not in (7, 8):
-            raise CallerError(f"{self.name}: settings bits is 7 or 8, not {self.bits}")
-        self.timeout_s = float(settings.get("timeout_s", 0.0))
-        self.answers = bool(settings.get("answers", False))
+        settings = settings_of(self.name, QikSettings, self.config.settings)
+        self.bits, self.timeout_s, self.answers = settings.bits, settings.timeout_s, settings.answers
         self.errors: frozenset[str] = frozenset()
         most = 127 if self.bits == 7 else 255
         for joint in self.joints:
@@ -109,7 +127,7 @@ class Qik(Device):
                 source="acesHubo omnibot",
             )
         if self.answers:
-            every = float(settings.get("errors_every_s", 0.5))
+            every = settings.errors_every_s
             self.polls = (Poll("GetError", reply="Errors", every_s=every, timeout_s=0.05),)
             self.add_signal(
                 "errors",
@@ -292,10 +310,5 @@ driver = Driver(
     doc="Pololu qik dual motor driver: two motors at a share of the supply.",
     source="acesHubo omnibot; Pololu 0J25 (Qik 2s9v1 User's Guide)",
     scan=_scan,
-    settings={
-        "answers": "true where the device's transmit line is wired: errors are asked for, settings read back",
-        "errors_every_s": "how often errors are asked for (s), 0.5 when absent",
-        "bits": "7 (duty −127…127, when absent) or 8 (−255…255)",
-        "timeout_s": "the serial time-out that `enable` sets (s), none when absent",
-    },
+    settings=described(QikSettings),
 )

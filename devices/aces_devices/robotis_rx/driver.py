@@ -12,10 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import Job, Poll, Steps
 from aces_bus.device.register_device import RegisterDevice
+from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_protocols.robotis.control_table import ANGLE, ERRORS, SPEED
 from aces_protocols.robotis.spec import BROADCAST, control_table
@@ -40,14 +44,46 @@ GARBLED = 5
 #: Names of the status return levels.
 LEVELS = ("none", "read_only", "all")
 
-SETTINGS: Mapping[str, str] = {
-    "status_return_level": "what the servo answers: 0 Ping alone, 1 reads too, 2 everything (default 2; register 0x10)",
-    "return_delay_us": "how long it waits before it answers (default 500; register 0x05); for its twin",
-    "timeout_s": "how long an answer may take beyond the wire's time (default 0.02: adapters collect bytes)",
-    "health_s": "how often temperature, voltage, torque and the rest of the RAM are read (default 1)",
-    "motion": "true: speed and load are read with each position (default false: with the health)",
-    "stop": 'what stop_motion does: "hold" the present position (default), or "release" the torque',
-}
+
+class ServoSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    status_return_level: Annotated[
+        Literal[0, 1, 2],
+        Meta(
+            description="what the servo answers: 0 Ping alone, 1 reads too, 2 everything (default 2; register 0x10)"
+        ),
+    ] = 2
+    return_delay_us: Annotated[
+        float,
+        Meta(
+            ge=0, description="how long it waits before it answers (default 500; register 0x05); for its twin"
+        ),
+    ] = 500
+    timeout_s: Annotated[
+        float,
+        Meta(
+            gt=0,
+            description="how long an answer may take beyond the wire's time (default 0.02: adapters collect bytes)",
+        ),
+    ] = 0.02
+    health_s: Annotated[
+        float,
+        Meta(
+            gt=0,
+            description="how often temperature, voltage, torque and the rest of the RAM are read (default 1)",
+        ),
+    ] = 1.0
+    motion: Annotated[
+        bool,
+        Meta(description="true: speed and load are read with each position (default false: with the health)"),
+    ] = False
+    stop: Annotated[
+        Literal["hold", "release"],
+        Meta(
+            description='what stop_motion does: "hold" the present position (default), or "release" the torque'
+        ),
+    ] = "hold"
 
 
 def signed(raw: int) -> int:
@@ -95,15 +131,8 @@ class RobotisRX(RegisterDevice):
 
     def setup(self) -> None:
         """Signals of the joint and of the servo, and what is polled."""
-        get = self.config.settings.get
-        self.level = int(get("status_return_level", 2))
-        if not 0 <= self.level < len(LEVELS):
-            raise CallerError(f"{self.name}: status_return_level {self.level}; there are 0, 1 and 2")
-        self.stops_by = str(get("stop", "hold"))
-        if self.stops_by not in ("hold", "release"):
-            raise CallerError(f'{self.name}: stop = {self.stops_by!r}; there are "hold" and "release"')
-        self.timeout_s = float(get("timeout_s", 0.02))
-        self.health_s = float(get("health_s", 1.0))
+        settings = self.settings = settings_of(self.name, ServoSettings, self.config.settings)
+        self.timeout_s, self.health_s = settings.timeout_s, settings.health_s
         self.errors: frozenset[str] = frozenset()
         #: The last errors that switch the torque off, since it was switched on.
         self.trips: frozenset[str] = frozenset()
@@ -113,12 +142,12 @@ class RobotisRX(RegisterDevice):
         self.direction = joint.direction if joint is not None else 1
         self.zero = (joint.zero or 0.0) if joint is not None else 0.0
         self.turns = joint is not None and (joint.command == "duty" or joint.type == "continuous")
-        self._set_level(self.level)
+        self._set_level(settings.status_return_level)
         self._signals(joint.name if joint is not None else self.name)
         if self.level == 0:
             self.polls = [Poll("Ping", "Status", every_s=self.health_s, timeout_s=self.timeout_s)]
         else:
-            last = "present_load" if get("motion", False) else "present_position"
+            last = "present_load" if settings.motion else "present_position"
             self.polls = [
                 self.poll("present_position", last),
                 self.poll("torque_enable", "moving", every_s=self.health_s),
@@ -132,7 +161,7 @@ class RobotisRX(RegisterDevice):
         direction, zero = self.direction, self.zero
         slow = max(0.1, 5 * self.health_s)
         motion: dict[str, Any] = {"owner": owner}
-        if not self.config.settings.get("motion"):
+        if not self.settings.motion:
             motion["stale_s"] = slow
         span = sorted((direction * (end - zero)) for end in (0.0, TOP * STEP))
         joint = self.joints[0] if self.joints else None
@@ -354,7 +383,7 @@ class RobotisRX(RegisterDevice):
         if self.turns:
             return self.write("moving_speed", 0, raw=True)
         here = self.position.value
-        if self.stops_by == "release" or not isinstance(here, float):
+        if self.settings.stop == "release" or not isinstance(here, float):
             return self.write("torque_enable", "off")
         return self.write("goal_position", self.known["present_position"][0] & TOP, raw=True)
 
@@ -468,4 +497,4 @@ class RobotisRX(RegisterDevice):
         self._raise_refusal(record, message)
 
 
-__all__ = ["SETTINGS", "RobotisRX", "signed"]
+__all__ = ["RobotisRX", "ServoSettings", "signed"]
