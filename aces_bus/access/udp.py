@@ -22,8 +22,7 @@ from typing import Any, Self
 
 from ..errors import CallerError, UnknownNameError
 from ..runtime import EventClock, Timer, VirtualClock
-from .events import AccessEvents
-from .inlet import Inlet
+from .inlet import AccessEvents, Inlet
 
 #: The longest request.
 LONGEST = 128

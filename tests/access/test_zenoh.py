@@ -16,7 +16,7 @@ import pytest
 
 from aces_bus.access import Publisher, RemoteStates
 from aces_bus.access.remote import RemoteClock
-from aces_bus.access.zenoh_wire import open_session
+from aces_bus.access.zenoh import open_session
 from aces_bus.controller import NOTHING, Controller
 from aces_bus.controller.log import Logger, read_log
 from aces_bus.errors import CallerError, NoReplyError, UnknownNameError
