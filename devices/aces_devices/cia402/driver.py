@@ -86,8 +86,8 @@ class Cia402(ObjectAccess):
         if self.pdo not in ("read", "file", "write"):
             raise CallerError(f'{self.name}: settings pdo is "read", "file" or "write", not {self.pdo!r}')
         self.heartbeat_ms = int(settings.get("heartbeat_ms", 500))
-        self.inputs = {one.number: one for one in from_file(self.name, self.dictionary, self.node, SENT)}
-        self.outputs = {one.number: one for one in from_file(self.name, self.dictionary, self.node, RECEIVED)}
+        self.inputs = from_file(self.name, self.dictionary, self.node, SENT)
+        self.outputs = from_file(self.name, self.dictionary, self.node, RECEIVED)
         holder = next((one for one in self.inputs.values() if one.has(STATUSWORD)), None)
         as_filed = holder is not None and holder.kind == 1
         self.sync = bool(settings.get("sync", self.pdo == "write" or as_filed))

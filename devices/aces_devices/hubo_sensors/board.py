@@ -10,6 +10,7 @@ An axis of the robot's file: value = sign × (matrix · digits), or sign × what
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
@@ -225,7 +226,12 @@ _QUESTIONS: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
 }
 
 
-def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.03) -> Steps:
+def scan_of(driver: str, kinds: Sequence[str], *, timeout_s: float = 0.03) -> Callable[[Host, Job], Steps]:
+    """What finds the sensor boards of `kinds`, for `Driver(scan=…)`."""
+    return partial(_scan, driver, kinds, timeout_s)
+
+
+def _scan(driver: str, kinds: Sequence[str], timeout_s: float, host: Host, job: Job) -> Steps:
     """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
 
     Nothing is set: D12 boards are asked for data, D08 boards for their D/A offsets. What kind a board number is, the
