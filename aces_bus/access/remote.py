@@ -137,7 +137,7 @@ class RemoteStates(Mapping[str, State]):
     They have values, ages, histories, `rate()` and all else; `states["RHY"].set(0.1)` and `give({"RHY": 0.1, …})` send
     set-points. `lost_s` (default: five of the publisher's periods, at least 0.25 s) is the silence after which all are
     unknown. `open` raises `NoReplyError` when nobody answers within `timeout_s`, `CallerError` for a wrong endpoint.
-    `bad` counts messages that were none, `cycles` those that were, `strangers` states that came without being announced.
+    `bad` counts messages that were none, `cycles` those that were, `unannounced` states that came without being announced.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class RemoteStates(Mapping[str, State]):
         self.clock = RemoteClock(self.local, self.name)
         self.history = history
         self.events = AccessEvents()
-        self.cycles = self.bad = self.strangers = 0
+        self.cycles = self.bad = self.unannounced = 0
         self.takes = False
         self._lost_s = lost_s
         self._options = dict(options or {})
@@ -329,7 +329,7 @@ class RemoteStates(Mapping[str, State]):
             for name, (value, instant) in cycle.states.items():
                 state = self._states.get(name)
                 if state is None:
-                    self.strangers += 1
+                    self.unannounced += 1
                 elif instant is not None and abs(instant) < 1 << 62:
                     state.take(UNKNOWN if value is None else value, instant)
 

@@ -194,7 +194,7 @@ class Device(EndpointMember):
         """
         return None
 
-    def garbled(self, reason: str, instant: int) -> None:
+    def malformed(self, reason: str, instant: int) -> None:
         """A word that is probably this device's was not understood."""
 
     def renumbered(self) -> None:

@@ -13,9 +13,9 @@ Kind = Literal[
     "answers",  # does again
     "no reply",  # a request was not answered, however often it was sent
     "late reply",  # an answer after its time
-    "two answers",  # more answers than requests: two devices with one number
-    "stranger",  # a device that nobody put on this bus
-    "malformed",  # a word that is none of the device's messages
+    "duplicate reply",  # more answers than requests: two devices with one number
+    "unknown device",  # a device that is not on this bus in the robot's file
+    "malformed",  # a frame or packet that is none of the device's messages
     "rebooted",  # forgot what it was told
     "alarm",  # the device reports a fault
     "alarm over",
@@ -61,7 +61,7 @@ class DeviceEvent(msgspec.Struct, frozen=True):
 
 
 #: Events of one kind and device are told this often at most (ns); all are counted.
-TELL_EVERY = 1_000_000_000
+REPEAT_NS = 1_000_000_000
 #: What tells of a change, and therefore is told each time.
 TOLD_ALWAYS = frozenset(
     (
@@ -70,7 +70,7 @@ TOLD_ALWAYS = frozenset(
     )
 )
 #: So many different events are told apart.
-APART = 10_000
+MOST_KEYS = 10_000
 
 
 class EventLog:
@@ -86,13 +86,13 @@ class EventLog:
     def tell(self, event: DeviceEvent) -> None:
         """Count; keep and hand on, but the same of one device at most once a second, unless it tells of a change."""
         self.counts[event.kind, event.device] += 1
-        # Strangers have no name: their details tell them apart.
-        who = event.device or event.detail if event.kind == "stranger" else event.device
+        # Unknown devices have no name: their details tell them apart.
+        who = event.device or event.detail if event.kind == "unknown device" else event.device
         key = (event.bus, event.kind, who)
         last = self._told.get(key)
-        if last is not None and event.instant - last < TELL_EVERY and event.kind not in TOLD_ALWAYS:
+        if last is not None and event.instant - last < REPEAT_NS and event.kind not in TOLD_ALWAYS:
             return
-        if len(self._told) > APART:
+        if len(self._told) > MOST_KEYS:
             self._told.clear()
         self._told[key] = event.instant
         self.last.append(event)

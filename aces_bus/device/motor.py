@@ -47,13 +47,13 @@ class MotorDevice(Device, Generic[A]):
         self._led: list[Job] = []
         super().__init__(*args)
 
-    def axes_of(self, joint: str | None) -> Sequence[A]:
+    def axes_of(self, joint: str | None) -> list[A]:
         """The axis of a joint by name, alias or channel number; None: all that have a joint (all, where none has one).
 
         Raises `UnknownNameError`.
         """
         if joint is None:
-            return [axis for axis in self.axes if axis.joint is not None] or self.axes
+            return [axis for axis in self.axes if axis.joint is not None] or list(self.axes)
         for axis in self.axes:
             names = () if axis.joint is None else (axis.joint.name, *axis.joint.aliases)
             if joint in (*names, axis.name, str(axis.channel)):

@@ -208,7 +208,7 @@ class BusEndpoint(Generic[M]):
             return
         members = self.meant_by(record)
         if not members:
-            self._nobodys(record, instant)
+            self._unaddressed(record, instant)
             return
         for member in members:
             member.receive(record, instant)
@@ -216,7 +216,7 @@ class BusEndpoint(Generic[M]):
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
         """A word that is no message."""
 
-    def _nobodys(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Any, instant: int) -> None:
         """A record of a device that is not here."""
 
     def word(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:

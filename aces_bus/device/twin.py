@@ -297,7 +297,7 @@ class Twins(BusEndpoint[Twin]):
             for twin in self._ears:
                 twin.not_understood(data, word.reason)
 
-    def _nobodys(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Any, instant: int) -> None:
         self.others += 1
 
 

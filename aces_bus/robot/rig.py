@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import Any
 
 from ..device.coalesce import CoalescingRule
-from ..device.config import DeviceConfig, Robot
+from ..device.config import DeviceConfig, Joint, Robot, Sensor
 from ..device.device import Device
 from ..device.drivers import Driver, load_driver
 from ..device.events import DeviceEvent, EventLog
@@ -169,7 +169,8 @@ def connect(
         host.add(device)
         rig.devices[config.name] = device
         rig.signals.update(device.signals)
-    for part in (*robot.joints.values(), *robot.sensors.values()):
+    parts: list[Joint | Sensor] = [*robot.joints.values(), *robot.sensors.values()]
+    for part in parts:
         rig.aliases.update(dict.fromkeys(part.aliases, part.name))
     return rig
 

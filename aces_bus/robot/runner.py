@@ -36,15 +36,15 @@ BUSES, CONTROL, LOGGING = 50, 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
 #: Seconds in which devices must have been heard before controllers begin.
-HEARD_S = 5.0
+RECEIVE_S = 5.0
 #: Seconds that any one part of an end may take.
 PATIENCE_S = 2.0
 #: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
-WATCH, LOOK = 20_000_000, 1_000_000
+WATCH_NS, STEP_NS = 20_000_000, 1_000_000
 #: Events of logs.
 OF_LOGS = ("log-failed", "log-dropped")
 #: What fails again and again is told this often (ns).
-TELL_EVERY = 1_000_000_000
+REPEAT_NS = 1_000_000_000
 
 
 class RunLogger(Protocol):
@@ -274,7 +274,7 @@ class Runner:
     def _failed(self, task: Task, error: BaseException) -> None:
         """A component raised: a logger, as controllers have supervisors for that."""
         now = self.clock.now()
-        if now - self._told.get(task.name, -TELL_EVERY) < TELL_EVERY:
+        if now - self._told.get(task.name, -REPEAT_NS) < REPEAT_NS:
             return
         self._told[task.name] = now
         is_log = any(logger.name == task.name for logger in self.loggers)
@@ -284,7 +284,7 @@ class Runner:
     def bus_failed(self, error: BaseException) -> None:
         """Something raised on the buses' thread."""
         now = self.clock.now()
-        if now - self._told.get("buses", -TELL_EVERY) >= TELL_EVERY:
+        if now - self._told.get("buses", -REPEAT_NS) >= REPEAT_NS:
             self._told["buses"] = now
             self._tell_all(ControlEvent("bug", now, "buses", f"{type(error).__name__}: {error}"[:500]))
 
@@ -329,7 +329,7 @@ class Runner:
         """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
         if self._phase != "running":
             return
-        self.clock.call_in(WATCH, self._watch)
+        self.clock.call_in(WATCH_NS, self._watch)
         now = self.clock.now()
         for supervisor in self.supervisors:
             began = self._inside.get(supervisor.name, now)
@@ -365,7 +365,7 @@ class Runner:
             raise NotStoppedError(ended.not_stopped)
 
     def open(self) -> None:
-        """Open the buses, and wait until every polled device has been heard or `HEARD_S` are over.
+        """Open the buses, and wait until every polled device has been heard or `RECEIVE_S` are over.
 
         Whatever opening raises comes out, with all closed again.
         """
@@ -377,7 +377,7 @@ class Runner:
             if any(host.rate_hz for host in self.rig.hosts.values()):
                 polled = [device for device in self.rig.devices.values() if device.polls]
                 self.clock.wait(
-                    lambda: all(device.last_heard is not None for device in polled), round(HEARD_S * 1e9)
+                    lambda: all(device.last_heard is not None for device in polled), round(RECEIVE_S * 1e9)
                 )
         except BaseException:
             self.stop("it could not be opened")
@@ -490,7 +490,7 @@ class Runner:
                 raise CallerError("nothing will ever happen here, and the run has no end: give it one")
             if clock.now() >= end:
                 return
-            clock.advance_to(min(end, clock.now() + LOOK))
+            clock.advance_to(min(end, clock.now() + STEP_NS))
 
     def stop(self, reason: str = "") -> Ended:
         """Stop controllers, motion, buses, logs; in this order, whatever fails on the way.

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 CONTROLWORD, STATUSWORD, MODE, MODE_SHOWN = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY, TORQUE = 0x6064, 0x606C, 0x6077
 #: An axis that has not taken a set-point for so long does not (ns).
-TAKES = 1_000_000_000
+TAKES_NS = 1_000_000_000
 
 READ = {
     POSITION: "position",
@@ -240,7 +240,7 @@ class DriveAxis:
             if is_taken:
                 self.outputs[CONTROLWORD] = word & ~(START | AT_ONCE)
                 self.device.put(self, CONTROLWORD)
-            elif now - self._raised_at > TAKES:
+            elif now - self._raised_at > TAKES_NS:
                 self._raised_at = now
                 self.device.tell_event("alarm", f"{self.joint.name} does not take its set-point")
         elif self._is_fresh and not is_taken:

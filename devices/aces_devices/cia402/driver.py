@@ -42,9 +42,9 @@ from .states import (
 #: Seconds that one step of the state machine may take, and a change of mode.
 STEP_S, MODE_S = 1.0, 1.0
 #: How often an absent node is looked for (ns).
-RETRY = 2_000_000_000
+RETRY_NS = 2_000_000_000
 #: `Host.postpone` until somebody says otherwise (s).
-LONG = 1e9
+LONG_S = 1e9
 #: Object → the signals that it gives.
 _SHOWN = {
     POSITION: ("position",),
@@ -56,7 +56,7 @@ _SHOWN = {
 NMT = ("start", "stop", "pre_operational", "reset_node", "reset_communication")
 
 
-class Cia402(ObjectAccess):
+class Cia402(ObjectAccess[DriveAxis]):
     """Signals of each joint: position, velocity, torque (the one that its mode takes can be set), state, mode and status;
     of the drive: network (NMT state) and error (the last emergency).
     """
@@ -185,19 +185,19 @@ class Cia402(ObjectAccess):
     def _quiet(self, on: bool) -> None:
         """Whether it is not to be expected at SYNC."""
         if on:
-            self.host.postpone(self, "Sync", LONG)
+            self.host.postpone(self, "Sync", LONG_S)
             return
         holder = next((n for n, one in self.inputs.items() if one.has(STATUSWORD)), 1)
-        for turn in self.host.turns:
-            if turn.device is self:
-                turn.replies = frozenset((f"Tpdo{holder}",))
-                turn.due = self.clock.now()
+        for slot in self.host.slots:
+            if slot.device is self:
+                slot.replies = frozenset((f"Tpdo{holder}",))
+                slot.due = self.clock.now()
 
     def _look(self) -> None:
         """Every now and then: is a node that was absent there, is one that was there gone?"""
         now = self.clock.now()
         is_idle = self._set_up is None or self._set_up.is_over
-        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY:
+        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY_NS:
             self.set_up()
         beat = self.heartbeat_ms * 1_000_000
         if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
@@ -205,7 +205,7 @@ class Cia402(ObjectAccess):
             if age > 3 * beat:
                 self.is_silent = True
                 self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
-        self.clock.call_in(min(RETRY, beat or RETRY), self._look)
+        self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
 
     def heard(self, record: Any, instant: int) -> None:
         """PDOs, heartbeats and emergencies."""
@@ -240,9 +240,9 @@ class Cia402(ObjectAccess):
         elif state != "operational" and self.is_set_up:
             self._quiet(True)
         elif state == "operational" and self.is_set_up:
-            for turn in self.host.turns:
-                if turn.device is self and turn.due - instant > RETRY:
-                    turn.due = instant
+            for slot in self.host.slots:
+                if slot.device is self and slot.due - instant > RETRY_NS:
+                    slot.due = instant
         if self._waiting:
             self._looked()
 

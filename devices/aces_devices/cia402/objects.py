@@ -5,16 +5,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aces_bus.device import Job, MotorDevice, Steps
+from aces_bus.device.motor import A
 from aces_bus.errors import AcesError, CallerError
 
 from .dictionary import object_of
 from .sdo import SdoChannel
-
-if TYPE_CHECKING:
-    pass
 
 #: What `identity` asks for: name, index, subindex. The first must be there.
 IDENTITY = (
@@ -27,7 +25,7 @@ IDENTITY = (
 )
 
 
-class ObjectAccess(MotorDevice["DriveAxis"]):
+class ObjectAccess(MotorDevice[A]):
     """A CANopen node with its dictionary (canopen's) and its SDO channel."""
 
     dictionary: Any

@@ -20,7 +20,7 @@ from .pdo import RECEIVED, SENT, PdoLayout, layouts, offset_of
 from .units import units_of
 
 #: From power to the boot-up message (ns).
-BOOT = 1_000_000
+BOOT_NS = 1_000_000
 RESETS = ("reset_node", "reset_communication")
 
 
@@ -75,7 +75,7 @@ class Cia402Twin(Twin):
         self._syncs = 0
         self._timers_of_pdos: list[Any] = []
         self._apply_faults()
-        self.clock.call_in(BOOT, lambda: self._boot(network))
+        self.clock.call_in(BOOT_NS, lambda: self._boot(network))
 
     def _numbers(self, offset: int) -> dict[int, int]:
         """The numbers of an axis in the dictionary."""

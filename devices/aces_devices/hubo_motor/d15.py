@@ -490,7 +490,7 @@ def _scan(host: Host, job: Job) -> Steps:
         if number == POWER:
             continue
         who = {"board": number}
-        if (yield from host.answers("hubo", "GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01, **who)):
+        if (yield from host.answers("hubo", who, "GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01)):
             found.append(DeviceConfig(name=f"B{number}", driver="hubo_d15", bus=host.name, credentials=who))
     return found
 

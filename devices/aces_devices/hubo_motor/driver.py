@@ -29,7 +29,7 @@ from .parameters import (
     channel_parameters,
     selector,
 )
-from .switching import PAUSE
+from .switching import PAUSE_NS
 
 #: A reply may take so long (s): hubo-ach waits 180 ms.
 READ_TIMEOUT_S = 0.18
@@ -122,7 +122,7 @@ class HuboMotor(Homing):
         for attempt in range(3):
             self.host.postpone(self, "SendCurrent", 2 * READ_TIMEOUT_S)
             while any(ticket.message == "SendCurrent" for ticket in self.awaiting):
-                yield PAUSE
+                yield PAUSE_NS
             try:
                 # Once a try: a repeated request could meet the late answer to the first.
                 record = yield self.ask(
@@ -162,7 +162,7 @@ class HuboMotor(Homing):
                 if axis is not None and message not in OF_BOARD:
                     fields["channel"] = axis.channel
                 yield self.tell(message, **fields)
-                yield PAUSE
+                yield PAUSE_NS
 
         return self.job("set parameters", steps)
 
@@ -201,7 +201,7 @@ class HuboMotor(Homing):
                         options = ["enable", "update"] if enabled else ["update"]
                         count = int(axis.to_counts(end) / 2) * 2
                         yield self.tell(message, channel=axis.channel, options=options, limit=count)
-                        yield PAUSE
+                        yield PAUSE_NS
 
         return self.job("set limits", steps)
 

@@ -17,12 +17,12 @@ from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError
 
 from .board import ARRIVED, MotorAxis, MotorBoard, search_state
-from .switching import PAUSE, Switching
+from .switching import PAUSE_NS, Switching
 
 #: Between two looks at a search (ns).
-LOOK = 50_000_000
+LOOK_NS = 50_000_000
 #: A joint without a home flag must have rested for so long (ns).
-REST = 300_000_000
+REST_NS = 300_000_000
 
 
 class Homing(Switching):
@@ -98,7 +98,7 @@ class Homing(Switching):
         status = self.shape.status
         assert status is not None
         while waiting:
-            yield LOOK
+            yield LOOK_NS
             now = self.clock.now()
             yield self.ask("SendStatus", reply=status.reply)
             yield from self.reading_positions()
@@ -113,7 +113,7 @@ class Homing(Switching):
                 if self.shape.has_home_flag:
                     over = near and bool(axis.shown("homed"))
                 else:
-                    over = near and axis.channel in moved and now - rested[axis.channel] >= REST
+                    over = near and axis.channel in moved and now - rested[axis.channel] >= REST_NS
                 if over:
                     waiting.remove(axis)
             job.progress = max(1 - len(waiting) / len(axes), min(0.9, (now - began) / self._timeout()))
@@ -126,8 +126,8 @@ class Homing(Switching):
 
     def _keep_off(self, now: int) -> None:
         """While a board searches, its own references stay away."""
-        if self._held_until < now + 4 * LOOK:
-            self.hold_off(4 * LOOK / 1e9)
+        if self._held_until < now + 4 * LOOK_NS:
+            self.hold_off(4 * LOOK_NS / 1e9)
 
     def _why(self, axes: list[MotorAxis]) -> str:
         """What is known of joints that found no home."""
@@ -201,7 +201,7 @@ class Homing(Switching):
                 yield self.tell(self.shape.home, **self.home_fields(axis))
                 state = "searching"
                 while state == "searching":
-                    yield LOOK
+                    yield LOOK_NS
                     record = yield self.ask("SendStatus", reply=status.reply)
                     state = search_state(record.motor[axis.channel])
                     passed = self.clock.now() - began
@@ -248,7 +248,7 @@ class Homing(Switching):
                         and self.set_message == self.shape.reference
                     ):
                         self.give(axis, 0)
-                yield 2 * PAUSE
+                yield 2 * PAUSE_NS
                 yield from self.reading_positions()
             finally:
                 self.homing = set()

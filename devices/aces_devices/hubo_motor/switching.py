@@ -23,7 +23,7 @@ from aces_bus.errors import CallerError
 from .board import ARRIVED, MotorAxis, MotorBoard, unsigned
 
 #: Between two requests that one board is sent by a job (ns).
-PAUSE = 2_000_000
+PAUSE_NS = 2_000_000
 
 
 #: The filter's length on the way back to rigid (hubo-ach).
@@ -95,7 +95,7 @@ class Switching(MotorBoard):
     def tick_ns(self) -> int:
         """Until the next tick has surely sent what was given (ns)."""
         rate = self.host.rate_hz
-        return PAUSE if rate is None else round(1e9 / rate) + PAUSE
+        return PAUSE_NS if rate is None else round(1e9 / rate) + PAUSE_NS
 
     def reading_positions(self) -> Steps:
         """Ask for the encoders, whatever is known of them."""
@@ -106,7 +106,7 @@ class Switching(MotorBoard):
         assert self.shape.status is not None
         off: list[str] = []
         for _ in range(10):
-            yield 2 * PAUSE
+            yield 2 * PAUSE_NS
             yield self.ask("SendStatus", reply=self.shape.status.reply)
             off = [axis.name for axis in self.axes if axis.signals and not axis.shown("enabled")]
             if not off:
@@ -173,7 +173,7 @@ class Switching(MotorBoard):
             stopped = self.stop_motion()
             if stopped is not None:
                 yield stopped
-            yield PAUSE
+            yield PAUSE_NS
             if self.shape.has_driver_switch:
                 yield self.tell("DriverSwitch", state="off")
 
@@ -235,7 +235,7 @@ class Switching(MotorBoard):
             sent: list[Ticket] = []
             for axis in axes:
                 sent += self._gain_tickets(axis, kp, ki, kd, torque)
-                yield PAUSE
+                yield PAUSE_NS
             return len(sent)
 
         return self.job("set gains", steps)

@@ -405,13 +405,12 @@ class HuboMotorTwin(Twin):
         """One block; a selector that means nothing is not answered."""
         number = request.selector
         self.board.number = self.credentials["board"]
-        fields: dict[str, Any] | None = None
         if number in BOARD_BLOCKS:
-            block, fields = number, {name: getattr(self.board, name) for name in BOARD_BLOCKS[number]}
+            fields = {name: getattr(self.board, name) for name in BOARD_BLOCKS[number]}
+            self.reply(f"Parameters{number}", selector=number, **fields)
         elif number in _BLOCKS and _BLOCKS[number][0] < len(self.channels):
             channel, block = _BLOCKS[number]
             fields = block_fields(self.channels[channel].stored, block)
-        if fields is not None:
             self.reply(f"Parameters{block}", selector=number, **fields)
 
     @on(*WRITES)

@@ -93,7 +93,7 @@ def _scan(host: Host, job: Job) -> Steps:
     table = variant.tables["channels"]
     for board in [number for number, kind in table.items() if kind == "power"]:
         who = {"board": board}
-        if (yield from host.answers("hubo", "PowerQuery", reply="Power", timeout_s=0.03, **who)):
+        if (yield from host.answers("hubo", who, "PowerQuery", reply="Power", timeout_s=0.03)):
             config = DeviceConfig(
                 name="JMC14", driver="hubo_power", bus=host.name, credentials=who, kind="power"
             )

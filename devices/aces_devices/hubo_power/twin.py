@@ -16,7 +16,7 @@ FULL, EMPTY, RESISTANCE, CAPACITY = 50.4, 43.2, 0.05, 20.0
 #: What the robot draws at rest (A), and more for each rad/s of its joints together.
 IDLE, A_SPEED = 2.5, 0.4
 #: Joint speeds are taken over at least this (ns).
-SPAN = 10_000_000
+SPAN_NS = 10_000_000
 #: The standard deviation of a reading: V, A.
 NOISE = (0.02, 0.05)
 #: The end of a field of 16 bits in hundredths.
@@ -51,7 +51,7 @@ class PowerTwin(Twin):
         if self.feed is not None:
             return self.feed(now)
         passed = now - self._at
-        if passed >= SPAN:
+        if passed >= SPAN_NS:
             places = [joint.position(now) for joint in self.world.joints.values()]
             moved = 0.0
             if self._places is not None and len(places) == len(self._places):

@@ -21,7 +21,7 @@ from aces_bus.errors import CallerError, DeviceError
 HAND_TAIL = bytes.fromhex("0038721200")
 HANDS = (0x35, 0x36)
 #: How often a null is sent in D08 (acesHubo: "several times"), and how far apart (ns).
-NULLS, APART = 3, 10_000_000
+NULLS, APART_NS = 3, 10_000_000
 #: What attitude is made of; a tilt sensor has the first two.
 MOTION = (("roll", "rad"), ("pitch", "rad"), ("roll_rate", "rad/s"), ("pitch_rate", "rad/s"))
 
@@ -148,7 +148,7 @@ class SensorBoard(Device):
         def steps(job: Job) -> Steps:
             for turn in range(NULLS if self.is_old else 1):
                 if turn:
-                    yield APART
+                    yield APART_NS
                 for message, fields in words:
                     yield self.tell(message, **fields)
 
@@ -247,9 +247,7 @@ def _scan(driver: str, kinds: Sequence[str], timeout_s: float, host: Host, job: 
     for number, board in enumerate(boards):
         who = {"board": board, "sensor": board - 0x2F}
         message, reply, fields = _QUESTIONS["old" if old else "imu" if table[board] == "imu" else "force"]
-        told = yield from host.answers(
-            "hubo", message, reply=reply, timeout_s=timeout_s, fields=fields, **who
-        )
+        told = yield from host.answers("hubo", who, message, reply=reply, timeout_s=timeout_s, **fields)
         job.progress = (number + 1) / len(boards)
         if told is None:
             continue

@@ -33,7 +33,7 @@ from aces_bus.errors import CallerError, DeviceError
 from .twin import UNIT_S, QikTwin
 
 #: Setting a parameter takes 4 ms (Pololu 0J25 5.c); without answers that time is left to the device (ns).
-PAUSE = 5_000_000
+PAUSE_NS = 5_000_000
 PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
 
 
@@ -180,7 +180,7 @@ class Qik(Device):
             if not self.answers:
                 ticket = self.tell("SetConfiguration", **fields)
                 yield ticket
-                yield self.host.port.wire_ns(ticket.word) + PAUSE
+                yield self.host.port.wire_ns(ticket.word) + PAUSE_NS
                 return None
             told = yield self.ask("SetConfiguration", reply="ConfigurationSet", timeout_s=0.05, **fields)
             if told.result != "ok":
@@ -279,7 +279,7 @@ def _scan(host: Host, job: Job) -> Steps:
 def _answers(host: Host, number: int, timeout_s: float) -> Steps:
     """Whether anybody answers to this number."""
     return host.answers(
-        "pololu_qik", "GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0, id=number
+        "pololu_qik", {"id": number}, "GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0
     )
 
 

@@ -20,6 +20,7 @@ from msgspec import Meta
 from aces_bus.device import Job, Poll, Steps
 from aces_bus.device.register_device import RegisterDevice
 from aces_bus.device.settings import settings_of
+from aces_bus.device.station import shown
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_protocols.robotis.control_table import ANGLE, ERRORS, SPEED
 from aces_protocols.robotis.spec import BROADCAST, control_table
@@ -39,8 +40,8 @@ RECEIVE_BUFFER = 143
 AROUND = 8
 #: Error bits that say what is wrong with the request, not with the servo.
 OF_REQUEST = frozenset(("angle_limit", "range", "checksum", "instruction"))
-#: So many garbled answers in a row are no noise.
-GARBLED = 5
+#: So many malformed answers in a row are no noise.
+MALFORMED = 5
 #: Names of the status return levels.
 LEVELS = ("none", "read_only", "all")
 
@@ -136,8 +137,8 @@ class RobotisRX(RegisterDevice):
         self.errors: frozenset[str] = frozenset()
         #: The last errors that switch the torque off, since it was switched on.
         self.trips: frozenset[str] = frozenset()
-        #: Garbled words in a row where its answers should be.
-        self.garbles = 0
+        #: Malformed answers in a row where its answers should be.
+        self.malformed_in_a_row = 0
         joint = self.joints[0] if self.joints else None
         self.direction = joint.direction if joint is not None else 1
         self.zero = (joint.zero or 0.0) if joint is not None else 0.0
@@ -268,7 +269,7 @@ class RobotisRX(RegisterDevice):
         """Every status has the error bits."""
         if type(record).__name__ != "Status":
             return
-        self.garbles = 0
+        self.malformed_in_a_row = 0
         error: int = record.error
         now = frozenset(record.error) if error else frozenset[str]()
         self._errors.update(tuple(sorted(now)), instant)
@@ -304,13 +305,14 @@ class RobotisRX(RegisterDevice):
             mask = self.codec("alarm_shutdown").register.default or 0
         return frozenset(name for name, bit in ERRORS.items() if mask >> bit & 1)
 
-    def garbled(self, reason: str, instant: int) -> None:
-        """Its answers are garbled again and again: noise does that now and then, two servos with one id each time."""
-        self.garbles += 1
-        if self.garbles % GARBLED == 0:
+    def malformed(self, reason: str, instant: int) -> None:
+        """Its answers are malformed again and again: noise does that now and then, two servos with one id each time."""
+        self.malformed_in_a_row += 1
+        if self.malformed_in_a_row % MALFORMED == 0:
             self.tell_event(
-                "two answers",
-                f"{self.garbles} garbled answers in a row: are there two servos with id {self.credentials['id']:#04x}?",
+                "duplicate reply",
+                f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
+                f" {shown(self.credentials)}?",
             )
 
     # ------------------------------------------------------------------ actions
@@ -457,7 +459,7 @@ class RobotisRX(RegisterDevice):
         """Steps that fail when somebody answers to an id."""
         if (
             yield from self.host.answers(
-                "robotis", "Ping", reply=self.reply, timeout_s=self.timeout_s, id=number
+                "robotis", {"id": number}, "Ping", reply=self.reply, timeout_s=self.timeout_s
             )
         ):
             raise DeviceError(f"{self.name}: a servo answers to id {number} already: two would answer")

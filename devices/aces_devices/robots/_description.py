@@ -75,28 +75,29 @@ def _words(text: str) -> Iterator[str]:
 
 def c_integer(word: str) -> int:
     """A whole number as C reads it, in any of its bases. Raises `ValueError`."""
-    text = word.lstrip("+-")
-    is_octal = len(text) > 1 and text[0] == "0" and text.isdigit()
-    return _checked(word, lambda: (-1 if word[0] == "-" else 1) * int(text, 8) if is_octal else int(word, 0))
+    text = _checked(word).lstrip("+-")
+    if len(text) > 1 and text[0] == "0" and text.isdigit():
+        return (-1 if word[0] == "-" else 1) * int(text, 8)
+    return int(word, 0)
 
 
 def decimal_number(word: str) -> int:
     """A whole number in decimal, zeros in front or not. Raises `ValueError`."""
-    return _checked(word, lambda: int(word, 10))
+    return int(_checked(word), 10)
 
 
 def plausible_number(word: str) -> float:
     """A number of a size that occurs. Raises `ValueError`."""
-    value = _checked(word, lambda: float(word))
+    value = float(_checked(word))
     if not abs(value) <= 1e12 or 0 < abs(value) < 1e-12:
         raise ValueError
     return value
 
 
-def _checked(word: str, read: Callable[[], Any]) -> Any:
+def _checked(word: str) -> str:
     if len(word) > 40 or "_" in word:
         raise ValueError
-    return read()
+    return word
 
 
 class Column(NamedTuple):
@@ -107,7 +108,7 @@ class Column(NamedTuple):
 
     read: Callable[[str], Any]
     what: str
-    count: int = 1
+    words: int = 1
     optional: bool = False
     names: Collection[str] = ()
 
@@ -168,16 +169,16 @@ class RobotDescription:
 
     def value(self, line: WordLine, key: str, words: Sequence[str], column: Column) -> Any:
         """The value of a column; None, and a problem, when it is not there."""
-        if len(words) == column.count:
+        if len(words) == column.words:
             try:
                 found = [column.read(word) for word in words]
-                return found[0] if column.count == 1 else found
+                return found[0] if column.words == 1 else found
             except (ValueError, KeyError):
                 pass
         if column.names and len(words) == 1:
             self.unknown(line, key, column.what, words[0], column.names)
         else:
-            wanted = column.what if column.count == 1 else f"{column.count} values, each {column.what}"
+            wanted = column.what if column.words == 1 else f"{column.words} values, each {column.what}"
             self.complain(line, key, f"expected {wanted}, not {' '.join(words)[:60]!r}")
         return None
 

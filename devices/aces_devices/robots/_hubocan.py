@@ -45,7 +45,7 @@ SENSOR_TYPES: Final[Mapping[str, str]] = {
     "H2P_FT": "force_torque",
     "DRC_FT": "force_torque",
 }
-_NUMBER, _PAIR = NUMBER._replace(optional=True), NUMBER._replace(optional=True, count=2)
+_NUMBER, _PAIR = NUMBER._replace(optional=True), NUMBER._replace(optional=True, words=2)
 _INTEGER = C_INTEGER._replace(optional=True)
 
 

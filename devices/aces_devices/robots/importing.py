@@ -68,11 +68,11 @@ def import_robot(
     made.content["source"] = ", ".join([*sources, *(Path(path).name for path in paths)])
     if name is not None:
         made.content["name"] = name
-    robot, found = make_robot(made.content, made.place)
-    errors = [*made.problems, *(problem for problem in found if not problem.is_warning)]
+    robot, said = make_robot(made.content, made.place)
+    errors = [*made.problems, *(problem for problem in said if not problem.is_warning)]
     if errors or robot is None:
         raise RobotError(sorted(set(errors)))
-    return ImportedRobot(robot, tuple(made.notes), tuple(p for p in found if p.is_warning))
+    return ImportedRobot(robot, tuple(made.notes), tuple(p for p in said if p.is_warning))
 
 
 def _kind(path: Path) -> str:
