@@ -28,7 +28,7 @@ from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
-from .signals import UNKNOWN, Signal
+from .signals import Signal
 from .station import EndpointMember, refuse_shadowing
 from .ticket import Job, Steps, Ticket
 
@@ -58,41 +58,27 @@ class Poll:
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """A signal as declared; see `signal`."""
+    """A quantity as a driver declares it: `signal("speed", unit="rad/s", of="State.speed")`.
+
+    It is read from the field `of` and set through the field `set` ("Message.field" or "Message.field.1"). `unit` is SI;
+    SI = field × `scale` + `offset`. `lower` and `upper` limit what is set, in SI. `stale_s` is how old a value may be
+    (default: five polls, at least 0.1 s).
+    """
 
     name: str
-    unit: str
-    of: str | None
-    set: str | None
-    scale: float
-    offset: float
-    lower: float | None
-    upper: float | None
-    stale_s: float | None
-    doc: str
-    source: str
+    unit: str = field(default="", kw_only=True)
+    of: str | None = field(default=None, kw_only=True)
+    set: str | None = field(default=None, kw_only=True)
+    scale: float = field(default=1, kw_only=True)
+    offset: float = field(default=0, kw_only=True)
+    lower: float | None = field(default=None, kw_only=True)
+    upper: float | None = field(default=None, kw_only=True)
+    stale_s: float | None = field(default=None, kw_only=True)
+    doc: str = field(default="", kw_only=True)
+    source: str = field(default="", kw_only=True)
 
 
-def signal(
-    name: str,
-    *,
-    unit: str = "",
-    of: str | None = None,
-    set: str | None = None,
-    scale: float = 1,
-    offset: float = 0,
-    lower: float | None = None,
-    upper: float | None = None,
-    stale_s: float | None = None,
-    doc: str = "",
-    source: str = "",
-) -> SignalSpec:
-    """Declare a quantity: read from the field `of` and set through the field `set` ("Message.field" or "Message.field.1").
-
-    `unit` is SI; SI = field × `scale` + `offset`. `lower` and `upper` limit what is set, in SI. `stale_s` is how old a
-    value may be (default: five polls, at least 0.1 s).
-    """
-    return SignalSpec(name, unit, of, set, scale, offset, lower, upper, stale_s, doc, source)
+signal = SignalSpec
 
 
 def _same(value: Any) -> Any:
@@ -488,6 +474,3 @@ def _reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]:
         return lambda record: inner(getattr(record, name))
     number = int(index)
     return lambda record: to_si(getattr(record, name)[number])
-
-
-__all__ = ["UNKNOWN", "Device", "Poll", "SignalSpec", "signal"]

@@ -447,6 +447,3 @@ def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
             ]
             fields = {"start": codec.address, "size": codec.size, "servos": servos}
             yield OutgoingMessage(first, mine[0].message, fields)
-
-
-__all__ = ["RegisterCodec", "RegisterDevice", "RegisterSpan", "together_rule"]

@@ -306,6 +306,3 @@ def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:
     if isinstance(word, (bytes, bytearray)):
         return change(bytes(word))
     return msgspec.structs.replace(word, data=change(word.data))
-
-
-__all__ = ["FAULTS", "JointModel", "Twin", "Twins", "World", "on", "with_data"]

@@ -273,20 +273,18 @@ class Runner:
 
     def _failed(self, task: Task, error: BaseException) -> None:
         """A component raised: a logger, as controllers have supervisors for that."""
-        now = self.clock.now()
-        if now - self._told.get(task.name, -REPEAT_NS) < REPEAT_NS:
-            return
-        self._told[task.name] = now
         is_log = any(logger.name == task.name for logger in self.loggers)
-        kind = OF_LOGS[0] if is_log else "raised"
-        self._tell_all(ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500]))
+        self._raised(task.name, OF_LOGS[0] if is_log else "raised", error)
 
     def bus_failed(self, error: BaseException) -> None:
         """Something raised on the buses' thread."""
+        self._raised("buses", "bug", error)
+
+    def _raised(self, source: str, kind: str, error: BaseException) -> None:
         now = self.clock.now()
-        if now - self._told.get("buses", -REPEAT_NS) >= REPEAT_NS:
-            self._told["buses"] = now
-            self._tell_all(ControlEvent("bug", now, "buses", f"{type(error).__name__}: {error}"[:500]))
+        if now - self._told.get(source, -REPEAT_NS) >= REPEAT_NS:
+            self._told[source] = now
+            self._tell_all(ControlEvent(kind, now, source, f"{type(error).__name__}: {error}"[:500]))
 
     def _tell_all(self, event: ControlEvent) -> None:
         """What components tell reaches every supervisor, too."""

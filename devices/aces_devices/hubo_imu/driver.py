@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import pi
 from typing import Any
 
-from aces_bus.device import Driver, Job, Poll
+from aces_bus.device import Driver, Job, Poll, Ticket
 
 from ..hubo_sensors.board import MOTION, SensorBoard, scan_of
 from .twin import ImuTwin
@@ -42,7 +42,7 @@ class ImuBoard(SensorBoard):
         """Take the present attitude for zero."""
         return super().null() if self.is_old else self.nulled(("NullImu", {}))
 
-    def init(self) -> Job:
+    def init(self) -> Ticket | Job:
         """Not known of this board in D12: only force/torque boards have it there."""
         if self.is_old:
             return super().init()

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
+from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError
 
@@ -161,32 +161,24 @@ class SensorBoard(Device):
         period = float(self.config.settings.get("period_ms", 1000 / rate))
         return max(1, min(255, round(period)))
 
-    def set_period(self, period_ms: int | None = None) -> Job:
+    def set_period(self, period_ms: int | None = None) -> Ticket:
         """Set the board's period (ms). In D12 the answer says what the board took; in D08 nothing is answered."""
         period = self.period_ms if period_ms is None else period_ms
+        if self.is_old:
+            return self.tell("SetPeriod", period=period)
+        return self.ask("GetBoardInfo", reply="SensorBoardInfo", period=period)
 
-        def steps(job: Job) -> Steps:
-            if self.is_old:
-                return (yield self.tell("SetPeriod", period=period))
-            return (yield self.ask("GetBoardInfo", reply="SensorBoardInfo", period=period))
-
-        return self.job("set_period", steps)
-
-    def init(self) -> Job:
+    def init(self) -> Ticket | Job:
         """Set the board up anew: 0xFA in D12, NameInfo in D08."""
-
-        def steps(job: Job) -> Steps:
-            if not self.is_old:
-                return (yield self.tell("InitSensor"))
-            tail = self.config.settings.get("name_info_tail")
-            if tail is None and self.credentials["board"] not in HANDS:
-                raise DeviceError(
-                    f"{self.name}: nothing is known of the NameInfo of this board; give its settings name_info_tail"
-                )
-            raw = HAND_TAIL if tail is None else bytes.fromhex(tail)
-            return (yield self.ask("NameInfoSensor", reply="NameInfoReply", period=self.period_ms, tail=raw))
-
-        return self.job("init", steps)
+        if not self.is_old:
+            return self.tell("InitSensor")
+        tail = self.config.settings.get("name_info_tail")
+        if tail is None and self.credentials["board"] not in HANDS:
+            return self.refused(
+                "init", "nothing is known of the NameInfo of this board; give its settings name_info_tail"
+            )
+        raw = HAND_TAIL if tail is None else bytes.fromhex(tail)
+        return self.ask("NameInfoSensor", reply="NameInfoReply", period=self.period_ms, tail=raw)
 
     def refused(self, name: str, why: str) -> Job:
         """A job that fails at once."""

@@ -497,6 +497,3 @@ class RobotisRX(RegisterDevice):
         except NoReplyError:
             return
         self._raise_refusal(record, message)
-
-
-__all__ = ["RobotisRX", "ServoSettings", "signed"]

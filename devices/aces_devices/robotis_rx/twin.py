@@ -364,6 +364,3 @@ class RobotisRXTwin(Twin):
 
 def _directed(size: int, sign: float) -> int:
     return size | CLOCKWISE if sign < 0 and size else size
-
-
-__all__ = ["RobotisRXTwin"]
