@@ -450,6 +450,13 @@ class Device(EndpointMember):
         """Tell what has happened."""
         self.host.tell(kind, self.name, detail)
 
+    def tell_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
+        """Tell errors when one is new, and when all are over."""
+        if set(now) - set(before):
+            self.tell_event("alarm", f"{who}{', '.join(sorted(now))}")
+        elif before and not now:
+            self.tell_event("alarm over", f"{who}{', '.join(sorted(before))}")
+
 
 def slot_of(path: str) -> tuple[str, str, int | None]:
     """`position.1` with its field and its place in it; None: the field itself."""

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Generic, TypeVar
 from typing import Protocol as Interface
 
@@ -79,13 +79,6 @@ class MotorDevice(Device, Generic[A]):
             job.text = axis.name
             yield axis
             job.progress = (number + 1) / len(axes)
-
-    def tell_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
-        """Tell errors when one is new, and when all are over."""
-        if set(now) - set(before):
-            self.tell_event("alarm", f"{who}{', '.join(sorted(now))}")
-        elif before and not now:
-            self.tell_event("alarm over", f"{who}{', '.join(sorted(before))}")
 
     def confirm_off(self, ask: Callable[[], Ticket], still_on: Callable[[], Sequence[str]]) -> Job:
         """Ask the device; the job fails when a joint is `still_on` by what it answers."""

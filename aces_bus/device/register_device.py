@@ -120,6 +120,10 @@ class RegisterDevice(Device):
             made = {name: RegisterCodec(self.registers, name) for name in self.registers}
             found = self._all_codecs[id(self.registers)] = (self.registers, made)
         self.codecs: Mapping[str, RegisterCodec] = found[1]
+        own = self.registers
+        self._read_message, self._write_message, self._sync_message = (
+            message or "" for message in (own.read_message, own.write_message, own.sync_message)
+        )
         #: The last raw number heard of each register, and when.
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
@@ -414,20 +418,6 @@ class RegisterDevice(Device):
                 start, count = poll.fields["start"], poll.fields["count"]
                 word = self.host.word(self, poll.message, poll.fields)
                 self._spans[word] = RegisterSpan(start, count, self.codecs.values())
-
-    @property
-    def _read_message(self) -> str:
-        assert self.registers.read_message is not None
-        return self.registers.read_message
-
-    @property
-    def _write_message(self) -> str:
-        assert self.registers.write_message is not None
-        return self.registers.write_message
-
-    @property
-    def _sync_message(self) -> str:
-        return self.registers.sync_message or ""
 
 
 def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:

@@ -81,12 +81,18 @@ FAULTS: Mapping[str, str] = {
 }
 
 
+#: The amounts of faults where none is said.
+AMOUNTS: Mapping[str, float] = {"late": 0.05, "wrong_number": -1, "loses": 3}
+
+
 class Twin(EndpointMember):
     """One simulated device. `faults` (class) are the ways in which this kind misbehaves beyond `FAULTS`."""
 
     #: What it speaks: the name of an installed protocol, or a protocol itself.
     protocol: ClassVar[str | Protocol]
     faults: ClassVar[Mapping[str, str]] = {}
+    #: The amounts of these where none is said; 1 for others.
+    amounts: ClassVar[Mapping[str, float]] = {}
     #: From hearing a request to beginning the answer (ns).
     reply_delay_ns: int = 50_000
     attributes = EndpointMember.attributes | {
@@ -228,8 +234,9 @@ class Twin(EndpointMember):
         if not on:
             self.active_faults.pop(name, None)
         else:
-            usual = {"late": 0.05, "wrong_number": -1, "loses": 3}
-            self.active_faults[name] = usual.get(name, 1) if amount is None else amount
+            self.active_faults[name] = (
+                AMOUNTS.get(name, self.amounts.get(name, 1)) if amount is None else amount
+            )
 
     def power(self, on: bool) -> None:
         """Switch it off, or on again: a device that was off has forgotten what it was told."""

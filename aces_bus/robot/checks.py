@@ -139,8 +139,7 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
             elif key == "baud" and value < 50:
                 complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)
         if bus.channel is not None:
-            other = channels.setdefault((bus.link, bus.channel), name)
-            if other != name:
+            if (other := channels.setdefault((bus.link, bus.channel), name)) != name:
                 complain((*path, "channel"), f"{bus.channel!r} is the channel of bus {other} already")
     return protocols
 
@@ -180,15 +179,13 @@ def _check_devices(
                 _check_dialect((*path, "dialect"), protocol, dialect, complain)
             _check_credentials(path, device, spoken, protocols.addresses[spoken], complain)
         if not device.credentials:
-            other = alone.setdefault((device.bus, spoken), device)
-            if other is not device:
+            if (other := alone.setdefault((device.bus, spoken), device)) is not device:
                 complain(
                     (*path, "credentials"),
                     f"nothing tells it from device {other.name}, which speaks {spoken} on bus {device.bus} too",
                 )
         for key, number in device.credentials.items():
-            other = claimed.setdefault((device.bus, spoken, key, number), device)
-            if other is not device:
+            if (other := claimed.setdefault((device.bus, spoken, key, number), device)) is not device:
                 # Credentials may refine one another, as the axis of a node does.
                 shared = device.credentials.keys() & other.credentials.keys()
                 is_other = any(device.credentials[one] != other.credentials[one] for one in shared)
@@ -299,8 +296,7 @@ def _check_joints(robot: Robot, written: Mapping[str, set[str]], complain: Compl
         _check_reference((*path, "device"), "device", joint.device, written["devices"], complain)
         device = robot.devices.get(joint.device)
         if joint.active:
-            other = claimed.setdefault((joint.device, joint.channel), name)
-            if other != name:
+            if (other := claimed.setdefault((joint.device, joint.channel), name)) != name:
                 complain(
                     (*path, "channel"), f"channel {joint.channel} of {joint.device} is joint {other} already"
                 )
@@ -355,8 +351,7 @@ def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Comp
         path = ("sensors", name)
         _check_reference((*path, "device"), "device", sensor.device, written["devices"], complain)
         if sensor.active:
-            other = claimed.setdefault((sensor.device, sensor.kind, sensor.channel), name)
-            if other != name:
+            if (other := claimed.setdefault((sensor.device, sensor.kind, sensor.channel), name)) != name:
                 complain((*path, "device"), f"the {sensor.kind} of {sensor.device} is sensor {other} already")
         if sensor.matrix is not None:
             sizes = {len(row) for row in sensor.matrix}

@@ -31,6 +31,7 @@ class PowerTwin(Twin):
 
     protocol = "hubo"
     faults: ClassVar = {"low_battery": "2 % of the charge is left (or as many as said)"}
+    amounts: ClassVar = {"low_battery": 2.0}
     feed: Callable[[int], tuple[float, float]] | None = None
 
     def setup(self) -> None:
@@ -41,10 +42,6 @@ class PowerTwin(Twin):
         self.current = IDLE
         self._at = self.clock.now()
         self._places: list[float] | None = None
-
-    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
-        """See `Twin.fault`."""
-        super().fault(name, {"low_battery": 2.0}.get(name) if amount is None else amount, on=on)
 
     def measured(self, now: int) -> tuple[float, float]:
         """Voltage (V) and current (A) at an instant (ns), without noise."""

@@ -8,7 +8,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from math import ceil
+from operator import mul
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -120,7 +122,7 @@ class Qik(Device):
                 "duty",
                 owner=joint.name,
                 set=f"SetSpeed.{joint.channel}",
-                from_si=_steps(joint.direction),
+                from_si=partial(mul, joint.direction),
                 lower=-limit,
                 upper=limit,
                 doc=f"share of the supply, in 1/{most}; its sign is the direction",
@@ -142,13 +144,8 @@ class Qik(Device):
         """Tell errors when they come and when they have gone."""
         if type(record).__name__ != "Errors":
             return
-        present = frozenset(record.errors)
-        if present != self.errors:
-            if present - self.errors:
-                self.tell_event("alarm", ", ".join(sorted(present)))
-            elif not present:
-                self.tell_event("alarm over", ", ".join(sorted(self.errors)))
-            self.errors = present
+        before, self.errors = self.errors, frozenset(record.errors)
+        self.tell_alarms(self.errors, before)
 
     # ------------------------------------------------------------------ actions
 
@@ -208,20 +205,19 @@ class Qik(Device):
 
     def coast(self) -> Job:
         """Let both motors turn freely; set-points end."""
-        self.drop("SetSpeed")
-        return self._both("coast", [self.tell_now("Coast", motor=motor) for motor in (0, 1)])
+        return self._both("coast", "Coast")
 
     def brake(self) -> Job:
         """Stop both motors; set-points end."""
-        self.drop("SetSpeed")
-        words = {"reverse": 0, "high": 0, "speed": 0}
-        return self._both("brake", [self.tell_now("SetSpeed", motor=motor, **words) for motor in (0, 1)])
+        return self._both("brake", "SetSpeed", reverse=0, high=0, speed=0)
 
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""
         return self.brake()
 
-    def _both(self, name: str, tickets: list[Ticket]) -> Job:
+    def _both(self, name: str, message: str, **fields: int) -> Job:
+        self.drop("SetSpeed")
+        tickets = [self.tell_now(message, motor=motor, **fields) for motor in (0, 1)]
         return together(self.clock, f"{self.name} {name}", tickets)
 
     def firmware(self) -> Ticket:
@@ -240,10 +236,6 @@ class Qik(Device):
             return found
 
         return self.job("configuration", steps)
-
-
-def _steps(direction: int) -> Any:
-    return lambda duty: direction * duty
 
 
 #: How long a number is asked, and how long when somebody has answered (s); a late answer has come after so long (ns).
