@@ -2,7 +2,7 @@
 
 1. They reach states on the clock's thread only. However many come, one action waits there, with the newest value of each
    state: a flood costs nothing below.
-2. A state that refuses one (read-only, not a number) is counted, and told once for each state until it takes one.
+2. A state that refuses one (read-only, not a number) is counted, and reported once for each state until it takes one.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Inlet:
         self, clock: Soon, states: Mapping[str, Any], events: AccessEvents, name: str, *, plans: bool = True
     ) -> None:
         self.clock, self.states, self.events, self.name = clock, states, events, name
-        #: Whether it plans on the clock by itself; else somebody calls `flush` on the clock's thread.
+        #: Whether it plans on the clock by itself; else its owner calls `flush` on the clock's thread.
         self.plans = plans
         self.taken = self.refused = 0
         #: When the last one was taken (ns); None before the first.
@@ -127,7 +127,7 @@ class Inlet:
 
     def _refuse(self, name: str, why: str) -> None:
         self.refused += 1
-        # Names from outside are endless: only so many are remembered, and told.
+        # Names from outside are endless: only so many are remembered and reported.
         if name not in self._complained and len(self._complained) < 256:
             self._complained.add(name)
             detail = f"{name!r}: {why}"[:300]

@@ -136,7 +136,7 @@ class RemoteStates(Mapping[str, State]):
 
     They have values, ages, histories, `rate()` and all else; `states["RHY"].set(0.1)` and `give({"RHY": 0.1, …})` send
     set-points. `lost_s` (default: five of the publisher's periods, at least 0.25 s) is the silence after which all are
-    unknown. `open` raises `NoReplyError` when nobody answers within `timeout_s`, `CallerError` for a wrong endpoint.
+    unknown. `open` raises `NoReplyError` without an answer within `timeout_s`, `CallerError` for a wrong endpoint.
     `bad` counts messages that were none, `cycles` those that were, `unannounced` states that came without being announced.
     """
 
@@ -262,7 +262,7 @@ class RemoteStates(Mapping[str, State]):
             if not -float("inf") < value < float("inf"):
                 raise CallerError(f"{self.name}: {name}: {value!r} is not a finite number")
         if values:
-            with suppress(Exception):  # a connection that is lost is told by its silence
+            with suppress(Exception):  # a lost connection shows by its silence
                 session.put(f"{self._key}/set", msgspec.json.encode(dict(values)))
 
     # ------------------------------------------------------------------ what comes
@@ -279,7 +279,7 @@ class RemoteStates(Mapping[str, State]):
 
     def _answered(self, reply: Any) -> None:
         if reply.ok is None:
-            return  # nobody answered in time: asked again, if need be
+            return  # no answer in time: asked again, if need be
         about = decoded(self._decode_about, reply.ok)
         if about is None or len(about.states) > MOST_STATES or not 0 < about.rate_hz <= 1e6:
             self.bad += 1

@@ -2,8 +2,8 @@
 
 1. Endpoints are explicit and loopback by default; nothing is searched for on the network (no multicast, no gossip).
 2. Instants and ages are those of the publisher's clock: a remote state's `clock` is that one, as it is guessed from here.
-3. A connection that is lost makes every remote state unknown after `lost_s`, and is told; another run of the publisher
-   begins all histories anew. Where set-points stop coming, the robot's side is told after `dead_man_s`, and `on_lost`
+3. A connection that is lost makes every remote state unknown after `lost_s`, and is reported; another run of the publisher
+   begins all histories anew. Where set-points stop coming, the robot's side reports it after `dead_man_s`, and `on_lost`
    called.
 4. What comes is untrusted: bounded, of the stated types, counted in `bad`, never raised.
 
@@ -83,7 +83,7 @@ def zenoh() -> Any:
 def open_session(listen: Iterable[str], connect: Iterable[str], options: Options) -> Any:
     """A session with these endpoints and no others; raises `CallerError` when that cannot be."""
     library = zenoh()
-    told = {
+    settings = {
         "mode": "peer",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
@@ -96,7 +96,7 @@ def open_session(listen: Iterable[str], connect: Iterable[str], options: Options
     }
     try:
         config = library.Config()
-        for key, value in told.items():
+        for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
         return library.open(config)
     except library.ZError as error:

@@ -1,6 +1,6 @@
-"""The device floor: what stands on a bus, and robots as data.
+"""The device floor: devices on a bus, their twins, and robots as data.
 
-A robot's file is read by `load_robot`; see docs/robots.md for what stands in it.
+A robot's file is read by `load_robot`; docs/robots.md describes its content.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A device: one node on a bus, as its driver knows it.
 
-1. Down: what is wanted is tagged with the device's credentials. Up: only what is its own arrives.
+1. Down: messages get the device's credentials. Up: only its own records arrive.
 2. SI outside, the sheet's units inside: conversions stand where a signal is declared, nowhere else.
 3. A driver waits for nothing: it asks, and goes on when the answer is there (`ask`, `job`).
 
@@ -127,10 +127,10 @@ class Device(EndpointMember):
         self.signals: dict[str, Signal] = {}
         #: The names of those that are read from messages.
         self.readable: set[str] = set()
-        #: When it was last heard (ns).
+        #: When something was last received of it (ns).
         self.last_heard: int | None = None
         self.is_silent = False
-        #: Whether it was given set-points, or told to move, since it was last stopped.
+        #: Whether it was given set-points or commands to move since it was last stopped.
         self.is_driven = False
         self.misses = 0
         self.missing_since = self.missed_at = 0
@@ -144,7 +144,7 @@ class Device(EndpointMember):
         self._given: dict[str, dict[str, Any]] = {}
         self._paths: dict[str, dict[str, None]] = {}
         self._slots: dict[str, list[tuple[str, str, int | None]]] = {}
-        #: Signals that nobody has said a stale age of, and the messages that tell them.
+        #: Signals without a stated stale age, and the messages that give them.
         self._usual_age: list[tuple[Signal, AbstractSet[str]]] = []
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
@@ -162,7 +162,7 @@ class Device(EndpointMember):
         """A record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
-        """What stands in for a set-point that nobody has given yet; None: wait for it."""
+        """The value for a set-point that was not given yet; None: wait for it."""
         return None
 
     def start(self) -> Any:
@@ -181,13 +181,13 @@ class Device(EndpointMember):
         return None
 
     def malformed(self, reason: str, instant: int) -> None:
-        """A word that is probably this device's was not understood."""
+        """A frame or packet that is probably this device's was not understood."""
 
     def renumbered(self) -> None:
-        """Its credentials are others now (`Host.renumber`): words that were made before are not its own."""
+        """Its credentials are others now (`Host.renumber`): frames that were encoded before are not its own."""
 
     def no_reply(self, ticket: Ticket) -> None:
-        """A request has failed for want of an answer."""
+        """A request was not answered."""
 
     # ------------------------------------------------------------------ signals
 
@@ -230,7 +230,7 @@ class Device(EndpointMember):
 
         `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
         `to_si` and `from_si` convert. `is_read`: the driver itself updates it from what it receives. Values that are set
-        beyond `lower` or `upper` are limited, and that is told.
+        beyond `lower` or `upper` are limited, and that is reported.
         """
         whole = f"{owner or self.name}.{name}"
         if whole in self.signals:
@@ -290,7 +290,7 @@ class Device(EndpointMember):
         return message, rest
 
     def _age_by_polls(self) -> None:
-        """What nobody has said an age for is stale after five polls."""
+        """Signals without a stated age are stale after five polls."""
         tick = 1 / self.host.rate_hz if self.host.rate_hz else 0.0
         for made, messages in self._usual_age:
             periods = [p.every_s or tick for p in self.polls if not messages.isdisjoint(p.replies)]
@@ -325,7 +325,7 @@ class Device(EndpointMember):
         self._dirty.clear()
 
     def rebooted(self, detail: str) -> None:
-        """The device has forgotten what it was told."""
+        """The device has lost its state."""
         self.forget()
         self.tell_event("rebooted", detail)
 
@@ -401,7 +401,7 @@ class Device(EndpointMember):
         return self.completed(message, fields)
 
     def waited_for(self) -> list[str]:
-        """The set-points ("Set.right") that nobody has given, and without which others that were given do not go out."""
+        """The set-points ("Set.right") that are missing, and without which others that were given do not go out."""
         return [
             f"{message}.{path}"
             for message, given in self._given.items()
@@ -447,7 +447,7 @@ class Device(EndpointMember):
         return Job(self.clock, f"{self.name} {name}", steps)
 
     def tell_event(self, kind: Kind, detail: str = "") -> None:
-        """Tell what has happened."""
+        """Report an event of this device."""
         self.host.tell(kind, self.name, detail)
 
     def tell_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:

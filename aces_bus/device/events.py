@@ -1,4 +1,4 @@
-"""What happens to devices, told at once to whoever wants to know (the paper's shortcut for errors)."""
+"""Events of devices, given to handlers at once (the paper's shortcut for errors)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Kind = Literal[
     "duplicate reply",  # more answers than requests: two devices with one number
     "unknown device",  # a device that is not on this bus in the robot's file
     "malformed",  # a frame or packet that is none of the device's messages
-    "rebooted",  # forgot what it was told
+    "rebooted",  # lost its state
     "alarm",  # the device reports a fault
     "alarm over",
     "limited",  # a set-point was beyond its limits
     "not sent",  # the bus does not take words, or words did not leave in time
-    "not stopped",  # was told to stop and has not yet
+    "not stopped",  # has not stopped yet
     "overrun",  # a tick's words did not fit into the tick
     "bug",  # a driver's own code raised
     # of the bus, as gates and wires tell them
@@ -60,16 +60,16 @@ class DeviceEvent(msgspec.Struct, frozen=True):
         return f"{self.instant / 1e9:.6f} {who}: {self.kind}{f': {self.detail}' if self.detail else ''}"
 
 
-#: Events of one kind and device are told this often at most (ns); all are counted.
+#: Events of one kind and device are reported this often at most (ns); all are counted.
 REPEAT_NS = 1_000_000_000
-#: What tells of a change, and therefore is told each time.
-TOLD_ALWAYS = frozenset(
+#: Reports of a change: each one is given to handlers.
+REPORTED_ALWAYS = frozenset(
     (
         *("silent", "answers", "alarm", "alarm over", "rebooted"),
         *("opened", "lost", "reopened", "closed", "error-active", "error-passive", "bus-off", "recovered"),
     )
 )
-#: So many different events are told apart.
+#: So many different events are distinguished.
 MOST_KEYS = 10_000
 
 
@@ -90,7 +90,7 @@ class EventLog:
         who = event.device or event.detail if event.kind == "unknown device" else event.device
         key = (event.bus, event.kind, who)
         last = self._told.get(key)
-        if last is not None and event.instant - last < REPEAT_NS and event.kind not in TOLD_ALWAYS:
+        if last is not None and event.instant - last < REPEAT_NS and event.kind not in REPORTED_ALWAYS:
             return
         if len(self._told) > MOST_KEYS:
             self._told.clear()

@@ -1,9 +1,9 @@
-"""The host's side of a bus: its devices, what is asked of them, what they are told, and when.
+"""The host's side of a bus: its devices, what is sent to them, what is polled, and when.
 
 1. All runs on the port's clock: no thread, no lock, no wait. The same clock, words and calls give the same words.
 2. Each tick sends set-points first, as few words as the rules make of them; then polls, in turn, as far as the budget goes.
    What did not fit is first in the next tick.
-3. What is not answered, answered twice, not understood or nobody's is told by name, and stops nothing.
+3. A missing answer, a duplicate reply, a malformed frame and an unknown device are reported by name, and stop nothing.
 
 On a half-duplex line one speaks at a time: a request is sent when the one before was answered or its time is up.
 """
@@ -37,14 +37,14 @@ LATE_REPLY_NS = 500_000_000
 #: When this machine itself was held up for so long (ns), what has come meanwhile is heard before anybody is missed.
 HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
 #: The robot of a probe.
-NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
+PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
 SILENT_SHARE = 5
 #: An instant that does not come (ns).
 NEVER_NS = 1 << 62
 #: So many unknown devices are told apart; a bus may claim millions.
 UNKNOWN_DEVICES = 10_000
-#: The share of a tick that polls may fill when nobody says otherwise.
+#: The share of a tick that polls may fill by default.
 BUDGET = 0.9
 
 
@@ -129,7 +129,7 @@ class Host(BusEndpoint[Device]):
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 slot.due = self.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
             if self._half and not self._period:
-                slot.due = NEVER_NS  # asked when somebody says so: `poll` or `tick`
+                slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
         return member
 
@@ -154,7 +154,7 @@ class Host(BusEndpoint[Device]):
             raise CallerError(
                 f"{self.name}: nothing here speaks {protocol} (the bus has {', '.join(self.variants)})"
             )
-        made = Device(self, config, NOBODY, self.variants[protocol])
+        made = Device(self, config, PROBED, self.variants[protocol])
         BusEndpoint.add(self, made)
         return made
 
@@ -200,7 +200,7 @@ class Host(BusEndpoint[Device]):
     # ------------------------------------------------------------------ opening and ticking
 
     def open(self) -> None:
-        """Begin to hear and, with a rate, to tick. Each device's `start` is called."""
+        """Start receiving and, with a rate, ticking. Each device's `start` is called."""
         super().open()
         for device in self.members.values():
             device.start()
@@ -209,7 +209,7 @@ class Host(BusEndpoint[Device]):
             self._next_tick = self.clock.call_at(self._tick_at, self._tick)
 
     def close(self) -> None:
-        """Tick and hear no more."""
+        """Stop ticking and receiving."""
         if self._next_tick is not None:
             self._next_tick.cancel()
             self._next_tick = None
@@ -385,7 +385,7 @@ class Host(BusEndpoint[Device]):
         urgent: bool = False,
         report: Left | None = None,
     ) -> bool:
-        """Put a word on the bus; one that it does not take is told."""
+        """Put a frame or packet on the bus; one that it does not take is reported."""
         if not self._is_open or not self.port.send(word, age_ns, urgent=urgent, topic=device, report=report):
             self.counts.not_sent += 1
             self.tell("not sent", device.name, f"{message}: the bus does not take it")
@@ -592,13 +592,13 @@ class Host(BusEndpoint[Device]):
             device.malformed(word.reason, instant)
 
     def _answered_twice(self, word: UnknownWord) -> None:
-        """An answer on a half-duplex line that nobody asked for: it is late, or there are two who answer."""
+        """An unrequested answer on a half-duplex line: it is late, or two devices answer."""
         last = self._spoke_last
-        detail = f"{word.meta.raw.hex(' ')}: nobody has asked; are there two devices with one number?"
+        detail = f"{word.meta.raw.hex(' ')}: was not requested; are there two devices with one number?"
         self.tell("duplicate reply", last.name if last is not None else "", detail)
 
     def _suspect(self, word: UnknownWord) -> Device | None:
-        """Whose word it may have been: by its identifier, or whoever has the line."""
+        """The device that may have sent it: by its identifier, or the one that has the line."""
         identifier = word.meta.identifier
         if identifier is None:
             return self._speaking.device if self._speaking is not None else None
@@ -632,9 +632,9 @@ class Host(BusEndpoint[Device]):
         self.tell(
             "unknown device",
             "",
-            f"{kind.__name__} of {who or 'somebody'}, which is not on this bus in the robot's file",
+            f"{kind.__name__} of {who or 'an unknown device'}, which is not on this bus in the robot's file",
         )
 
     def tell(self, kind: Kind, device: str, detail: str = "") -> None:
-        """Tell what has happened; see `EventLog.tell` for how often."""
+        """Report what has happened; see `EventLog.tell` for how often."""
         self.events.tell(DeviceEvent(kind, self.clock.now(), self.name, device, detail))

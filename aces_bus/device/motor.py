@@ -17,7 +17,7 @@ from .ticket import Job, Steps, Ticket
 
 
 class MotorChannel(Interface):
-    """One channel of a motor board, as its driver knows it; `joint` None: nothing is connected, or nobody named it."""
+    """One channel of a motor board, as its driver knows it; `joint` None: nothing is connected, or it has no name."""
 
     @property
     def joint(self) -> Joint | None:
@@ -41,7 +41,7 @@ A = TypeVar("A", bound=MotorChannel)
 class MotorDevice(Device, Generic[A]):
     """A device with `axes`, which `setup` makes."""
 
-    axes: Sequence[A]
+    axes: list[A]
 
     def __init__(self, *args: Any) -> None:
         self._led: list[Job] = []
@@ -53,7 +53,7 @@ class MotorDevice(Device, Generic[A]):
         Raises `UnknownNameError`.
         """
         if joint is None:
-            return [axis for axis in self.axes if axis.joint is not None] or list(self.axes)
+            return [axis for axis in self.axes if axis.joint is not None] or self.axes
         for axis in self.axes:
             names = () if axis.joint is None else (axis.joint.name, *axis.joint.aliases)
             if joint in (*names, axis.name, str(axis.channel)):

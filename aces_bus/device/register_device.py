@@ -66,13 +66,13 @@ class RegisterCodec:
 
 
 class RegisterSpan:
-    """Registers that stand side by side: what one request reads."""
+    """Neighbouring registers: what one request reads."""
 
     __slots__ = ("codecs", "count", "start")
 
     def __init__(self, start: int, count: int, codecs: Iterable[RegisterCodec]) -> None:
         self.start, self.count = start, count
-        #: Each register and where it stands in the answer.
+        #: Each register and its place in the answer.
         self.codecs = tuple(
             (codec.address - start, codec)
             for codec in codecs
@@ -124,7 +124,7 @@ class RegisterDevice(Device):
         self._read_message, self._write_message, self._sync_message = (
             message or "" for message in (own.read_message, own.write_message, own.sync_message)
         )
-        #: The last raw number heard of each register, and when.
+        #: The last raw number received of each register, and when.
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, RegisterSpan] = {}
@@ -398,7 +398,7 @@ class RegisterDevice(Device):
         one, other = self.codec(first), self.codec(last)
         count = other.address + other.size - one.address
         if count <= 0:
-            raise CallerError(f"{self.name}: register {last} stands before {first}")
+            raise CallerError(f"{self.name}: register {last} comes before {first}")
         return RegisterSpan(one.address, count, self.codecs.values()), {"start": one.address, "count": count}
 
     def _must_answer(self, doing: str) -> None:

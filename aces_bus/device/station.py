@@ -1,6 +1,7 @@
-"""What both ends of a bus have in common: words in, records out to whom they are about, fields in, words out.
+"""What both ends of a bus have in common: frames in, records out to the members they address; fields in, frames out.
 
-1. Each record goes to those whose credentials it carries, by one look-up; a broadcast goes to all; what is nobody's is told.
+1. Each record goes to those whose credentials it carries, by one look-up; a broadcast goes to all; one that addresses no
+   member is reported.
 2. No I/O and no time of its own: a port brings words and instants.
 
 A record is about a device when its credential fields have the device's values: `board` of Hubo's identifiers, `id` of a
@@ -89,7 +90,7 @@ class BusEndpoint(Generic[M]):
         name: str = "",
     ) -> None:
         if not variants:
-            raise CallerError(f"{port.name}: a station needs at least one protocol")
+            raise CallerError(f"{port.name}: a bus endpoint needs at least one protocol")
         self.port, self.clock, self.name = port, port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
         self.direction = direction
@@ -138,7 +139,7 @@ class BusEndpoint(Generic[M]):
         self._routes.clear()
 
     def _route(self, record: Any) -> _Route[M]:
-        """Who may be meant by records of this type."""
+        """Which members a record of this type can address."""
         kind = type(record)
         members = [m for m in self.members.values() if m.variant.name == kind._protocol]
         fields = kind.__struct_fields__
@@ -178,13 +179,13 @@ class BusEndpoint(Generic[M]):
     # ------------------------------------------------------------------ words
 
     def open(self) -> None:
-        """Begin to hear; what is open stays so."""
+        """Start receiving; what is open stays so."""
         if not self._is_open:
             self.port.open(self._received)
             self._is_open = True  # not before: what is planned already may send from another thread
 
     def close(self) -> None:
-        """Hear no more."""
+        """Stop receiving."""
         if self._is_open:
             self._is_open = False
             self.port.close()
@@ -214,7 +215,7 @@ class BusEndpoint(Generic[M]):
             member.receive(record, instant)
 
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
-        """A word that is no message."""
+        """A frame or packet that is no known message."""
 
     def _unaddressed(self, record: Any, instant: int) -> None:
         """A record of a device that is not here."""

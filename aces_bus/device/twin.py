@@ -1,7 +1,7 @@
 """Twins: simulated devices, made from the same spec as the drivers that talk to them.
 
-1. A twin knows what the device's sheet says, and nothing of the driver: it hears requests and answers them.
-2. Its time is the clock's, its chance the world's: the same seed, the same run.
+1. A twin knows what the device's data sheet says, and nothing of the driver: it receives requests and answers them.
+2. Its time is the clock's, its randomness the world's: the same seed, the same run.
 3. It misbehaves on request, in the ways that devices do.
 
 The usual twin has a method a message:
@@ -46,7 +46,7 @@ class JointModel(Interface):
 
 @dataclass
 class World:
-    """What all twins of a robot share: the clock, the chance, the joints, and whatever else they put there."""
+    """What all twins of a robot share: the clock, the seed, the joints, and whatever else they put there."""
 
     clock: EventClock
     seed: int = 0
@@ -55,7 +55,7 @@ class World:
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def random(self, name: str) -> random.Random:
-        """A source of chance of its own for each twin: who is there does not change what another draws."""
+        """A random generator for each twin: one twin more or less does not change what another draws."""
         return random.Random(f"{self.seed} {name}")
 
 
@@ -71,13 +71,13 @@ def on(*messages: str) -> Callable[[F], F]:
 
 #: How every twin can misbehave; see `Twin.fault`.
 FAULTS: Mapping[str, str] = {
-    "silent": "hears and does not answer",
+    "silent": "receives requests and does not answer",
     "late": "answers 50 ms late (or as many seconds as said)",
     "wrong_check": "the last byte of each answer is wrong",
     "wrong_number": "answers with another device's number (one more, or the number said)",
     "twice": "answers twice, as two devices with one number do",
     "loses": "loses every third answer (or every n-th as said)",
-    "short": "answers with a word cut short by a byte",
+    "short": "its answers are a byte short",
 }
 
 
@@ -190,7 +190,7 @@ class Twin(EndpointMember):
             self.twins.send(word)
 
     def send_raw(self, word: Any) -> None:
-        """Send any word, as a device out of its mind might."""
+        """Send any frame or bytes, as a faulty device does."""
         self.twins.send(word)
 
     def _misnumbered(self, message: str, fields: dict[str, Any], number: int) -> Any:
@@ -239,7 +239,7 @@ class Twin(EndpointMember):
             )
 
     def power(self, on: bool) -> None:
-        """Switch it off, or on again: a device that was off has forgotten what it was told."""
+        """Switch it off, or on again: a device that was off has lost its state."""
         if on and not self.is_powered:
             self.setup()
         self.is_powered = on
@@ -265,9 +265,9 @@ class Twins(BusEndpoint[Twin]):
         super().__init__(port, variants, direction="to device")
         #: Words the bus did not take.
         self.not_sent = 0
-        #: Requests that were not understood, or were for nobody here.
+        #: Requests that were not understood, or addressed to no twin here.
         self.unknown = self.others = 0
-        #: Who wants to see what is not understood; what was heard last, and its end's place in the stream.
+        #: Twins that get what is not understood; what was received last, and its end's place in the stream.
         self._ears: list[Twin] = []
         self._tail = b""
         self._heard = 0
@@ -278,7 +278,7 @@ class Twins(BusEndpoint[Twin]):
             self.not_sent += 1
 
     def close(self) -> None:
-        """Hear and say no more."""
+        """Stop receiving and sending."""
         for twin in self.members.values():
             twin.stop()
         super().close()

@@ -38,8 +38,8 @@ def gate_of(
 ) -> CanGate | SerialGate | DatagramGate:
     """The gate of a robot's bus. `options` are python-can's (CAN), `channel` and `baud` (serial), or `channel` HOST:PORT.
 
-    They take precedence over what the file says; a datagram bus with `bind` (HOST:PORT) waits there for whoever speaks
-    first. Raises `CallerError` when neither says where the bus is.
+    They take precedence over what the file says; a datagram bus with `bind` (HOST:PORT) waits there for the first
+    sender. Raises `CallerError` when neither says where the bus is.
     """
     chosen = dict(options or {})
     channel = chosen.pop("channel", None) or bus.channel

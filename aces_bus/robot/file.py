@@ -109,7 +109,7 @@ def parse_robot(
     return make_robot(content, lambda path: (file, lines.of(path)), is_strict=is_strict)
 
 
-#: Where a key stands: file and line.
+#: File and line of a key.
 Place = Callable[[Sequence[str]], tuple[str, int]]
 
 

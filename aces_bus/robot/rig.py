@@ -4,7 +4,7 @@
 2. Inactive devices are not made.
 3. One resolver of names, `Rig.whole`: a joint's name alone ("RHY", or an alias) is its main quantity, which is what its
    set-points are. The rest is `RHY.velocity`.
-4. A state is made once, when somebody asks for it: what nobody reads costs nothing.
+4. A state is made once, when it is first asked for: an unread signal costs nothing.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Rig:
         return found
 
     def _unknown(self, name: str, owner: str) -> UnknownNameError:
-        """What there is near a name that is none: hundreds of names help nobody."""
+        """The error for an unknown name, with the names near it instead of hundreds."""
         near = [whole for whole in self.signals if whole.partition(".")[0] == owner]
         if not near and owner in self.devices:
             near = list(self.devices[owner].signals)
@@ -104,7 +104,7 @@ class Rig:
         return self
 
     def close(self) -> None:
-        """Close all buses, each when what was told has left. Nothing is stopped: see `stop_motion`."""
+        """Close all buses, each when what was queued has left. Nothing is stopped: see `stop_motion`."""
         for host in self.hosts.values():
             host.close()
 

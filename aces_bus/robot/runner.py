@@ -31,11 +31,11 @@ from .rig import Rig, States
 
 T = TypeVar("T")
 
-#: Priorities of components where nobody says otherwise: buses above control above logging.
+#: Priorities of components by default: buses above control above logging.
 BUSES, CONTROL, LOGGING = 50, 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
-#: Seconds in which devices must have been heard before controllers begin.
+#: Seconds in which every polled device must have answered before controllers begin.
 RECEIVE_S = 5.0
 #: Seconds that any one part of an end may take.
 PATIENCE_S = 2.0
@@ -43,7 +43,7 @@ PATIENCE_S = 2.0
 WATCH_NS, STEP_NS = 20_000_000, 1_000_000
 #: Events of logs.
 OF_LOGS = ("log-failed", "log-dropped")
-#: What fails again and again is told this often (ns).
+#: A repeated failure is reported this often at most (ns).
 REPEAT_NS = 1_000_000_000
 
 
@@ -200,7 +200,7 @@ class Runner:
             unlisted="pass",
             name=controller.name,
         )
-        # What a log cannot take is no reason to stop a robot, unless somebody says so.
+        # What a log cannot take is no reason to stop a robot, unless that is declared.
         supervisor = Supervisor(controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **(reactions or {})})
         self._listen(supervisor)
         return supervisor
@@ -297,7 +297,7 @@ class Runner:
         for handler in self.handlers:
             try:
                 handler(event)
-            except Exception as error:  # a user's code: all others are told the same
+            except Exception as error:  # a user's code: the other handlers are called all the same
                 self.rig.events.failures.append(error)
 
     def _fault(self, source: str, error: BaseException | str) -> None:
@@ -514,7 +514,7 @@ class Runner:
                 action()
             except Exception as error:  # whatever it is, the rest is done
                 self._fault(source, error)
-            except BaseException as error:  # Ctrl-C: the rest is done, and then it is told
+            except BaseException as error:  # Ctrl-C: the rest is done, and then it is raised
                 interrupted = error
             self._to_end.popleft()
         if interrupted is not None:

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from typing import Final
 
 KeyPath = tuple[str, ...]
-#: Tables within tables that are told apart; what lies deeper has the line of its table.
+#: Tables within tables that are distinguished; what lies deeper has the line of its table.
 DEEPEST: Final = 8
 #: Parts of a dotted key; tomllib needs minutes for some ten thousand.
 LONGEST: Final = 200

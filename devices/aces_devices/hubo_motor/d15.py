@@ -286,8 +286,8 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
 #: A joint this far (rad) from its reference, and not moving, has a big error.
 BIG = 0.1
-#: How far and fast a search moves (rad/s), and its end (rad).
-SEARCH_SPEED, NEAR = 0.5, 1e-3
+#: A search ends this near to 0 (rad).
+NEAR = 1e-3
 VERSION = 20150601
 
 

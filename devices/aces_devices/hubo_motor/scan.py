@@ -113,9 +113,10 @@ def _requests(dialect: str, host: Host) -> list[tuple[str, dict[str, Any], bool]
 
 def _config(host: Host, board: int, measured: int | None, known: Any) -> DeviceConfig:
     """A board of so many channels as was measured, else of the kind in the table, else of two channels."""
-    is_known = known is not None and measured is None
-    kind = known if is_known and isinstance(known, str) else None
-    channels = measured or (3 if kind is not None else int(known) if is_known else 2)
+    kind: str | None = None
+    if measured is None and isinstance(known, str):
+        measured, kind = 3, known
+    channels = measured or (2 if known is None else int(known))
     return DeviceConfig(
         name=name_of(board),
         driver="hubo_motor",
