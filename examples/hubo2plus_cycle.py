@@ -73,7 +73,7 @@ def main(seconds: float = 3.0, *, home: bool = True) -> dict[str, float]:
         motor = sum(
             turn.device.config.driver == "hubo_motor" and turn.poll.every_s is None
             for host in rig.hosts.values()
-            for turn in host.turns
+            for turn in host.slots
         )
         sent = (
             sum(host.counts.set_points - before[name][0] for name, host in rig.hosts.items()) / cycles + motor

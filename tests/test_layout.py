@@ -34,6 +34,7 @@ FLOORS: dict[str, set[str]] = {
     "frame_table": set(),  # the same frames as columns
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
     "_lazy": set(),  # public names imported on use
+    "plugins": set(),  # what installed packages bring
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
     "recordings": {"protocol"},
@@ -55,7 +56,7 @@ FLOORS: dict[str, set[str]] = {
     },  # floors put together
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
-EVERYONE = {"errors", "frames", "frame_table", "plain_text", "_lazy"}
+EVERYONE = {"errors", "frames", "frame_table", "plain_text", "_lazy", "plugins"}
 
 
 def module_name(path: Path) -> tuple[str, bool]:

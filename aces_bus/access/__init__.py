@@ -10,10 +10,9 @@ machine. See docs/logging.md.
 
 from __future__ import annotations
 
-from .events import AccessEvent
-from .inlet import Inlet
+from .inlet import AccessEvent, Inlet
+from .remote import RemoteStates
 from .udp import UdpStates
-from .zenoh import Publisher, RemoteStates
-from .zenoh_wire import ENDPOINT
+from .zenoh import ENDPOINT, Publisher
 
 __all__ = ["ENDPOINT", "AccessEvent", "Inlet", "Publisher", "RemoteStates", "UdpStates"]

@@ -1,18 +1,52 @@
-"""Set-points from outside, on their way down.
+"""Set-points from outside, on their way down; and what happens to those who look in from outside.
 
 1. They reach states on the clock's thread only. However many come, one action waits there, with the newest value of each
    state: a flood costs nothing below.
-2. A state that refuses one (read-only, not a number) is counted, and told once for each state until it takes one.
+2. A state that refuses one (read-only, not a number) is counted, and reported once for each state until it takes one.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from .events import AccessEvent, AccessEvents
+import msgspec
+
+
+class AccessEvent(msgspec.Struct, frozen=True):
+    """`kind` is "lost" (nothing comes any more), "back", "restarted" (another run answers) or "refused" (a set-point that
+    cannot be); `instant` in ns of a local clock, `source` who it is about, `detail` for people."""
+
+    kind: str
+    instant: int
+    source: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.source}: {self.kind}" + (f": {self.detail}" if self.detail else "")
+
+
+Listener = Callable[[AccessEvent], None]
+
+
+class AccessEvents:
+    """The last events, and who wants to know. Telling never raises."""
+
+    def __init__(self) -> None:
+        self.last: deque[AccessEvent] = deque(maxlen=64)
+        self.listeners: list[Listener] = []
+
+    def tell(self, event: AccessEvent) -> None:
+        """Keep it and tell all."""
+        self.last.append(event)
+        for listener in list(self.listeners):
+            try:
+                listener(event)
+            except Exception:  # a user's own; what failed goes on
+                pass
 
 
 class Soon(Protocol):
@@ -34,7 +68,7 @@ class Inlet:
         self, clock: Soon, states: Mapping[str, Any], events: AccessEvents, name: str, *, plans: bool = True
     ) -> None:
         self.clock, self.states, self.events, self.name = clock, states, events, name
-        #: Whether it plans on the clock by itself; else somebody calls `flush` on the clock's thread.
+        #: Whether it plans on the clock by itself; else its owner calls `flush` on the clock's thread.
         self.plans = plans
         self.taken = self.refused = 0
         #: When the last one was taken (ns); None before the first.
@@ -93,7 +127,7 @@ class Inlet:
 
     def _refuse(self, name: str, why: str) -> None:
         self.refused += 1
-        # Names from outside are endless: only so many are remembered, and told.
+        # Names from outside are endless: only so many are remembered and reported.
         if name not in self._complained and len(self._complained) < 256:
             self._complained.add(name)
             detail = f"{name!r}: {why}"[:300]

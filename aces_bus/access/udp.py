@@ -3,7 +3,7 @@
 1. Loopback only unless another address is named; `SET` does nothing unless `allow_set`.
 2. A datagram is junk until it is one of the three: longer than 128 bytes, another word, no number. Junk is counted and gets
    no answer, so that nothing can be reflected off this service but an answer shorter than 400 bytes to its own asker.
-3. It waits for nobody: sockets do not block, and an answer that the system does not take is counted and gone.
+3. It never waits: sockets do not block, and an answer that the system does not take is counted and gone.
 
 *Facts* (acesHubo, state/matlab.hpp): datagrams are ASCII; `GET` is answered by C's "%f" without a terminator, `SET` and
 `SMP` ("one sample request downstream") by nothing; ports are arguments of each state, 2827 and up in the scripts.
@@ -22,8 +22,7 @@ from typing import Any, Self
 
 from ..errors import CallerError, UnknownNameError
 from ..runtime import EventClock, Timer, VirtualClock
-from .events import AccessEvents
-from .inlet import Inlet
+from .inlet import AccessEvents, Inlet
 
 #: The longest request.
 LONGEST = 128

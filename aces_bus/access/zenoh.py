@@ -1,9 +1,9 @@
-"""States over zenoh: published where the robot is, and looking like states wherever a controller runs.
+"""States over zenoh, published where the robot is: sessions, keys, messages, and the publisher. `remote` has the other end.
 
 1. Endpoints are explicit and loopback by default; nothing is searched for on the network (no multicast, no gossip).
 2. Instants and ages are those of the publisher's clock: a remote state's `clock` is that one, as it is guessed from here.
-3. A connection that is lost makes every remote state unknown after `lost_s`, and is told; another run of the publisher
-   begins all histories anew. Where set-points stop coming, the robot's side is told after `dead_man_s`, and `on_lost`
+3. A connection that is lost makes every remote state unknown after `lost_s`, and is reported; another run of the publisher
+   begins all histories anew. Where set-points stop coming, the robot's side reports it after `dead_man_s`, and `on_lost`
    called.
 4. What comes is untrusted: bounded, of the stated types, counted in `bad`, never raised.
 
@@ -18,35 +18,136 @@ Needs the extra `[zenoh]` (eclipse-zenoh).
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Self
 
 import msgspec
 
-from ..errors import CallerError, NoReplyError, UnknownNameError
-from ..runtime import Clock, RealClock, VirtualClock
-from ..state import UNKNOWN, State
-from .events import AccessEvent, AccessEvents
-from .inlet import Inlet
-from .remote import RemoteClock, RemoteState
-from .zenoh_wire import (
-    ANSWER_S,
-    ENDPOINT,
-    MOST_ANSWER_S,
-    MOST_STATES,
-    AboutStates,
-    Options,
-    StateAbout,
-    StateValues,
-    closed,
-    decoded,
-    open_session,
-    robot_key,
-    subscribe,
-)
+from ..errors import CallerError, UnknownNameError
+from ..runtime import VirtualClock
+from .inlet import AccessEvent, AccessEvents, Inlet
+
+ENDPOINT = "tcp/127.0.0.1:7447"
+#: Bytes of a message: 2,000 states.
+MOST_BYTES = 1 << 18
+MOST_STATES = 2_000
+#: Messages that wait to be taken, at most.
+WAITING = 64
+#: How long an answer is waited for at first, and twice as long each time up to the last (s): the first question is often
+#: asked before the way is known.
+ANSWER_S, MOST_ANSWER_S = 0.1, 2.0
+Options = Mapping[str, Any]
+
+
+class StateValues(msgspec.Struct):
+    """One cycle of a publisher: by state the value (None where unknown) and its instant."""
+
+    session: int
+    now: int
+    states: dict[str, tuple[float | None, int | None]]
+
+
+class StateAbout(msgspec.Struct):
+    """What a state is."""
+
+    unit: str = ""
+    writable: bool = False
+    stale_after_s: float | None = None
+
+
+class AboutStates(msgspec.Struct):
+    """What a publisher publishes."""
+
+    session: int
+    rate_hz: float
+    clock: str
+    states: dict[str, StateAbout]
+    takes: bool = False
+
+
+def zenoh() -> Any:
+    """The library; `CallerError` naming the extra when it is missing."""
+    try:
+        import zenoh as library
+    except ImportError as missing:
+        raise CallerError(
+            f"zenoh needs eclipse-zenoh: pip install 'aces-bus[zenoh]' ({missing})"
+        ) from missing
+    return library
+
+
+def open_session(listen: Iterable[str], connect: Iterable[str], options: Options) -> Any:
+    """A session with these endpoints and no others; raises `CallerError` when that cannot be."""
+    library = zenoh()
+    settings = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/exit_on_failure": False,
+        "connect/timeout_ms": 0,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
+        **options,
+    }
+    try:
+        config = library.Config()
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        return library.open(config)
+    except library.ZError as error:
+        why = " ".join(str(error).partition(" at /")[0].split()).removeprefix("Json5Err(Message { msg: ")
+        raise CallerError(f"zenoh at {', '.join([*listen, *connect])}: {why[:300]}") from None
+
+
+def subscribe(declare: Callable[..., Any], key: str, take: Callable[[Any], None]) -> threading.Thread:
+    """Have `take` called with all that comes at a key, until the session is closed; the oldest of too many is left out.
+
+    On a thread of our own: a program that ends with one of the library's (eclipse-zenoh 1.10) does not end.
+    """
+    channel = declare(key, zenoh().handlers.RingChannel(WAITING))
+
+    def run() -> None:
+        with suppress(Exception):  # the library's own kind: the session is closed
+            for one in channel:
+                take(one)
+
+    thread = threading.Thread(target=run, name=f"zenoh {key}", daemon=True)
+    thread.start()
+    return thread
+
+
+def closed(session: Any, threads: list[threading.Thread]) -> None:
+    """Close a session, and let what hears it end: a thread inside the library must not outlive the interpreter."""
+    session.close()
+    for thread in threads:
+        if thread is not threading.current_thread():
+            thread.join(2.0)
+    threads.clear()
+
+
+def robot_key(robot: str) -> str:
+    """The beginning of a robot's keys; raises `CallerError` for a name that cannot be in one."""
+    if not robot or len(robot) > 100 or set(robot) & set("*$?#/ ") or not robot.isprintable():
+        raise CallerError(
+            f"{robot!r} cannot be a robot's name in zenoh; say robot=, without * $ ? # / and blanks"
+        )
+    return f"aces/{robot}"
+
+
+def decoded(decode: Callable[[bytes], Any], sample: Any) -> Any:
+    """A message, or None."""
+    try:
+        payload = sample.payload
+        if len(payload) > MOST_BYTES:
+            return None
+        return decode(bytes(payload))
+    except Exception:  # the library's own kinds too
+        return None
 
 
 class Publisher:
@@ -207,221 +308,3 @@ class Publisher:
 
     def __exit__(self, *_: object) -> None:
         self.stop(0)
-
-
-class RemoteStates(Mapping[str, State]):
-    """The states of a robot that is elsewhere. `with RemoteStates("tcp/192.168.0.5:7447", robot="hubo") as states: …`
-
-    They have values, ages, histories, `rate()` and all else; `states["RHY"].set(0.1)` and `give({"RHY": 0.1, …})` send
-    set-points. `lost_s` (default: five of the publisher's periods, at least 0.25 s) is the silence after which all are
-    unknown. `open` raises `NoReplyError` when nobody answers within `timeout_s`, `CallerError` for a wrong endpoint.
-    `bad` counts messages that were none, `cycles` those that were, `strangers` states that came without being announced.
-    """
-
-    def __init__(
-        self,
-        endpoint: str = ENDPOINT,
-        *,
-        robot: str = "robot",
-        lost_s: float | None = None,
-        timeout_s: float = 5.0,
-        history: int = 512,
-        clock: Clock | None = None,
-        options: Options | None = None,
-    ) -> None:
-        self.endpoint, self.robot, self.timeout_s = endpoint, robot, timeout_s
-        self.name = f"zenoh {endpoint} {robot}"
-        self._key = robot_key(robot)
-        if isinstance(clock, VirtualClock):
-            raise CallerError(
-                f"{self.name}: virtual time does not wait for another machine; use a real clock"
-            )
-        self.local = RealClock() if clock is None else clock
-        self.clock = RemoteClock(self.local, self.name)
-        self.history = history
-        self.events = AccessEvents()
-        self.cycles = self.bad = self.strangers = 0
-        self.takes = False
-        self._lost_s = lost_s
-        self._options = dict(options or {})
-        self._states: dict[str, RemoteState] = {}
-        self._about: AboutStates | None = None
-        self._session: Any = None
-        self._lock = threading.Lock()
-        self._known = threading.Event()
-        self._closing = threading.Event()
-        self._watcher: threading.Thread | None = None
-        self._threads: list[threading.Thread] = []
-        #: Somebody publishes who was not asked yet what.
-        self._wants = threading.Event()
-        self._patience_s = ANSWER_S
-        self._was_lost = False
-        self._decode = msgspec.json.Decoder(StateValues).decode
-        self._decode_about = msgspec.json.Decoder(AboutStates).decode
-
-    # ------------------------------------------------------------------ opening
-
-    def open(self) -> Self:
-        """Connect, and learn which states there are."""
-        if self._session is not None:
-            return self
-        self._closing.clear()
-        self._session = open_session([], [self.endpoint], self._options)
-        atexit.register(self.close)
-        self._threads = [subscribe(self._session.declare_subscriber, f"{self._key}/values", self._heard)]
-        self._wants.set()
-        self._patience_s = ANSWER_S
-        self._watcher = threading.Thread(target=self._watch, name=self.name, daemon=True)
-        self._watcher.start()
-        if not self._known.wait(self.timeout_s):
-            self.close()
-            raise NoReplyError(
-                f"{self.name}: nobody publishes there (waited {self.timeout_s:g} s); is a Publisher of this robot's name"
-                " running, and the endpoint its own?"
-            )
-        return self
-
-    def close(self) -> None:
-        """Hear no more: all states become unknown. Twice does nothing."""
-        self._closing.set()
-        watcher, self._watcher = self._watcher, None
-        if watcher is not None and watcher is not threading.current_thread():
-            watcher.join(5.0)
-        session, self._session = self._session, None
-        if session is not None:
-            atexit.unregister(self.close)
-            closed(session, self._threads)
-        self._known.clear()
-        self.clock.forget()
-
-    def __enter__(self) -> Self:
-        return self.open()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    # ------------------------------------------------------------------ as a mapping
-
-    def __getitem__(self, name: str) -> State:
-        try:
-            return self._states[name]
-        except KeyError:
-            raise UnknownNameError(f"state at {self.endpoint}", name, self._states) from None
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._states
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(list(self._states))
-
-    def __len__(self) -> int:
-        return len(self._states)
-
-    @property
-    def lost_s(self) -> float:
-        """The silence after which states are unknown."""
-        if self._lost_s is not None:
-            return self._lost_s
-        return 0.25 if self._about is None else max(0.25, 5 / self._about.rate_hz)
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether nothing has come for `lost_s`."""
-        return self.clock.silence_ns > self.lost_s * 1e9
-
-    def give(self, values: Mapping[str, float]) -> None:
-        """Send set-points together. Raises `CallerError` where one cannot be set, or nothing is connected."""
-        session = self._session
-        if session is None:
-            raise CallerError(f"{self.name}: not open")
-        for name, value in values.items():
-            if not self[name].is_writable:
-                raise CallerError(f"{self.name}: {name} cannot be set from here")
-            if not -float("inf") < value < float("inf"):
-                raise CallerError(f"{self.name}: {name}: {value!r} is not a finite number")
-        if values:
-            with suppress(Exception):  # a connection that is lost is told by its silence
-                session.put(f"{self._key}/set", msgspec.json.encode(dict(values)))
-
-    # ------------------------------------------------------------------ what comes
-
-    def _ask(self) -> None:
-        """Ask what there is, and wait for the answer."""
-        session = self._session
-        if session is None:
-            return
-        with suppress(Exception):  # the library's own kinds: not connected, or closed meanwhile
-            for reply in session.get(f"{self._key}/about", timeout=self._patience_s):
-                self._answered(reply)
-        self._patience_s = min(MOST_ANSWER_S, 2 * self._patience_s)
-
-    def _answered(self, reply: Any) -> None:
-        if reply.ok is None:
-            return  # nobody answered in time: asked again, if need be
-        about = decoded(self._decode_about, reply.ok)
-        if about is None or len(about.states) > MOST_STATES or not 0 < about.rate_hz <= 1e6:
-            self.bad += 1
-            return
-        with self._lock:
-            try:
-                self._learn(about)
-            except Exception:  # names or units that cannot be a state's
-                self.bad += 1
-
-    def _learn(self, about: AboutStates) -> None:
-        before = self._about
-        if before is not None and before.session == about.session:
-            return
-        for name, one in about.states.items():
-            known = self._states.get(name)
-            if known is None:
-                self._states[name] = RemoteState(
-                    name, self, one.unit, one.writable, one.stale_after_s, self.history
-                )
-            else:
-                known.clear()
-                known.is_writable = one.writable
-        for name in self._states.keys() - about.states.keys():
-            self._states[name].clear()
-            self._states[name].is_writable = False
-            if len(self._states) > MOST_STATES:
-                del self._states[name]
-        self.clock.forget()
-        self._about, self.takes = about, about.takes
-        self._patience_s = ANSWER_S / 2  # `_ask` doubles it
-        if before is not None:
-            self.events.tell(AccessEvent("restarted", self.local.now(), self.name, "another run answers"))
-        self._known.set()
-
-    def _heard(self, sample: Any) -> None:
-        cycle = decoded(self._decode, sample)
-        if cycle is None or not 0 <= cycle.now < 1 << 62 or len(cycle.states) > MOST_STATES:
-            self.bad += 1
-            return
-        if self._about is None or cycle.session != self._about.session:
-            self._wants.set()
-            return
-        with self._lock:
-            self.cycles += 1
-            self.clock.heard(cycle.now)
-            for name, (value, instant) in cycle.states.items():
-                state = self._states.get(name)
-                if state is None:
-                    self.strangers += 1
-                elif instant is not None and abs(instant) < 1 << 62:
-                    state.take(UNKNOWN if value is None else value, instant)
-
-    def _watch(self) -> None:
-        """Ask who publishes, and what; tell when nothing comes any more, and when it does again."""
-        while not self._closing.is_set():
-            if self._about is None or self._wants.is_set():
-                self._wants.clear()
-                self._ask()
-            if self._closing.wait(0.02 if self._about is None else min(0.05, self.lost_s / 4)):
-                return
-            is_lost = self.is_lost and self._about is not None
-            if is_lost != self._was_lost:
-                self._was_lost = is_lost
-                detail = f"nothing for {self.lost_s:g} s; all its states are unknown" if is_lost else ""
-                kind = "lost" if is_lost else "back"
-                self.events.tell(AccessEvent(kind, self.local.now(), self.name, detail))

@@ -1,6 +1,6 @@
-"""The device floor: what stands on a bus, and robots as data.
+"""The device floor: devices on a bus, their twins, and robots as data.
 
-A robot's file is read by `load_robot`; see docs/robots.md for what stands in it.
+A robot's file is read by `load_robot`; docs/robots.md describes its content.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from .device import Device, Poll, signal
 from .drivers import Driver, list_drivers, load_driver
 from .events import DeviceEvent, EventLog
 from .host import Host
+from .motor import MotorDevice
 from .port import Port
 from .signals import UNKNOWN, Reading, Signal
 from .stopping import stop_devices, wait_stopped
@@ -33,6 +34,7 @@ __all__ = [
     "Job",
     "Joint",
     "JointModel",
+    "MotorDevice",
     "OutgoingMessage",
     "Poll",
     "Port",

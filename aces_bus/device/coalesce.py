@@ -1,8 +1,8 @@
-"""How what many devices want becomes few words on the bus.
+"""Coalescing: the set-points of many devices become few frames or packets.
 
-1. A rule is a function of all that is wanted of one message in one tick. Drivers declare theirs; whoever makes a `Host`
+1. A rule is a function of all set-points of one message in one tick. Drivers declare theirs; the maker of a `Host`
    may give another.
-2. A rule loses nothing: each want is in a word, or waits in its signal for the next tick.
+2. A rule loses nothing: each set-point is in a message, or waits in its signal for the next tick.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ CoalescingRule = Callable[[Sequence[Setpoint]], Iterable[OutgoingMessage]]
 
 
 def per_device(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One word a device, with all its channels: both motors of a board in one reference frame. The default.
+    """One message a device, with all its channels: both motors of a board in one reference frame. The default.
 
     A channel that was never given a set-point has none: its device waits until all have one, unless it says what to send
     in its place (`Device.default_of`).
@@ -53,7 +53,7 @@ def per_device(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
 
 
 def uncoalesced(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One word a want: what it costs not to coalesce. Other channels repeat what they were given last."""
+    """One message a set-point: what it costs not to coalesce. Other channels repeat what they were given last."""
     for want in wants:
         fields = want.device.gathered(want.message, [want])
         if fields is not None:

@@ -1,7 +1,7 @@
 """A robot as data: its buses, the devices on them, the joints and sensors of the devices.
 
 1. Frozen, and checked where it is made (`load_robot`): who has a `Robot` need not ask again.
-2. Unknown is None. A limit that nobody has stated is absent, never 0.
+2. Unknown is None. A limit that is not stated is absent, never 0.
 3. No vendor: names of drivers, protocols and kinds are strings, understood by those who bring them.
 
 Units are SI: rad and rad/s for a revolute joint, m and m/s for a prismatic one. What only a board understands keeps the

@@ -1,6 +1,6 @@
 """A device: one node on a bus, as its driver knows it.
 
-1. Down: what is wanted is tagged with the device's credentials. Up: only what is its own arrives.
+1. Down: messages get the device's credentials. Up: only its own records arrive.
 2. SI outside, the sheet's units inside: conversions stand where a signal is declared, nowhere else.
 3. A driver waits for nothing: it asks, and goes on when the answer is there (`ask`, `job`).
 
@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
 from .coalesce import CoalescingRule, Setpoint
-from .config import DeviceConfig, Joint, Robot, Sensor
-from .shadowing import refuse_hidden, refuse_shadowing
-from .signals import UNKNOWN, Signal
+from .config import DeviceConfig, Robot
+from .signals import Signal
+from .station import EndpointMember, refuse_shadowing
 from .ticket import Job, Steps, Ticket
 
 if TYPE_CHECKING:
@@ -58,77 +58,38 @@ class Poll:
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """A signal as declared; see `signal`."""
+    """A quantity as a driver declares it: `signal("speed", unit="rad/s", of="State.speed")`.
+
+    It is read from the field `of` and set through the field `set` ("Message.field" or "Message.field.1"). `unit` is SI;
+    SI = field × `scale` + `offset`. `lower` and `upper` limit what is set, in SI. `stale_s` is how old a value may be
+    (default: five polls, at least 0.1 s).
+    """
 
     name: str
-    unit: str
-    of: str | None
-    set: str | None
-    scale: float
-    offset: float
-    lower: float | None
-    upper: float | None
-    stale_s: float | None
-    doc: str
-    source: str
+    unit: str = field(default="", kw_only=True)
+    of: str | None = field(default=None, kw_only=True)
+    set: str | None = field(default=None, kw_only=True)
+    scale: float = field(default=1, kw_only=True)
+    offset: float = field(default=0, kw_only=True)
+    lower: float | None = field(default=None, kw_only=True)
+    upper: float | None = field(default=None, kw_only=True)
+    stale_s: float | None = field(default=None, kw_only=True)
+    doc: str = field(default="", kw_only=True)
+    source: str = field(default="", kw_only=True)
 
 
-def signal(
-    name: str,
-    *,
-    unit: str = "",
-    of: str | None = None,
-    set: str | None = None,
-    scale: float = 1,
-    offset: float = 0,
-    lower: float | None = None,
-    upper: float | None = None,
-    stale_s: float | None = None,
-    doc: str = "",
-    source: str = "",
-) -> SignalSpec:
-    """Declare a quantity: read from the field `of` and set through the field `set` ("Message.field" or "Message.field.1").
-
-    `unit` is SI; SI = field × `scale` + `offset`. `lower` and `upper` limit what is set, in SI. `stale_s` is how old a
-    value may be (default: five polls, at least 0.1 s).
-    """
-    return SignalSpec(name, unit, of, set, scale, offset, lower, upper, stale_s, doc, source)
+signal = SignalSpec
 
 
 def _same(value: Any) -> Any:
     return value
 
 
-#: What every device has as an attribute of its own.
-ATTRIBUTES = frozenset(
-    (
-        "host",
-        "config",
-        "robot",
-        "variant",
-        "name",
-        "clock",
-        "credentials",
-        "joints",
-        "sensors",
-        "signals",
-        "readable",
-        "last_heard",
-        "is_silent",
-        "is_driven",
-        "misses",
-        "missing_since",
-        "missed_at",
-        "awaiting",
-        "answered",
-        "timed_out",
-    )
-)
 #: Methods of `Device` that may be actions, too.
 ACTIONS = frozenset({"stop_motion"})
 
 
-class Device:
+class Device(EndpointMember):
     """One node. Class attributes are the driver's declaration.
 
     `actions` names the methods that programs and the command line may call: name → what it does; those in `asking` only
@@ -147,30 +108,29 @@ class Device:
     asking: ClassVar[Collection[str]] = ()
     silent_after: ClassVar[int] = 3
     stale_s: ClassVar[float] = 0.1
+    attributes = EndpointMember.attributes | {
+        *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
+        *("missed_at", "awaiting", "answered", "timed_out"),
+    }
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "signals" in cls.__dict__:
             raise TypeError(f"{cls.__name__}: signals are declared as `provides = (signal(…), …)`")
-        refuse_hidden(cls, ATTRIBUTES)
         for name in cls.actions:
             if name in vars(cls) and name in vars(Device) and name not in ACTIONS:
                 refuse_shadowing(cls, name, "an action")
 
     def __init__(self, host: Host, config: DeviceConfig, robot: Robot, variant: Variant) -> None:
-        self.host, self.config, self.robot, self.variant = host, config, robot, variant
-        self.name = config.name
-        self.clock = host.clock
-        self.credentials: dict[str, int] = dict(config.credentials)
-        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
-        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
+        super().__init__(host.clock, config, robot, variant)
+        self.host = host
         self.signals: dict[str, Signal] = {}
         #: The names of those that are read from messages.
         self.readable: set[str] = set()
-        #: When it was last heard (ns).
+        #: When something was last received of it (ns).
         self.last_heard: int | None = None
         self.is_silent = False
-        #: Whether it was given set-points, or told to move, since it was last stopped.
+        #: Whether it was given set-points or commands to move since it was last stopped.
         self.is_driven = False
         self.misses = 0
         self.missing_since = self.missed_at = 0
@@ -184,7 +144,7 @@ class Device:
         self._given: dict[str, dict[str, Any]] = {}
         self._paths: dict[str, dict[str, None]] = {}
         self._slots: dict[str, list[tuple[str, str, int | None]]] = {}
-        #: Signals that nobody has said a stale age of, and the messages that tell them.
+        #: Signals without a stated stale age, and the messages that give them.
         self._usual_age: list[tuple[Signal, AbstractSet[str]]] = []
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
@@ -202,7 +162,7 @@ class Device:
         """A record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
-        """What stands in for a set-point that nobody has given yet; None: wait for it."""
+        """The value for a set-point that was not given yet; None: wait for it."""
         return None
 
     def start(self) -> Any:
@@ -220,14 +180,14 @@ class Device:
         """
         return None
 
-    def garbled(self, reason: str, instant: int) -> None:
-        """A word that is probably this device's was not understood."""
+    def malformed(self, reason: str, instant: int) -> None:
+        """A frame or packet that is probably this device's was not understood."""
 
     def renumbered(self) -> None:
-        """Its credentials are others now (`Host.renumber`): words that were made before are not its own."""
+        """Its credentials are others now (`Host.renumber`): frames that were encoded before are not its own."""
 
     def no_reply(self, ticket: Ticket) -> None:
-        """A request has failed for want of an answer."""
+        """A request was not answered."""
 
     # ------------------------------------------------------------------ signals
 
@@ -262,13 +222,15 @@ class Device:
         upper: float | None = None,
         stale_s: float | None = None,
         owner: str | None = None,
+        is_read: bool = False,
         doc: str = "",
         source: str = "",
     ) -> Signal:
         """A new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
 
         `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
-        `to_si` and `from_si` convert. Values that are set beyond `lower` or `upper` are limited, and that is told.
+        `to_si` and `from_si` convert. `is_read`: the driver itself updates it from what it receives. Values that are set
+        beyond `lower` or `upper` are limited, and that is reported.
         """
         whole = f"{owner or self.name}.{name}"
         if whole in self.signals:
@@ -303,7 +265,7 @@ class Device:
             doc=doc,
             source=source,
         )
-        if of:
+        if of or is_read:
             self.readable.add(whole)
         sources = (of,) if isinstance(of, str) else of or ()
         if stale_s is None:
@@ -328,7 +290,7 @@ class Device:
         return message, rest
 
     def _age_by_polls(self) -> None:
-        """What nobody has said an age for is stale after five polls."""
+        """Signals without a stated age are stale after five polls."""
         tick = 1 / self.host.rate_hz if self.host.rate_hz else 0.0
         for made, messages in self._usual_age:
             periods = [p.every_s or tick for p in self.polls if not messages.isdisjoint(p.replies)]
@@ -363,7 +325,7 @@ class Device:
         self._dirty.clear()
 
     def rebooted(self, detail: str) -> None:
-        """The device has forgotten what it was told."""
+        """The device has lost its state."""
         self.forget()
         self.tell_event("rebooted", detail)
 
@@ -439,7 +401,7 @@ class Device:
         return self.completed(message, fields)
 
     def waited_for(self) -> list[str]:
-        """The set-points ("Set.right") that nobody has given, and without which others that were given do not go out."""
+        """The set-points ("Set.right") that are missing, and without which others that were given do not go out."""
         return [
             f"{message}.{path}"
             for message, given in self._given.items()
@@ -485,12 +447,15 @@ class Device:
         return Job(self.clock, f"{self.name} {name}", steps)
 
     def tell_event(self, kind: Kind, detail: str = "") -> None:
-        """Tell what has happened."""
+        """Report an event of this device."""
         self.host.tell(kind, self.name, detail)
 
-    def __repr__(self) -> str:
-        tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
-        return f"<{type(self).__name__} {self.name}: {tags}>"
+    def tell_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
+        """Tell errors when one is new, and when all are over."""
+        if set(now) - set(before):
+            self.tell_event("alarm", f"{who}{', '.join(sorted(now))}")
+        elif before and not now:
+            self.tell_event("alarm over", f"{who}{', '.join(sorted(before))}")
 
 
 def slot_of(path: str) -> tuple[str, str, int | None]:
@@ -516,6 +481,3 @@ def _reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]:
         return lambda record: inner(getattr(record, name))
     number = int(index)
     return lambda record: to_si(getattr(record, name)[number])
-
-
-__all__ = ["UNKNOWN", "Device", "Poll", "SignalSpec", "signal"]

@@ -1,23 +1,17 @@
-"""The registry of drivers: what is installed, by name, imported on use.
-
-1. Lazy: listing imports no driver. Loud: an unknown name lists those that exist. Singular: two claims on one name raise,
-   with both places.
-2. Ours are registered as others' are: entry points of the group `aces_bus.devices`, each naming a `Driver`.
-"""
+"""Drivers: what a package registers for one kind of device, and those that are installed (see `aces_bus.plugins`)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
-from ..errors import SpecError, UnknownNameError
+from ..errors import SpecError
+from ..plugins import Plugins
 from .device import Device
 from .host import Host
 from .ticket import Job, Steps
 from .twin import Twin
-
-GROUP = "aces_bus.devices"
 
 
 @dataclass(frozen=True)
@@ -53,40 +47,15 @@ class Driver:
         return own if isinstance(own, str) else own.name
 
 
+#: The drivers that are installed.
+DRIVERS = Plugins("aces_bus.devices", "driver", Driver)
+
+
 def list_drivers() -> dict[str, EntryPoint]:
     """The installed drivers, by name, without importing them. Raises `SpecError` when two packages claim a name."""
-    found: dict[str, EntryPoint] = {}
-    for point in entry_points(group=GROUP):
-        other = found.get(point.name)
-        if other is not None and other.value != point.value:
-            raise SpecError(
-                f"two packages claim the driver name {point.name!r}: {other.value} and {point.value}"
-            )
-        found[point.name] = point
-    return dict(sorted(found.items()))
+    return DRIVERS.points()
 
 
 def load_driver(name: str) -> Driver:
-    """The installed driver `name`; raises `UnknownNameError` with the names that exist.
-
-    What was loaded once is kept: looking through all that is installed takes milliseconds.
-    """
-    kept = _loaded.get(name)
-    if kept is not None:
-        return kept
-    known = list_drivers()
-    if name not in known:
-        raise UnknownNameError("driver", name, known)
-    try:
-        driver = known[name].load()
-    except (ImportError, AttributeError) as error:
-        raise SpecError(f"driver {name!r} ({known[name].value}) cannot be loaded: {error}") from error
-    if not isinstance(driver, Driver):
-        raise SpecError(f"{known[name].value} is not a Driver but {type(driver).__name__}")
-    if driver.name != name:
-        raise SpecError(f"{known[name].value} calls itself {driver.name!r} and is registered as {name!r}")
-    _loaded[name] = driver
-    return driver
-
-
-_loaded: dict[str, Driver] = {}
+    """The installed driver `name`; raises `UnknownNameError` with the names that exist."""
+    return DRIVERS.load(name)

@@ -1,4 +1,4 @@
-"""What happens to devices, told at once to whoever wants to know (the paper's shortcut for errors)."""
+"""Events of devices, given to handlers at once (the paper's shortcut for errors)."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Kind = Literal[
     "answers",  # does again
     "no reply",  # a request was not answered, however often it was sent
     "late reply",  # an answer after its time
-    "two answers",  # more answers than requests: two devices with one number
-    "stranger",  # a device that nobody put on this bus
-    "malformed",  # a word that is none of the device's messages
-    "rebooted",  # forgot what it was told
+    "duplicate reply",  # more answers than requests: two devices with one number
+    "unknown device",  # a device that is not on this bus in the robot's file
+    "malformed",  # a frame or packet that is none of the device's messages
+    "rebooted",  # lost its state
     "alarm",  # the device reports a fault
     "alarm over",
     "limited",  # a set-point was beyond its limits
     "not sent",  # the bus does not take words, or words did not leave in time
-    "not stopped",  # was told to stop and has not yet
+    "not stopped",  # has not stopped yet
     "overrun",  # a tick's words did not fit into the tick
     "bug",  # a driver's own code raised
     # of the bus, as gates and wires tell them
@@ -62,17 +62,17 @@ class DeviceEvent(msgspec.Struct, frozen=True):
         return f"{self.instant / 1e9:.6f} {who}: {self.kind}{f': {self.detail}' if self.detail else ''}"
 
 
-#: Events of one kind and device are told this often at most (ns); all are counted.
-TELL_EVERY = 1_000_000_000
-#: What tells of a change, and therefore is told each time.
-TOLD_ALWAYS = frozenset(
+#: Events of one kind and device are reported this often at most (ns); all are counted.
+REPEAT_NS = 1_000_000_000
+#: Reports of a change: each one is given to handlers.
+REPORTED_ALWAYS = frozenset(
     (
         *("silent", "answers", "alarm", "alarm over", "rebooted"),
         *("opened", "lost", "reopened", "closed", "error-active", "error-passive", "bus-off", "recovered"),
     )
 )
-#: So many different events are told apart.
-APART = 10_000
+#: So many different events are distinguished.
+MOST_KEYS = 10_000
 
 
 class EventLog:
@@ -90,13 +90,13 @@ class EventLog:
     def tell(self, event: DeviceEvent) -> None:
         """Count; keep and hand on, but the same of one device at most once a second, unless it tells of a change."""
         self.counts[event.kind, event.device] += 1
-        # Strangers have no name: their details tell them apart.
-        who = event.device or event.detail if event.kind == "stranger" else event.device
+        # Unknown devices have no name: their details tell them apart.
+        who = event.device or event.detail if event.kind == "unknown device" else event.device
         key = (event.bus, event.kind, who)
         last = self._told.get(key)
-        if last is not None and event.instant - last < TELL_EVERY and event.kind not in TOLD_ALWAYS:
+        if last is not None and event.instant - last < REPEAT_NS and event.kind not in REPORTED_ALWAYS:
             return
-        if len(self._told) > APART:
+        if len(self._told) > MOST_KEYS:
             self._told.clear()
         self._told[key] = event.instant
         self.last.append(event)

@@ -1,9 +1,9 @@
-"""The host's side of a bus: its devices, what is asked of them, what they are told, and when.
+"""The host's side of a bus: its devices, what is sent to them, what is polled, and when.
 
 1. All runs on the port's clock: no thread, no lock, no wait. The same clock, words and calls give the same words.
 2. Each tick sends set-points first, as few words as the rules make of them; then polls, in turn, as far as the budget goes.
    What did not fit is first in the next tick.
-3. What is not answered, answered twice, not understood or nobody's is told by name, and stops nothing.
+3. A missing answer, a duplicate reply, a malformed frame and an unknown device are reported by name, and stop nothing.
 
 On a half-duplex line one speaks at a time: a request is sent when the one before was answered or its time is up.
 """
@@ -26,25 +26,25 @@ from .device import Device
 from .events import DeviceEvent, EventLog, Kind
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
-from .station import BusEndpoint
-from .ticket import Ticket
+from .station import BusEndpoint, shown
+from .ticket import Steps, Ticket
 
 #: An answer this soon (ns) after another to the same request is a second device's.
-SECOND = 20_000_000
+DUPLICATE_REPLY_NS = 20_000_000
 NO_REPLY: frozenset[str] = frozenset()
 #: An answer that is later than this (ns) does not come any more.
-LATEST = 500_000_000
+LATE_REPLY_NS = 500_000_000
 #: When this machine itself was held up for so long (ns), what has come meanwhile is heard before anybody is missed.
-HELD_UP, HEARING = 5_000_000, 10_000_000
+HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
 #: The robot of a probe.
-NOBODY = Robot(name="nobody", buses={}, devices={}, joints={}, sensors={})
+PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
 SILENT_SHARE = 5
 #: An instant that does not come (ns).
-NEVER = 1 << 62
-#: So many strangers are kept apart; a bus may claim millions.
-STRANGERS = 10_000
-#: The share of a tick that polls may fill when nobody says otherwise.
+NEVER_NS = 1 << 62
+#: So many unknown devices are told apart; a bus may claim millions.
+UNKNOWN_DEVICES = 10_000
+#: The share of a tick that polls may fill by default.
 BUDGET = 0.9
 
 
@@ -73,12 +73,12 @@ class Host(BusEndpoint[Device]):
         self.rules = dict(rules or {})
         self.events = events if events is not None else EventLog()
         self.counts = HostCounts()
-        #: Words that were not understood, by reason; records that were nobody's, by message and credentials.
+        #: Words that were not understood, by reason; records of unknown devices, by message and credentials.
         self.unknown: Counter[str] = Counter()
         #: Who is shown the words that were not understood: scans, which do not know yet what is there.
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
-        self.strangers: Counter[str] = Counter()
-        self.turns: deque[PollSlot] = deque()
+        self.unknown_devices: Counter[str] = Counter()
+        self.slots: deque[PollSlot] = deque()
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
@@ -88,7 +88,7 @@ class Host(BusEndpoint[Device]):
         self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
         self._tick_at = 0
         #: Half duplex: when the next tick is due, and after what instant no poll may end.
-        self._tick_end, self._polls_end = 0, NEVER
+        self._tick_end, self._polls_end = 0, NEVER_NS
         #: Whether this tick has had a poll: the first one goes out whatever it costs, or it never would.
         self._has_polled = False
         self._next_tick: Timer | None = None
@@ -123,22 +123,22 @@ class Host(BusEndpoint[Device]):
             except FieldError as error:
                 raise CallerError(
                     f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
-                    f" {self._who(member) or 'none'}"
+                    f" {shown(member.credentials) or 'none'}"
                 ) from error
-            turn = PollSlot(member, poll, word, 2 * self.port.wire_ns(word))
-            if turn.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
-                turn.due = self.clock.now() + round(turn.every_ns * (0.618 * len(self.turns) % 1))
+            slot = PollSlot(member, poll, word, 2 * self.port.wire_ns(word))
+            if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
+                slot.due = self.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
             if self._half and not self._period:
-                turn.due = NEVER  # asked when somebody says so: `poll` or `tick`
-            self.turns.append(turn)
+                slot.due = NEVER_NS  # asked on request: `poll` or `tick`
+            self.slots.append(slot)
         return member
 
     def postpone(self, device: Device, message: str, duration_s: float) -> None:
         """Poll a device with this message not before so long from now: its answer could be taken for another's."""
         until = self.clock.now() + round(duration_s * 1e9)
-        for turn in self.turns:
-            if turn.device is device and turn.poll.message == message and turn.due < until:
-                turn.due = until
+        for slot in self.slots:
+            if slot.device is device and slot.poll.message == message and slot.due < until:
+                slot.due = until
 
     def probe(self, protocol: str, **credentials: int) -> Device:
         """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
@@ -154,22 +154,42 @@ class Host(BusEndpoint[Device]):
             raise CallerError(
                 f"{self.name}: nothing here speaks {protocol} (the bus has {', '.join(self.variants)})"
             )
-        made = Device(self, config, NOBODY, self.variants[protocol])
+        made = Device(self, config, PROBED, self.variants[protocol])
         BusEndpoint.add(self, made)
         return made
+
+    def answers(
+        self,
+        protocol: str,
+        credentials: Mapping[str, int],
+        message: str,
+        *,
+        reply: str | tuple[str, ...],
+        timeout_s: float,
+        retries: int = 1,
+        **fields: Any,
+    ) -> Steps:
+        """Steps that ask whether anybody with these credentials is there: the record that answered, or None."""
+        probe = self.probe(protocol, **credentials)
+        try:
+            return (yield probe.ask(message, reply=reply, timeout_s=timeout_s, retries=retries, **fields))
+        except NoReplyError:
+            return None
+        finally:
+            self.remove(probe.name)
 
     def remove(self, name: str) -> None:
         """Take a device off; what was asked of it is forgotten."""
         device = self.members.get(name)
         super().remove(name)
-        self.turns = deque(turn for turn in self.turns if turn.device is not device)
+        self.slots = deque(slot for slot in self.slots if slot.device is not device)
 
     def renumber(self, member: Device, **credentials: int) -> None:
         """A device has other credentials from now on: its polls ask for them."""
         super().renumber(member, **credentials)
-        for turn in self.turns:
-            if turn.device is member:
-                turn.word = self.word(member, turn.poll.message, turn.poll.fields)
+        for slot in self.slots:
+            if slot.device is member:
+                slot.word = self.word(member, slot.poll.message, slot.poll.fields)
         member.renumbered()
 
     @property
@@ -180,7 +200,7 @@ class Host(BusEndpoint[Device]):
     # ------------------------------------------------------------------ opening and ticking
 
     def open(self) -> None:
-        """Begin to hear and, with a rate, to tick. Each device's `start` is called."""
+        """Start receiving and, with a rate, ticking. Each device's `start` is called."""
         super().open()
         for device in self.members.values():
             device.start()
@@ -189,7 +209,7 @@ class Host(BusEndpoint[Device]):
             self._next_tick = self.clock.call_at(self._tick_at, self._tick)
 
     def close(self) -> None:
-        """Tick and hear no more."""
+        """Stop ticking and receiving."""
         if self._next_tick is not None:
             self._next_tick.cancel()
             self._next_tick = None
@@ -221,61 +241,61 @@ class Host(BusEndpoint[Device]):
         counts = self.counts
         counts.ticks += 1
         self._tick_end = now + self._period
-        self._polls_end = now + round(self._period * self.budget) if self._period else NEVER
+        self._polls_end = now + round(self._period * self.budget) if self._period else NEVER_NS
         self._has_polled = False
         if self._half and not self._period:
-            for turn in self.turns:
-                if not turn.every_ns or now - turn.asked_at >= turn.every_ns:
-                    turn.due = now
+            for slot in self.slots:
+                if not slot.every_ns or now - slot.asked_at >= slot.every_ns:
+                    slot.due = now
         used = self._send_set_points(now)
         if self._half:
             self._pump()
             return
-        most = round(self._period * self.budget) if self._period else NEVER
-        turns = self.turns
-        for _ in range(len(turns)):
-            turn = turns[0]
-            if turn.due <= now and turn.waiting is None:
-                if used + turn.cost_ns > most:
-                    counts.polls_carried += sum(1 for t in turns if t.due <= now and t.waiting is None)
+        most = round(self._period * self.budget) if self._period else NEVER_NS
+        slots = self.slots
+        for _ in range(len(slots)):
+            slot = slots[0]
+            if slot.due <= now and slot.waiting is None:
+                if used + slot.cost_ns > most:
+                    counts.polls_carried += sum(1 for t in slots if t.due <= now and t.waiting is None)
                     break
-                used += turn.cost_ns
-                self._take_turn(turn, now)
-            turns.rotate(-1)
+                used += slot.cost_ns
+                self._take_slot(slot, now)
+            slots.rotate(-1)
 
     def poll(self) -> None:
         """Ask everything once, now, whatever the budget: for hosts without a rate."""
         now = self.clock.now()
-        for turn in self.turns:
-            if turn.waiting is None:
-                turn.due = now
+        for slot in self.slots:
+            if slot.waiting is None:
+                slot.due = now
                 if not self._half:
-                    self._take_turn(turn, now)
+                    self._take_slot(slot, now)
         self._pump()
 
-    def _take_turn(self, turn: PollSlot, now: int) -> None:
+    def _take_slot(self, slot: PollSlot, now: int) -> None:
         if self._half and not self._period:
-            turn.due = NEVER
-        elif turn.every_ns:
-            turn.due = now + turn.every_ns - self._period // 2
+            slot.due = NEVER_NS
+        elif slot.every_ns:
+            slot.due = now + slot.every_ns - self._period // 2
         elif self._half:
-            turn.due = self._tick_end  # once a tick
+            slot.due = self._tick_end  # once a tick
         else:
-            turn.due = now
-        turn.asked_at = now
+            slot.due = now
+        slot.asked_at = now
         self._has_polled = True
         ticket = Ticket(
-            self.clock, turn.device, turn.poll.message, turn.word, turn.replies, turn.timeout_ns, 0, turn
+            self.clock, slot.device, slot.poll.message, slot.word, slot.replies, slot.timeout_ns, 0, slot
         )
-        turn.waiting = ticket
+        slot.waiting = ticket
         self.counts.polls += 1
         if self._half:
             self._speak(ticket)
-        elif turn.common and self._asked_all.get(turn.word) == now:
+        elif slot.common and self._asked_all.get(slot.word) == now:
             self._await(ticket, now)
         else:
-            if turn.common:
-                self._asked_all[turn.word] = now
+            if slot.common:
+                self._asked_all[slot.word] = now
             self._send(ticket, now)
 
     def _send_set_points(self, now: int) -> int:
@@ -365,7 +385,7 @@ class Host(BusEndpoint[Device]):
         urgent: bool = False,
         report: Left | None = None,
     ) -> bool:
-        """Put a word on the bus; one that it does not take is told."""
+        """Put a frame or packet on the bus; one that it does not take is reported."""
         if not self._is_open or not self.port.send(word, age_ns, urgent=urgent, topic=device, report=report):
             self.counts.not_sent += 1
             self.tell("not sent", device.name, f"{message}: the bus does not take it")
@@ -391,9 +411,9 @@ class Host(BusEndpoint[Device]):
         """Look for tickets whose time is up."""
         now = self.clock.now()
         timer = self._deadline_timer
-        if timer is not None and now - timer.instant > HELD_UP and not self._is_hearing:
+        if timer is not None and now - timer.instant > HELD_UP_NS and not self._is_hearing:
             self._is_hearing = True  # never in virtual time: it is not held up
-            self._deadline_timer = self.clock.call_in(HEARING, self._expire)
+            self._deadline_timer = self.clock.call_in(LISTEN_NS, self._expire)
             return
         self._is_hearing = False
         deadlines = self._deadlines
@@ -445,9 +465,9 @@ class Host(BusEndpoint[Device]):
         if self._half and device.is_silent and ticket.poll is not None:
             # Its time-outs hold up all others: it is asked less often until it answers.
             due = now + (SILENT_SHARE - 1) * ticket.timeout_ns
-            for turn in self.turns:
-                if turn.device is device:
-                    turn.due = max(turn.due, due)
+            for slot in self.slots:
+                if slot.device is device:
+                    slot.due = max(slot.due, due)
         if ticket.poll is None:
             tries = f"{ticket.tries} tries" if ticket.tries > 1 else "one try"
             error = NoReplyError(
@@ -477,7 +497,7 @@ class Host(BusEndpoint[Device]):
         device.awaiting.remove(ticket)
         device.misses = 0
         device.answered[name] = instant
-        if device.timed_out and instant - device.missed_at > LATEST:
+        if device.timed_out and instant - device.missed_at > LATE_REPLY_NS:
             device.timed_out.clear()  # what has not come by now never will
         ticket.answered_at = instant
         counts = self.counts
@@ -485,24 +505,24 @@ class Host(BusEndpoint[Device]):
         latency = instant - ticket.sent_at
         if latency > counts.latency_ns:
             counts.latency_ns = latency
-        turn: PollSlot | None = ticket.poll
-        if turn is not None:
-            turn.waiting = None
-            self._learn(turn, record, instant)
+        slot: PollSlot | None = ticket.poll
+        if slot is not None:
+            slot.waiting = None
+            self._learn(slot, record, instant)
         if ticket is self._speaking:
             self._free(ticket)
         ticket.finish(record)
 
-    def _learn(self, turn: PollSlot, record: Any, instant: int) -> None:
+    def _learn(self, slot: PollSlot, record: Any, instant: int) -> None:
         """What a poll costs with its answer, and how long the round takes."""
         counts = self.counts
-        cycle = instant - turn.asked_at
+        cycle = instant - slot.asked_at
         if cycle > counts.cycle_ns:
             counts.cycle_ns = cycle
         counts.cycle_sum_ns += cycle
         counts.cycles += 1
         if self._half:
-            turn.cost_ns = cycle
+            slot.cost_ns = cycle
 
     def _unasked(self, device: Device, name: str, instant: int) -> None:
         """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""
@@ -511,16 +531,12 @@ class Host(BusEndpoint[Device]):
         if late:
             device.timed_out[name] = late - 1
             self.tell("late reply", device.name, name)
-        elif before is not None and instant - before < SECOND:
+        elif before is not None and instant - before < DUPLICATE_REPLY_NS:
             self.tell(
-                "two answers",
+                "duplicate reply",
                 device.name,
-                f"{name} came twice; are there two devices with {self._who(device)}?",
+                f"{name} came twice; are there two devices with {shown(device.credentials)}?",
             )
-
-    @staticmethod
-    def _who(device: Device) -> str:
-        return ", ".join(f"{key} {value:#04x}" for key, value in device.credentials.items())
 
     # ------------------------------------------------------------------ half duplex: one at a time
 
@@ -532,17 +548,17 @@ class Host(BusEndpoint[Device]):
         if self._line:
             self._speak(self._line.popleft())
             return
-        turns = self.turns
-        for _ in range(len(turns)):
-            turn = turns[0]
-            if turn.due <= now and turn.waiting is None:
-                if self._has_polled and now + turn.cost_ns > self._polls_end:
+        slots = self.slots
+        for _ in range(len(slots)):
+            slot = slots[0]
+            if slot.due <= now and slot.waiting is None:
+                if self._has_polled and now + slot.cost_ns > self._polls_end:
                     self.counts.polls_carried += 1
                     return  # its answer would come after the budget's end
-                turns.rotate(-1)
-                self._take_turn(turn, now)
+                slots.rotate(-1)
+                self._take_slot(slot, now)
                 return
-            turns.rotate(-1)
+            slots.rotate(-1)
 
     def _speak(self, ticket: Ticket) -> None:
         now = self.clock.now()
@@ -573,16 +589,16 @@ class Host(BusEndpoint[Device]):
         where = f"{word.meta.identifier:#05x} " if word.meta.identifier is not None else ""
         self.tell("malformed", device.name if device is not None else "", f"{where}{raw}: {word.reason[11:]}")
         if device is not None:
-            device.garbled(word.reason, instant)
+            device.malformed(word.reason, instant)
 
     def _answered_twice(self, word: UnknownWord) -> None:
-        """An answer on a half-duplex line that nobody asked for: it is late, or there are two who answer."""
+        """An unrequested answer on a half-duplex line: it is late, or two devices answer."""
         last = self._spoke_last
-        detail = f"{word.meta.raw.hex(' ')}: nobody has asked; are there two devices with one number?"
-        self.tell("two answers", last.name if last is not None else "", detail)
+        detail = f"{word.meta.raw.hex(' ')}: was not requested; are there two devices with one number?"
+        self.tell("duplicate reply", last.name if last is not None else "", detail)
 
     def _suspect(self, word: UnknownWord) -> Device | None:
-        """Whose word it may have been: by its identifier, or whoever has the line."""
+        """The device that may have sent it: by its identifier, or the one that has the line."""
         identifier = word.meta.identifier
         if identifier is None:
             return self._speaking.device if self._speaking is not None else None
@@ -602,7 +618,7 @@ class Host(BusEndpoint[Device]):
         """Something happened to the bus itself."""
         self.tell(kind, "", detail)
 
-    def _nobodys(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Any, instant: int) -> None:
         kind = type(record)
         names = {name for device in self.members.values() for name in device.credentials}
         who = ", ".join(
@@ -611,14 +627,14 @@ class Host(BusEndpoint[Device]):
             if isinstance(getattr(record, n, None), int)
         )
         name = f"{kind.__name__} {who}"
-        if name in self.strangers or len(self.strangers) < STRANGERS:
-            self.strangers[name] += 1
+        if name in self.unknown_devices or len(self.unknown_devices) < UNKNOWN_DEVICES:
+            self.unknown_devices[name] += 1
         self.tell(
-            "stranger",
+            "unknown device",
             "",
-            f"{kind.__name__} of {who or 'somebody'}, which is not on this bus in the robot's file",
+            f"{kind.__name__} of {who or 'an unknown device'}, which is not on this bus in the robot's file",
         )
 
     def tell(self, kind: Kind, device: str, detail: str = "") -> None:
-        """Tell what has happened; see `EventLog.tell` for how often."""
+        """Report what has happened; see `EventLog.tell` for how often."""
         self.events.tell(DeviceEvent(kind, self.clock.now(), self.name, device, detail))

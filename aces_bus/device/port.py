@@ -1,4 +1,4 @@
-"""What the device floor asks of a bus, whatever it is: a way in, a way out, a clock, and what a word costs."""
+"""What the device floor needs of any bus: receiving, sending, a clock, and what a frame or packet costs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol
 
 from ..runtime import EventClock
 
-#: Told what became of a word, and why.
+#: Called with what became of a frame or packet, and why.
 Left = Callable[[str, str], Any]
 
 
@@ -16,26 +16,26 @@ class Port(Protocol):
 
     @property
     def link(self) -> Literal["can", "serial", "datagram"]:
-        """What kind of words it carries."""
+        """Whether it carries frames or bytes."""
         ...
 
     @property
     def clock(self) -> EventClock:
-        """Whose instants `received` is told, and on whose thread."""
+        """The clock of the instants that `received` gets, and of its thread."""
         ...
 
     @property
     def name(self) -> str:
-        """What events call it."""
+        """Its name in events."""
         ...
 
     @property
     def half_duplex(self) -> bool:
-        """Whether all share one wire and nobody may speak before the one asked has answered."""
+        """Whether all share one wire, and a request is sent only when the one before was answered or timed out."""
         ...
 
     def open(self, received: Callable[[Any, int], Any]) -> None:
-        """Begin to hear: `received(word, instant)`."""
+        """Start receiving: `received(word, instant)`."""
         ...
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
@@ -64,5 +64,5 @@ class Port(Protocol):
         ...
 
     def close(self) -> None:
-        """Hear no more."""
+        """Stop receiving."""
         ...

@@ -66,13 +66,13 @@ class RegisterCodec:
 
 
 class RegisterSpan:
-    """Registers that stand side by side: what one request reads."""
+    """Neighbouring registers: what one request reads."""
 
     __slots__ = ("codecs", "count", "start")
 
     def __init__(self, start: int, count: int, codecs: Iterable[RegisterCodec]) -> None:
         self.start, self.count = start, count
-        #: Each register and where it stands in the answer.
+        #: Each register and its place in the answer.
         self.codecs = tuple(
             (codec.address - start, codec)
             for codec in codecs
@@ -120,7 +120,11 @@ class RegisterDevice(Device):
             made = {name: RegisterCodec(self.registers, name) for name in self.registers}
             found = self._all_codecs[id(self.registers)] = (self.registers, made)
         self.codecs: Mapping[str, RegisterCodec] = found[1]
-        #: The last raw number heard of each register, and when.
+        own = self.registers
+        self._read_message, self._write_message, self._sync_message = (
+            message or "" for message in (own.read_message, own.write_message, own.sync_message)
+        )
+        #: The last raw number received of each register, and when.
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, RegisterSpan] = {}
@@ -394,7 +398,7 @@ class RegisterDevice(Device):
         one, other = self.codec(first), self.codec(last)
         count = other.address + other.size - one.address
         if count <= 0:
-            raise CallerError(f"{self.name}: register {last} stands before {first}")
+            raise CallerError(f"{self.name}: register {last} comes before {first}")
         return RegisterSpan(one.address, count, self.codecs.values()), {"start": one.address, "count": count}
 
     def _must_answer(self, doing: str) -> None:
@@ -415,20 +419,6 @@ class RegisterDevice(Device):
                 word = self.host.word(self, poll.message, poll.fields)
                 self._spans[word] = RegisterSpan(start, count, self.codecs.values())
 
-    @property
-    def _read_message(self) -> str:
-        assert self.registers.read_message is not None
-        return self.registers.read_message
-
-    @property
-    def _write_message(self) -> str:
-        assert self.registers.write_message is not None
-        return self.registers.write_message
-
-    @property
-    def _sync_message(self) -> str:
-        return self.registers.sync_message or ""
-
 
 def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
     """One packet a register for all devices that want it, cut where the smallest receive buffer is full."""
@@ -447,6 +437,3 @@ def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
             ]
             fields = {"start": codec.address, "size": codec.size, "servos": servos}
             yield OutgoingMessage(first, mine[0].message, fields)
-
-
-__all__ = ["RegisterCodec", "RegisterDevice", "RegisterSpan", "together_rule"]

@@ -1,6 +1,6 @@
-"""One quantity of a device: its newest value, when it was measured, who wants to know, and how it is set.
+"""One quantity of a device: its newest value, when it was measured, its listeners, and how it is set.
 
-1. Unknown is a value: `UNKNOWN` until something was heard, and again after `forget` (a board that rebooted).
+1. Unknown is a value: `UNKNOWN` until a value is received, and again after `forget` (a board that rebooted).
 2. A stale value never passes as fresh: `value` is `UNKNOWN` once it is older than `stale_after_ns`; `last` says what it was.
 3. An update costs two stores and one call a listener: there are thousands a second.
 """
@@ -29,7 +29,7 @@ class UnknownType:
         return "UNKNOWN"
 
 
-#: What a quantity is before anything was heard of it, and when what was heard is stale.
+#: The value of a quantity before one was received, and when the last one is stale.
 UNKNOWN: Final = UnknownType()
 
 Listener = Callable[[Any, int], None]
@@ -48,7 +48,7 @@ class Signal:
     """One quantity, as a device knows it.
 
     `name` is unique within a robot ("RHY.position"), `unit` SI or "" (enumerations, flags). `setter` takes a new set-point;
-    without one the quantity is read-only. `lower` and `upper` are in `unit`, None where nobody has stated them.
+    without one the quantity is read-only. `lower` and `upper` are in `unit`, None where they are not stated.
     """
 
     __slots__ = (
@@ -84,21 +84,21 @@ class Signal:
         self.setter = setter
         self.lower, self.upper = lower, upper
         self.doc, self.source = doc, source
-        #: The last value that was heard, however old; `UNKNOWN` before.
+        #: The last value received, however old; `UNKNOWN` before.
         self.last: Any = UNKNOWN
         #: When that was measured (ns of `clock`).
         self.instant: int | None = None
         self.listeners: list[Listener] = []
 
     def update(self, value: Any, instant: int) -> None:
-        """A new value has been heard."""
+        """Take a new value and call the listeners."""
         self.last = value
         self.instant = instant
         for listener in self.listeners:
             listener(value, instant)
 
     def forget(self) -> None:
-        """What was known is not true any more; listeners hear that it is unknown."""
+        """Make it unknown again, for listeners too."""
         if self.instant is None:
             return
         self.last, self.instant = UNKNOWN, None
@@ -118,7 +118,7 @@ class Signal:
 
     @property
     def is_stale(self) -> bool:
-        """Whether it is too old, or was never heard."""
+        """Whether it is too old, or was never received."""
         if self.instant is None:
             return True
         return self.stale_after_ns is not None and self.clock.now() - self.instant > self.stale_after_ns

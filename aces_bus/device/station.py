@@ -1,6 +1,7 @@
-"""What both ends of a bus have in common: words in, records out to whom they are about, fields in, words out.
+"""What both ends of a bus have in common: frames in, records out to the members they address; fields in, frames out.
 
-1. Each record goes to those whose credentials it carries, by one look-up; a broadcast goes to all; what is nobody's is told.
+1. Each record goes to those whose credentials it carries, by one look-up; a broadcast goes to all; one that addresses no
+   member is reported.
 2. No I/O and no time of its own: a port brings words and instants.
 
 A record is about a device when its credential fields have the device's values: `board` of Hubo's identifiers, `id` of a
@@ -11,36 +12,65 @@ message has must agree. Messages with none of them are about every device of the
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from ..errors import CallerError
 from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
 from ..protocol.declare.message import Message
+from ..runtime import EventClock
+from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
 
 
-class EndpointMember(Protocol):
-    """Who stands at a station: a device or a twin."""
+class EndpointMember:
+    """What a device and its twin have in common: an entry of the robot's file, credentials, a part of the robot."""
 
-    @property
-    def name(self) -> str:
-        """Its name in the robot."""
-        ...
+    #: What every instance has as an attribute of its own: no method can have such a name.
+    attributes: ClassVar[frozenset[str]] = frozenset(
+        ("config", "robot", "variant", "name", "clock", "credentials", "joints", "sensors")
+    )
 
-    @property
-    def variant(self) -> Variant:
-        """What it speaks."""
-        ...
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name in cls.attributes:
+            if callable(vars(cls).get(name)):
+                raise TypeError(
+                    f"{cls.__name__}.{name}: every instance has an attribute {name!r}, which hides the method;"
+                    " choose another name"
+                )
 
-    @property
-    def credentials(self) -> Mapping[str, int]:
-        """What identifies it on the bus."""
-        ...
+    def __init__(self, clock: EventClock, config: DeviceConfig, robot: Robot, variant: Variant) -> None:
+        self.clock, self.config, self.robot, self.variant = clock, config, robot, variant
+        self.name = config.name
+        self.credentials: dict[str, int] = dict(config.credentials)
+        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
+        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
 
     def receive(self, record: Any, instant: int) -> None:
         """A record that is about it."""
-        ...
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name}: {shown(self.credentials)}>"
+
+
+def refuse_shadowing(cls: type, name: str, role: str, *, mark: str = "") -> None:
+    """Raise `TypeError` where `name`, which has a role in `cls`, replaces a method of a base that is for something else.
+
+    Methods that carry the attribute `mark` have the same role, and may be replaced.
+    """
+    for base in cls.__mro__[1:]:
+        other = vars(base).get(name)
+        if other is not None and not (mark and hasattr(other, mark)):
+            raise TypeError(
+                f"{cls.__name__}.{name} is {role}, and would replace {base.__name__}.{name}; choose another name"
+            )
+
+
+def shown(credentials: Mapping[str, int]) -> str:
+    """Credentials in a message: `board 0x08`."""
+    return ", ".join(f"{name} {value:#04x}" for name, value in credentials.items())
 
 
 M = TypeVar("M", bound=EndpointMember)
@@ -60,7 +90,7 @@ class BusEndpoint(Generic[M]):
         name: str = "",
     ) -> None:
         if not variants:
-            raise CallerError(f"{port.name}: a station needs at least one protocol")
+            raise CallerError(f"{port.name}: a bus endpoint needs at least one protocol")
         self.port, self.clock, self.name = port, port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
         self.direction = direction
@@ -104,12 +134,12 @@ class BusEndpoint(Generic[M]):
 
     def renumber(self, member: M, **credentials: int) -> None:
         """A member has other credentials from now on."""
-        member.__dict__["credentials"] = {**member.credentials, **credentials}
+        member.credentials = {**member.credentials, **credentials}
         self._tagged = {key: known for key, known in self._tagged.items() if key[0] != member.name}
         self._routes.clear()
 
     def _route(self, record: Any) -> _Route[M]:
-        """Who may be meant by records of this type."""
+        """Which members a record of this type can address."""
         kind = type(record)
         members = [m for m in self.members.values() if m.variant.name == kind._protocol]
         fields = kind.__struct_fields__
@@ -149,13 +179,13 @@ class BusEndpoint(Generic[M]):
     # ------------------------------------------------------------------ words
 
     def open(self) -> None:
-        """Begin to hear; what is open stays so."""
+        """Start receiving; what is open stays so."""
         if not self._is_open:
             self.port.open(self._received)
             self._is_open = True  # not before: what is planned already may send from another thread
 
     def close(self) -> None:
-        """Hear no more."""
+        """Stop receiving."""
         if self._is_open:
             self._is_open = False
             self.port.close()
@@ -179,15 +209,15 @@ class BusEndpoint(Generic[M]):
             return
         members = self.meant_by(record)
         if not members:
-            self._nobodys(record, instant)
+            self._unaddressed(record, instant)
             return
         for member in members:
             member.receive(record, instant)
 
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
-        """A word that is no message."""
+        """A frame or packet that is no known message."""
 
-    def _nobodys(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Any, instant: int) -> None:
         """A record of a device that is not here."""
 
     def word(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:

@@ -113,6 +113,3 @@ class _Stop:
             yield either
         finally:
             timer.cancel()
-
-
-__all__ = ["stop_devices", "wait_stopped"]

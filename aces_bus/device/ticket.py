@@ -146,7 +146,7 @@ class Job(Awaited):
             except AcesError as failed:
                 self.fail(failed)
                 return
-            except Exception as wrong:  # the driver's own fault: it is over, and told where it happened
+            except Exception as wrong:  # the driver's own fault: it is over, and raised where it happened
                 self.fail(DeviceError(f"{self.name}: {type(wrong).__name__}: {wrong}"))
                 raise
             if isinstance(step, Awaited):

@@ -1,7 +1,7 @@
 """Twins: simulated devices, made from the same spec as the drivers that talk to them.
 
-1. A twin knows what the device's sheet says, and nothing of the driver: it hears requests and answers them.
-2. Its time is the clock's, its chance the world's: the same seed, the same run.
+1. A twin knows what the device's data sheet says, and nothing of the driver: it receives requests and answers them.
+2. Its time is the clock's, its randomness the world's: the same seed, the same run.
 3. It misbehaves on request, in the ways that devices do.
 
 The usual twin has a method a message:
@@ -21,13 +21,14 @@ from functools import partial
 from typing import Any, ClassVar, TypeVar
 from typing import Protocol as Interface
 
+import msgspec
+
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..protocol import Protocol, Variant
 from ..runtime import EventClock, Timer
-from .config import DeviceConfig, Joint, Robot, Sensor
+from .config import DeviceConfig, Robot
 from .port import Port
-from .shadowing import refuse_hidden, refuse_shadowing
-from .station import BusEndpoint
+from .station import BusEndpoint, EndpointMember, refuse_shadowing
 
 #: Bytes that are kept of a stream, for twins that answer what is not understood.
 TAIL = 512
@@ -45,7 +46,7 @@ class JointModel(Interface):
 
 @dataclass
 class World:
-    """What all twins of a robot share: the clock, the chance, the joints, and whatever else they put there."""
+    """What all twins of a robot share: the clock, the seed, the joints, and whatever else they put there."""
 
     clock: EventClock
     seed: int = 0
@@ -54,7 +55,7 @@ class World:
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def random(self, name: str) -> random.Random:
-        """A source of chance of its own for each twin: who is there does not change what another draws."""
+        """A random generator for each twin: one twin more or less does not change what another draws."""
         return random.Random(f"{self.seed} {name}")
 
 
@@ -70,51 +71,37 @@ def on(*messages: str) -> Callable[[F], F]:
 
 #: How every twin can misbehave; see `Twin.fault`.
 FAULTS: Mapping[str, str] = {
-    "silent": "hears and does not answer",
+    "silent": "receives requests and does not answer",
     "late": "answers 50 ms late (or as many seconds as said)",
     "wrong_check": "the last byte of each answer is wrong",
     "wrong_number": "answers with another device's number (one more, or the number said)",
     "twice": "answers twice, as two devices with one number do",
     "loses": "loses every third answer (or every n-th as said)",
-    "short": "answers with a word cut short by a byte",
+    "short": "its answers are a byte short",
 }
 
 
-#: What every twin has as an attribute of its own.
-ATTRIBUTES = frozenset(
-    (
-        "twins",
-        "config",
-        "robot",
-        "variant",
-        "world",
-        "name",
-        "clock",
-        "random",
-        "credentials",
-        "joints",
-        "sensors",
-        "active_faults",
-        "is_powered",
-        "requests",
-        "replies",
-    )
-)
+#: The amounts of faults where none is said.
+AMOUNTS: Mapping[str, float] = {"late": 0.05, "wrong_number": -1, "loses": 3}
 
 
-class Twin:
+class Twin(EndpointMember):
     """One simulated device. `faults` (class) are the ways in which this kind misbehaves beyond `FAULTS`."""
 
     #: What it speaks: the name of an installed protocol, or a protocol itself.
     protocol: ClassVar[str | Protocol]
     faults: ClassVar[Mapping[str, str]] = {}
+    #: The amounts of these where none is said; 1 for others.
+    amounts: ClassVar[Mapping[str, float]] = {}
     #: From hearing a request to beginning the answer (ns).
     reply_delay_ns: int = 50_000
+    attributes = EndpointMember.attributes | {
+        *("twins", "world", "random", "active_faults", "is_powered", "requests", "replies"),
+    }
     _hearing: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        refuse_hidden(cls, ATTRIBUTES)
         found = dict(cls._hearing)
         for name, method in vars(cls).items():
             for message in getattr(method, "_hears", ()):
@@ -125,14 +112,9 @@ class Twin:
     def __init__(
         self, twins: Twins, config: DeviceConfig, robot: Robot, variant: Variant, world: World
     ) -> None:
-        self.twins: Twins = twins
-        self.config, self.robot, self.variant, self.world = config, robot, variant, world
-        self.name = config.name
-        self.clock = twins.clock
+        super().__init__(twins.clock, config, robot, variant)
+        self.twins, self.world = twins, world
         self.random = world.random(config.name)
-        self.credentials: dict[str, int] = dict(config.credentials)
-        self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
-        self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
         #: The faults that are on, with their amounts.
         self.active_faults: dict[str, float] = {}
         self.is_powered = True
@@ -208,7 +190,7 @@ class Twin:
             self.twins.send(word)
 
     def send_raw(self, word: Any) -> None:
-        """Send any word, as a device out of its mind might."""
+        """Send any frame or bytes, as a faulty device does."""
         self.twins.send(word)
 
     def _misnumbered(self, message: str, fields: dict[str, Any], number: int) -> Any:
@@ -225,8 +207,7 @@ class Twin:
         word = self.twins.word(self, message, fields)
         if self.variant.link != "can":
             return word
-        import msgspec  # a number that the spec does not know: its identifier is as near as any
-
+        # A number that the spec does not know: its identifier is as near as any.
         return msgspec.structs.replace(word, arbitration_id=word.arbitration_id ^ 1)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
@@ -253,11 +234,12 @@ class Twin:
         if not on:
             self.active_faults.pop(name, None)
         else:
-            usual = {"late": 0.05, "wrong_number": -1, "loses": 3}
-            self.active_faults[name] = usual.get(name, 1) if amount is None else amount
+            self.active_faults[name] = (
+                AMOUNTS.get(name, self.amounts.get(name, 1)) if amount is None else amount
+            )
 
     def power(self, on: bool) -> None:
-        """Switch it off, or on again: a device that was off has forgotten what it was told."""
+        """Switch it off, or on again: a device that was off has lost its state."""
         if on and not self.is_powered:
             self.setup()
         self.is_powered = on
@@ -272,10 +254,6 @@ class Twin:
         for timer in self._timers:
             timer.cancel()
 
-    def __repr__(self) -> str:
-        tags = ", ".join(f"{k} {v:#04x}" for k, v in self.credentials.items())
-        return f"<{type(self).__name__} {self.name}: {tags}>"
-
 
 class Twins(BusEndpoint[Twin]):
     """The simulated devices of one bus: they share its port, as boards share a backplane.
@@ -287,9 +265,9 @@ class Twins(BusEndpoint[Twin]):
         super().__init__(port, variants, direction="to device")
         #: Words the bus did not take.
         self.not_sent = 0
-        #: Requests that were not understood, or were for nobody here.
+        #: Requests that were not understood, or addressed to no twin here.
         self.unknown = self.others = 0
-        #: Who wants to see what is not understood; what was heard last, and its end's place in the stream.
+        #: Twins that get what is not understood; what was received last, and its end's place in the stream.
         self._ears: list[Twin] = []
         self._tail = b""
         self._heard = 0
@@ -300,7 +278,7 @@ class Twins(BusEndpoint[Twin]):
             self.not_sent += 1
 
     def close(self) -> None:
-        """Hear and say no more."""
+        """Stop receiving and sending."""
         for twin in self.members.values():
             twin.stop()
         super().close()
@@ -326,7 +304,7 @@ class Twins(BusEndpoint[Twin]):
             for twin in self._ears:
                 twin.not_understood(data, word.reason)
 
-    def _nobodys(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Any, instant: int) -> None:
         self.others += 1
 
 
@@ -334,9 +312,4 @@ def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:
     """A frame or packet with other data bytes."""
     if isinstance(word, (bytes, bytearray)):
         return change(bytes(word))
-    import msgspec
-
     return msgspec.structs.replace(word, data=change(word.data))
-
-
-__all__ = ["FAULTS", "JointModel", "Twin", "Twins", "World", "on", "with_data"]

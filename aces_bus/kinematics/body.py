@@ -88,7 +88,7 @@ _Walk = tuple[int, int, int, float, tuple[float, float, float]]
 class Body:
     """Chains over one list of joints.
 
-    >>> arm = Body("arm", [Chain("hand", (Turn("z", "S"), Move(0.3), Turn("z", "E"), Move(0.2)))])
+    >>> arm = Body("arm", [Chain("hand", (Revolute("z", "S"), Move(0.3), Revolute("z", "E"), Move(0.2)))])
     >>> arm.joints
     ('S', 'E')
     >>> arm.forward({"S": 0.0, "E": 0.0})["hand"].position

@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING
 from .._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .buses import gate_of, open_gates, port_for
-    from .ending import Ended
-    from .file import is_robot, make_robot, parse_robot
+    from .buses import VirtualRobot, gate_of, open_gates, port_for, wire_of
+    from .file import (
+        RobotError,
+        RobotFileProblem,
+        is_robot,
+        make_robot,
+        parse_robot,
+        print_robot,
+    )
     from .installed import check_robot, is_robot_path, list_robots, load_robot, robot_text
-    from .problem import RobotError, RobotFileProblem
-    from .replay import Replay
-    from .rig import Rig, Simulation, connect, simulate
-    from .runner import Runner
-    from .states import States
-    from .text import print_robot
-    from .virtual import VirtualRobot, wire_of
-    from .worlds import run_real, run_replay, run_virtual
+    from .rig import Rig, Simulation, States, connect, simulate
+    from .runner import Ended, Runner
+    from .worlds import Replay, run_real, run_replay, run_virtual
 
 __all__ = [
     "Ended",
@@ -53,17 +54,11 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        ".buses": "gate_of open_gates port_for",
-        ".ending": "Ended",
-        ".file": "is_robot make_robot parse_robot",
+        ".buses": "VirtualRobot gate_of open_gates port_for wire_of",
+        ".file": "RobotError RobotFileProblem is_robot make_robot parse_robot print_robot",
         ".installed": "check_robot is_robot_path list_robots load_robot robot_text",
-        ".problem": "RobotError RobotFileProblem",
-        ".replay": "Replay",
-        ".rig": "Rig Simulation connect simulate",
-        ".runner": "Runner",
-        ".states": "States",
-        ".text": "print_robot",
-        ".virtual": "VirtualRobot wire_of",
-        ".worlds": "run_real run_replay run_virtual",
+        ".rig": "Rig Simulation States connect simulate",
+        ".runner": "Ended Runner",
+        ".worlds": "Replay run_real run_replay run_virtual",
     },
 )

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Mapping
-from importlib.metadata import entry_points
 from itertools import islice
 from typing import Final, NamedTuple
 from typing import Protocol as Interface
@@ -18,10 +17,10 @@ from typing import Protocol as Interface
 import msgspec
 
 from ..device.config import DeviceConfig, Joint, Robot
+from ..device.drivers import list_drivers
 from ..errors import AcesError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
 
-DRIVERS: Final = "aces_bus.devices"
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
 SLIP: Final = 0.8
 #: More names than are searched and sorted for one complaint.
@@ -85,9 +84,9 @@ def _check_installed(
 
 
 def _check_driver(path: tuple[str, ...], name: str, complain: Complain) -> None:
-    """Complain when a driver is not installed. One that was found once is not looked for again: that takes milliseconds."""
+    """Complain when a driver is not installed. A known one is not searched for again: that takes milliseconds."""
     if name not in _drivers:
-        _drivers.update(point.name for point in entry_points(group=DRIVERS))
+        _drivers.update(list_drivers())
         _check_installed(path, "driver", name, _drivers, complain)
 
 
@@ -117,8 +116,6 @@ class _Spoken:
                 _check_installed(path, "protocol", name, list_protocols(), self._complain)
             except AcesError as error:
                 self._complain(path, f"protocol {name!r} cannot be used: {error}", True)
-            except Exception as error:  # whatever another package's import may raise
-                self._complain(path, f"protocol {name!r} cannot be imported: {error}", True)
         return self._loaded[name]
 
 
@@ -142,8 +139,7 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
             elif key == "baud" and value < 50:
                 complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)
         if bus.channel is not None:
-            other = channels.setdefault((bus.link, bus.channel), name)
-            if other != name:
+            if (other := channels.setdefault((bus.link, bus.channel), name)) != name:
                 complain((*path, "channel"), f"{bus.channel!r} is the channel of bus {other} already")
     return protocols
 
@@ -183,15 +179,13 @@ def _check_devices(
                 _check_dialect((*path, "dialect"), protocol, dialect, complain)
             _check_credentials(path, device, spoken, protocols.addresses[spoken], complain)
         if not device.credentials:
-            other = alone.setdefault((device.bus, spoken), device)
-            if other is not device:
+            if (other := alone.setdefault((device.bus, spoken), device)) is not device:
                 complain(
                     (*path, "credentials"),
                     f"nothing tells it from device {other.name}, which speaks {spoken} on bus {device.bus} too",
                 )
         for key, number in device.credentials.items():
-            other = claimed.setdefault((device.bus, spoken, key, number), device)
-            if other is not device:
+            if (other := claimed.setdefault((device.bus, spoken, key, number), device)) is not device:
                 # Credentials may refine one another, as the axis of a node does.
                 shared = device.credentials.keys() & other.credentials.keys()
                 is_other = any(device.credentials[one] != other.credentials[one] for one in shared)
@@ -302,8 +296,7 @@ def _check_joints(robot: Robot, written: Mapping[str, set[str]], complain: Compl
         _check_reference((*path, "device"), "device", joint.device, written["devices"], complain)
         device = robot.devices.get(joint.device)
         if joint.active:
-            other = claimed.setdefault((joint.device, joint.channel), name)
-            if other != name:
+            if (other := claimed.setdefault((joint.device, joint.channel), name)) != name:
                 complain(
                     (*path, "channel"), f"channel {joint.channel} of {joint.device} is joint {other} already"
                 )
@@ -358,8 +351,7 @@ def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Comp
         path = ("sensors", name)
         _check_reference((*path, "device"), "device", sensor.device, written["devices"], complain)
         if sensor.active:
-            other = claimed.setdefault((sensor.device, sensor.kind, sensor.channel), name)
-            if other != name:
+            if (other := claimed.setdefault((sensor.device, sensor.kind, sensor.channel), name)) != name:
                 complain((*path, "device"), f"the {sensor.kind} of {sensor.device} is sensor {other} already")
         if sensor.matrix is not None:
             sizes = {len(row) for row in sensor.matrix}

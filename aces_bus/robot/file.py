@@ -1,8 +1,9 @@
-"""A robot's file, read: TOML to `Robot`, with every complaint at once.
+"""A robot's file: TOML to `Robot` with all that is wrong at once, and a `Robot` as TOML.
 
 1. All problems are found, not the first: each key is checked by itself, then what depends on several.
 2. A problem has file, line, key and what is expected; keys and names that are near are proposed.
 3. A file is read, never run; its size is limited.
+4. `print_robot` writes one line an entry: read again, the text gives an equal robot. What is unknown is not written.
 
 The file's four tables hold one entry a bus, device, joint and sensor; an entry's keys are the fields of its struct.
 """
@@ -15,7 +16,8 @@ import re
 import reprlib
 import tomllib
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import date, time
 from functools import cache
 from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
 
@@ -25,7 +27,6 @@ from msgspec.structs import FieldInfo, fields
 from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
 from ..errors import CallerError
 from .checks import check, near
-from .problem import RobotFileProblem
 from .toml_lines import KeyLines
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -45,6 +46,28 @@ ENTRIES: Final[Mapping[str, type[Bus] | type[DeviceConfig] | type[Joint] | type[
 #: Where one of these is wrong, what depends on them is not looked at.
 BASIC: Final = {"link", "protocol", "dialect", "bus", "credentials", "channels", "kind", "device", "channel"}
 NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+
+
+class RobotFileProblem(msgspec.Struct, frozen=True, order=True):
+    """One complaint. `line` counts from 1; `key` is the dotted path in the file, "" for the file as a whole."""
+
+    file: str
+    line: int
+    key: str
+    text: str
+    is_warning: bool = False
+
+    def __str__(self) -> str:
+        key = f"{self.key}: " if self.key else ""
+        return f"{self.file}:{self.line}: {'warning: ' if self.is_warning else ''}{key}{self.text}"
+
+
+class RobotError(CallerError):
+    """A robot's file that cannot be used: the message has one line a problem, all of them."""
+
+    def __init__(self, problems: Sequence[RobotFileProblem]) -> None:
+        super().__init__("\n".join(map(str, problems)))
+        self.problems = tuple(problems)
 
 
 def check_robot_file(
@@ -74,7 +97,7 @@ def parse_robot(
     return make_robot(content, lambda path: (file, lines.of(path)), is_strict=is_strict)
 
 
-#: Where a key stands: file and line.
+#: File and line of a key.
 Place = Callable[[Sequence[str]], tuple[str, int]]
 
 
@@ -313,3 +336,81 @@ def _struct_in(annotation: Any) -> type[msgspec.Struct] | None:
         if isinstance(part, type) and issubclass(part, msgspec.Struct):
             return part
     return None
+
+
+# ---------------------------------------------------------------------- writing
+
+_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
+_ESCAPED: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r", "\b": "\\b", "\f": "\\f"}
+
+
+def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
+    """The robot's TOML file; `notes` become comments at its head."""
+    lines = [f"# {note}".rstrip() for note in notes]
+    lines += [
+        f"{name} = {_toml(value)}"
+        for name, value in _stated(robot).items()
+        if name not in ("buses", "devices", "joints", "sensors")
+    ]
+    sections: tuple[tuple[str, Mapping[str, msgspec.Struct]], ...] = (
+        ("buses", robot.buses),
+        ("devices", robot.devices),
+        ("joints", robot.joints),
+        ("sensors", robot.sensors),
+    )
+    for section, entries in sections:
+        if entries:
+            lines += ["", f"[{section}]"]
+            lines += [f"{_toml_key(name)} = {_toml(entry, ('name',))}" for name, entry in entries.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _stated(struct: msgspec.Struct) -> dict[str, Any]:
+    """The fields of a struct that are known and not what they are by default; a joint's channel always."""
+    stated: dict[str, Any] = {}
+    for field in fields(type(struct)):
+        value = getattr(struct, field.name)
+        if field.required or field.name == "channel" or value != field.default:
+            if value is not None and value != {}:
+                stated[field.name] = value
+    return stated
+
+
+def _toml(value: Any, without: tuple[str, ...] = ()) -> str:
+    if isinstance(value, msgspec.Struct):
+        value = {name: one for name, one in _stated(value).items() if name not in without}
+        return _toml_table(
+            {name: _hex(one) if name == "credentials" else _toml(one) for name, one in value.items()}
+        )
+    if isinstance(value, Mapping):
+        return _toml_table({name: _toml(one) for name, one in value.items()})
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _toml_text(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))
+    return value.isoformat() if isinstance(value, (date, time)) else repr(value)
+
+
+def _hex(credentials: Mapping[str, int]) -> str:
+    return _toml_table({name: f"0x{number:02X}" for name, number in credentials.items()})
+
+
+def _toml_table(values: Mapping[str, str]) -> str:
+    return (
+        f"{{ {', '.join(f'{_toml_key(name)} = {value}' for name, value in values.items())} }}"
+        if values
+        else "{}"
+    )
+
+
+def _toml_key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else _toml_text(name)
+
+
+def _toml_text(text: str) -> str:
+    escaped = "".join(_ESCAPED.get(c) or (c if c.isprintable() else f"\\U{ord(c):08X}") for c in text)
+    return f'"{escaped}"'

@@ -15,8 +15,7 @@ from typing import Final
 
 from ..device.config import Robot
 from ..errors import SpecError, UnknownNameError
-from .file import check_robot_file, parse_robot
-from .problem import RobotError, RobotFileProblem
+from .file import RobotError, RobotFileProblem, check_robot_file, parse_robot
 
 GROUP: Final = "aces_bus.robots"
 

@@ -1,17 +1,21 @@
-"""A robot put together: a host for each of its buses with the devices on it, or twins in their place.
+"""A robot put together: a host for each of its buses with the devices on it, or twins in their place; its signals as states.
 
 1. Which driver, credentials, dialect and units: all from the robot's file. Nothing here knows a vendor or a bus's kind.
 2. Inactive devices are not made.
+3. One resolver of names, `Rig.whole`: a joint's name alone ("RHY", or an alias) is its main quantity, which is what its
+   set-points are. The rest is `RHY.velocity`.
+4. A state is made once, when it is first asked for: an unread signal costs nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from ..device.coalesce import CoalescingRule
-from ..device.config import DeviceConfig, Robot
+from ..device.config import DeviceConfig, Joint, Robot, Sensor
 from ..device.device import Device
 from ..device.drivers import Driver, load_driver
 from ..device.events import DeviceEvent, EventLog
@@ -24,8 +28,13 @@ from ..device.twin import Twin, Twins, World
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Variant, load_protocol
 from ..runtime import EventClock
+from ..state import UNKNOWN, State
 
 Loader = Callable[[str], Driver]
+#: What a joint's name alone means, by the joint's `command`.
+MAIN = {"position": "position", "speed": "velocity", "current": "current", "duty": "duty"}
+#: The suffix of what was set, as a state.
+SETPOINT = ".setpoint"
 
 
 @dataclass
@@ -43,25 +52,43 @@ class Rig:
     devices: dict[str, Device] = field(default_factory=dict[str, Device])
     signals: dict[str, Signal] = field(default_factory=dict[str, Signal])
     aliases: dict[str, str] = field(default_factory=dict[str, str])
+    _whole: dict[str, str] = field(default_factory=dict[str, str], repr=False)
+
+    def whole(self, name: str) -> str:
+        """The full name of a signal: "RHY" or an alias of it is "RHY.position". Raises `UnknownNameError`."""
+        found = self._whole.get(name)
+        if found is None:
+            owner, _, rest = name.partition(".")
+            owner = self.aliases.get(owner, owner)
+            if not rest and owner in self.robot.joints:
+                rest = MAIN[self.robot.joints[owner].command]
+                if f"{owner}.{rest}" not in self.signals:
+                    rest = "position"
+            found = f"{owner}.{rest}"
+            if found not in self.signals:
+                raise self._unknown(name, owner)
+            self._whole[name] = found
+        return found
+
+    def _unknown(self, name: str, owner: str) -> UnknownNameError:
+        """The error for an unknown name, with the names near it instead of hundreds."""
+        near = [whole for whole in self.signals if whole.partition(".")[0] == owner]
+        if not near and owner in self.devices:
+            near = list(self.devices[owner].signals)
+        if near:
+            return UnknownNameError(f"signal of {owner}", name, near)
+        owners = {whole.partition(".")[0] for whole in self.signals}
+        return UnknownNameError(f"joint, sensor or device with signals in {self.robot.name}", owner, owners)
 
     def __getitem__(self, name: str) -> Signal:
-        """The signal "RHY.position", under any alias of its joint or sensor; raises `UnknownNameError`."""
-        found = self.signals.get(name)
-        if found is None:
-            owner, dot, rest = name.partition(".")
-            found = self.signals.get(f"{self.aliases.get(owner, owner)}{dot}{rest}")
-        if found is None:
-            raise UnknownNameError(f"signal of {self.robot.name}", name, self.signals)
-        return found
+        """The signal of this name, see `whole`; raises `UnknownNameError`."""
+        return self.signals[self.whole(name)]
 
     def device(self, name: str) -> Device:
         """The device of this name, or the one that has this joint or sensor; raises `UnknownNameError`."""
-        found = self.devices.get(name)
-        if found is None:
-            whole = self.aliases.get(name, name)
-            parts: Mapping[str, Any] = {**self.robot.joints, **self.robot.sensors}
-            part = parts.get(whole)
-            found = None if part is None else self.devices.get(part.device)
+        whole = self.aliases.get(name, name)
+        part = self.robot.joints.get(whole) or self.robot.sensors.get(whole)
+        found = self.devices.get(name) or (None if part is None else self.devices.get(part.device))
         if found is None:
             raise UnknownNameError(f"device of {self.robot.name}", name, self.devices)
         return found
@@ -77,7 +104,7 @@ class Rig:
         return self
 
     def close(self) -> None:
-        """Close all buses, each when what was told has left. Nothing is stopped: see `stop_motion`."""
+        """Close all buses, each when what was queued has left. Nothing is stopped: see `stop_motion`."""
         for host in self.hosts.values():
             host.close()
 
@@ -88,9 +115,10 @@ class Rig:
         """
         return stop_devices(self.clock, self.robot.name, self.devices.values())
 
-    def each(self, action: str) -> Job:
-        """Call an action ("enable") of every device that has it; the job is over when all are."""
-        jobs = [getattr(d, action)() for d in self.devices.values() if action in d.actions]
+    def each(self, action: str, devices: Iterable[Device] | None = None) -> Job:
+        """Call an action ("enable") of these devices (None: all), where they have it; the job is over when all are."""
+        some = self.devices.values() if devices is None else devices
+        jobs = [getattr(device, action)() for device in some if action in device.actions]
         return together(self.clock, f"{self.robot.name} {action}", [job for job in jobs if job is not None])
 
     def __enter__(self) -> Rig:
@@ -141,11 +169,9 @@ def connect(
         host.add(device)
         rig.devices[config.name] = device
         rig.signals.update(device.signals)
-    for name, aliases in (
-        *((joint.name, joint.aliases) for joint in robot.joints.values()),
-        *((sensor.name, sensor.aliases) for sensor in robot.sensors.values()),
-    ):
-        rig.aliases.update(dict.fromkeys(aliases, name))
+    parts: list[Joint | Sensor] = [*robot.joints.values(), *robot.sensors.values()]
+    for part in parts:
+        rig.aliases.update(dict.fromkeys(part.aliases, part.name))
     return rig
 
 
@@ -280,3 +306,57 @@ def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str
                 " a bus has one"
             )
     return {bus: list(variants.values()) for bus, variants in found.items()}
+
+
+# ---------------------------------------------------------------------- signals as states
+
+
+class States(Mapping[str, State]):
+    """The states of a rig by name, see `Rig.whole`, and of set-points: "RHY.setpoint". Each keeps `history` samples."""
+
+    def __init__(self, rig: Rig, *, history: int = 512) -> None:
+        self.rig, self.history = rig, history
+        self._made: dict[str, State] = {}
+
+    def whole(self, name: str) -> str:
+        """The full name of a state; raises `UnknownNameError` with those that exist."""
+        base = name.removesuffix(SETPOINT)
+        return self.rig.whole(base) + name[len(base) :]
+
+    def __getitem__(self, name: str) -> State:
+        state = self._made.get(name)
+        if state is None:
+            whole = self.whole(name)
+            state = self._made.get(whole)
+            if state is None:
+                base = whole.removesuffix(SETPOINT)
+                state = self._of_signal(whole) if base == whole else self[base].setpoint
+            self._made[whole] = self._made[name] = state
+        return state
+
+    def _of_signal(self, whole: str) -> State:
+        source: Any = self.rig.signals[whole]
+        # What is only set has its set-points for values; all else has what was received.
+        is_received = whole in self._readable or not source.is_writable
+        return State.of(source, history=self.history, sampled=is_received)
+
+    @cached_property
+    def _readable(self) -> set[str]:
+        return {name for device in self.rig.devices.values() for name in device.readable}
+
+    @property
+    def unknown(self) -> list[str]:
+        """The states in use that have no fresh value."""
+        return [name for name, state in self._made.items() if state[0] is UNKNOWN]
+
+    def __contains__(self, name: object) -> bool:
+        try:
+            return isinstance(name, str) and bool(self.whole(name))
+        except UnknownNameError:
+            return False
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.rig.signals)
+
+    def __len__(self) -> int:
+        return len(self.rig.signals)

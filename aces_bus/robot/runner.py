@@ -17,36 +17,82 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
 from ..controller.events import Listeners
 from ..controller.guard import Action, Bounds
-from ..device import UNKNOWN, Device, DeviceEvent, Job, stop_devices, wait_stopped
-from ..device.ticket import together
+from ..device import Device, DeviceEvent, Job, stop_devices, wait_stopped
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
-from ..runtime import EventClock, Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
-from .ending import Ended, RunLogger
-from .rig import Rig
-from .states import States
+from ..runtime import Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from .rig import Rig, States
 
 T = TypeVar("T")
 
-#: Priorities of components where nobody says otherwise: buses above control above logging.
+#: Priorities of components by default: buses above control above logging.
 BUSES, CONTROL, LOGGING = 50, 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
-#: Seconds in which devices must have been heard before controllers begin.
-HEARD_S = 5.0
+#: Seconds in which every polled device must have answered before controllers begin.
+RECEIVE_S = 5.0
 #: Seconds that any one part of an end may take.
 PATIENCE_S = 2.0
 #: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
-WATCH, LOOK = 20_000_000, 1_000_000
+WATCH_NS, STEP_NS = 20_000_000, 1_000_000
 #: Events of logs.
 OF_LOGS = ("log-failed", "log-dropped")
-#: What fails again and again is told this often (ns).
-TELL_EVERY = 1_000_000_000
+#: A repeated failure is reported this often at most (ns).
+REPEAT_NS = 1_000_000_000
+
+
+class RunLogger(Protocol):
+    """What a runner asks of a logger."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """How often it samples."""
+        ...
+
+    @property
+    def states(self) -> Sequence[str]:
+        """The names of the states that it records."""
+        ...
+
+    def bind(self, states: Mapping[str, Any]) -> None:
+        """Take them."""
+        ...
+
+    def start(self, now: int) -> None:
+        """Begin."""
+        ...
+
+    def step(self, now: int) -> None:
+        """Sample once; must not block."""
+        ...
+
+    def stop(self, now: int) -> None:
+        """End: all is on disk."""
+        ...
+
+
+@dataclass
+class Ended:
+    """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
+    end itself, and of that `not_stopped` the devices that may still move, with why.
+    """
+
+    reason: str
+    tripped: dict[str, str]
+    seconds: float
+    failed: list[str] = field(default_factory=list[str])
+    not_stopped: dict[str, str] = field(default_factory=dict[str, str])
 
 
 class Runner:
@@ -154,7 +200,7 @@ class Runner:
             unlisted="pass",
             name=controller.name,
         )
-        # What a log cannot take is no reason to stop a robot, unless somebody says so.
+        # What a log cannot take is no reason to stop a robot, unless that is declared.
         supervisor = Supervisor(controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **(reactions or {})})
         self._listen(supervisor)
         return supervisor
@@ -227,20 +273,18 @@ class Runner:
 
     def _failed(self, task: Task, error: BaseException) -> None:
         """A component raised: a logger, as controllers have supervisors for that."""
-        now = self.clock.now()
-        if now - self._told.get(task.name, -TELL_EVERY) < TELL_EVERY:
-            return
-        self._told[task.name] = now
         is_log = any(logger.name == task.name for logger in self.loggers)
-        kind = OF_LOGS[0] if is_log else "raised"
-        self._tell_all(ControlEvent(kind, now, task.name, f"{type(error).__name__}: {error}"[:500]))
+        self._raised(task.name, OF_LOGS[0] if is_log else "raised", error)
 
     def bus_failed(self, error: BaseException) -> None:
         """Something raised on the buses' thread."""
+        self._raised("buses", "bug", error)
+
+    def _raised(self, source: str, kind: str, error: BaseException) -> None:
         now = self.clock.now()
-        if now - self._told.get("buses", -TELL_EVERY) >= TELL_EVERY:
-            self._told["buses"] = now
-            self._tell_all(ControlEvent("bug", now, "buses", f"{type(error).__name__}: {error}"[:500]))
+        if now - self._told.get(source, -REPEAT_NS) >= REPEAT_NS:
+            self._told[source] = now
+            self._tell_all(ControlEvent(kind, now, source, f"{type(error).__name__}: {error}"[:500]))
 
     def _tell_all(self, event: ControlEvent) -> None:
         """What components tell reaches every supervisor, too."""
@@ -253,7 +297,7 @@ class Runner:
         for handler in self.handlers:
             try:
                 handler(event)
-            except Exception as error:  # a user's code: all others are told the same
+            except Exception as error:  # a user's code: the other handlers are called all the same
                 self.rig.events.failures.append(error)
 
     def _fault(self, source: str, error: BaseException | str) -> None:
@@ -283,7 +327,7 @@ class Runner:
         """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
         if self._phase != "running":
             return
-        self.clock.call_in(WATCH, self._watch)
+        self.clock.call_in(WATCH_NS, self._watch)
         now = self.clock.now()
         for supervisor in self.supervisors:
             began = self._inside.get(supervisor.name, now)
@@ -319,7 +363,7 @@ class Runner:
             raise NotStoppedError(ended.not_stopped)
 
     def open(self) -> None:
-        """Open the buses, and wait until every polled device has been heard or `HEARD_S` are over.
+        """Open the buses, and wait until every polled device has been heard or `RECEIVE_S` are over.
 
         Whatever opening raises comes out, with all closed again.
         """
@@ -331,7 +375,7 @@ class Runner:
             if any(host.rate_hz for host in self.rig.hosts.values()):
                 polled = [device for device in self.rig.devices.values() if device.polls]
                 self.clock.wait(
-                    lambda: all(device.last_heard is not None for device in polled), round(HEARD_S * 1e9)
+                    lambda: all(device.last_heard is not None for device in polled), round(RECEIVE_S * 1e9)
                 )
         except BaseException:
             self.stop("it could not be opened")
@@ -364,13 +408,7 @@ class Runner:
         found = dict.fromkeys(self.rig.device(one) if isinstance(one, str) else one for one in some)
         able = [device for device in found if action in device.actions]
 
-        def begin() -> Any:
-            jobs = [getattr(device, action)() for device in able]
-            return together(
-                self.clock, f"{self.rig.robot.name} {action}", [job for job in jobs if job is not None]
-            )
-
-        self.clock.call(begin).wait(timeout_s)
+        self.clock.call(lambda: self.rig.each(action, able)).wait(timeout_s)
         return [device.name for device in able]
 
     def start(self) -> None:
@@ -450,7 +488,7 @@ class Runner:
                 raise CallerError("nothing will ever happen here, and the run has no end: give it one")
             if clock.now() >= end:
                 return
-            clock.advance_to(min(end, clock.now() + LOOK))
+            clock.advance_to(min(end, clock.now() + STEP_NS))
 
     def stop(self, reason: str = "") -> Ended:
         """Stop controllers, motion, buses, logs; in this order, whatever fails on the way.
@@ -476,7 +514,7 @@ class Runner:
                 action()
             except Exception as error:  # whatever it is, the rest is done
                 self._fault(source, error)
-            except BaseException as error:  # Ctrl-C: the rest is done, and then it is told
+            except BaseException as error:  # Ctrl-C: the rest is done, and then it is raised
                 interrupted = error
             self._to_end.popleft()
         if interrupted is not None:
@@ -540,13 +578,3 @@ class Runner:
         """The states that controllers read or write, as they call them."""
         names = [name for s in self.supervisors for name in (*s.writes, *s.states)]
         return list(dict.fromkeys(names))
-
-    def unknown_states(self) -> list[str]:
-        """Those states in use that have no fresh value."""
-        return [name for name, state in self.states._made.items() if state[0] is UNKNOWN]
-
-    @property
-    def clock_name(self) -> str:
-        """Which clock instants belong to."""
-        clock: EventClock = self.clock
-        return clock.name

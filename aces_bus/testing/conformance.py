@@ -23,9 +23,9 @@ from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
 from ..hardware.simulated.bus import ListeningNode, SimulatedBus
 from ..hardware.simulated.faults import NO_FAULTS, Faults
 from ..hardware.simulated.serial_line import Noise
+from ..robot.buses import VirtualRobot
 from ..robot.file import parse_robot
 from ..robot.rig import Simulation, simulate
-from ..robot.virtual import VirtualRobot
 
 #: Seconds of virtual time in which whatever is polled must have been heard.
 SETTLE = 3.0
@@ -141,8 +141,8 @@ def check_heard(stand: TestBench) -> None:
                 if isinstance(one.value, float):
                     assert math.isfinite(one.value), one
         kinds = {event.kind for event in robot.events.last}
-        assert not kinds & {"silent", "no reply", "two answers", "stranger", "malformed", "bug"}, list(
-            robot.events.last
+        assert not kinds & {"silent", "no reply", "duplicate reply", "unknown device", "malformed", "bug"}, (
+            list(robot.events.last)
         )
 
 
@@ -250,13 +250,13 @@ def check_silence(stand: TestBench) -> None:
 
 #: Fault → what must have been told of it where there are polls; None: it need only be survived.
 MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
-    "late": ("silent", "late reply", "two answers"),
+    "late": ("silent", "late reply", "duplicate reply"),
     "loses": None,
     # On a half-duplex line the second answer meets the next request.
-    "twice": ("two answers", "malformed"),
+    "twice": ("duplicate reply", "malformed"),
     "short": ("malformed", "silent"),
     "wrong_check": None,
-    "wrong_number": ("silent", "stranger", "two answers", "malformed"),
+    "wrong_number": ("silent", "unknown device", "duplicate reply", "malformed"),
 }
 
 
@@ -334,7 +334,7 @@ def check_two_of_one(stand: TestBench) -> None:
         _closed(double)
         told = {kind for (kind, who), n in robot.events.counts.items() if n > before.get((kind, who), 0)}
         errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, SimulatedBus)) - errors
-        assert told & {"two answers", "malformed", "silent", "late reply"} or errors, (
+        assert told & {"duplicate reply", "malformed", "silent", "late reply"} or errors, (
             "nobody noticed the second device"
         )
         robot.advance(SETTLE)

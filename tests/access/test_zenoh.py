@@ -16,7 +16,7 @@ import pytest
 
 from aces_bus.access import Publisher, RemoteStates
 from aces_bus.access.remote import RemoteClock
-from aces_bus.access.zenoh_wire import open_session
+from aces_bus.access.zenoh import open_session
 from aces_bus.controller import NOTHING, Controller
 from aces_bus.controller.log import Logger, read_log
 from aces_bus.errors import CallerError, NoReplyError, UnknownNameError
@@ -238,7 +238,7 @@ def test_junk_is_counted_on_both_sides(loop: Loop, endpoint: str) -> None:
         session = states._about.session if states._about else 0
         odd = {"session": session, "now": loop.now(), "states": {"new": [1, 1], "hip": [1.5, 1 << 62]}}
         states._heard(Message(json.dumps(odd).encode()))
-        assert states.strangers == 1
+        assert states.unannounced == 1
         assert states["hip"][0] is UNKNOWN
         assert soon(lambda: states.cycles > cycles + 1)
 

@@ -7,9 +7,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import Device, Driver, Poll, on, signal
-from aces_bus.device.device import ATTRIBUTES
-from aces_bus.device.twin import ATTRIBUTES as TWIN_ATTRIBUTES
+from aces_bus.device import Device, Driver, Poll, Twin, on, signal
 from aces_bus.errors import AcesError, SpecError
 from aces_bus.robot import VirtualRobot
 from aces_bus.testing.conformance import run_check
@@ -57,8 +55,8 @@ def test_the_names_that_are_taken_are_all_of_them() -> None:
     robot = made(FAN)
     device, twin = robot.devices["A"], robot.twins["A"]
     public = {name for name in vars(device) if not name.startswith("_")}
-    assert public - {"polls"} == ATTRIBUTES
-    assert {name for name in vars(twin) if not name.startswith("_")} == TWIN_ATTRIBUTES | {"left", "right"}
+    assert public - {"polls"} == Device.attributes
+    assert {name for name in vars(twin) if not name.startswith("_")} == Twin.attributes | {"left", "right"}
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_strangers_and_foreign_words_are_named() -> None:
         other.send(Frame(0x121, bytes(7)))
         other.send(Frame(0x7FF, b"\x01"))
         robot.advance(0.005)
-        (stranger,) = robot.events.of("stranger")
+        (stranger,) = robot.events.of("unknown device")
         assert "State of node 0x05" in stranger.detail
         (malformed,) = robot.events.of("malformed")
         assert malformed.device == "A"

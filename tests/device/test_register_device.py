@@ -138,7 +138,7 @@ def test_calls_that_are_wrong_raise_at_once() -> None:
             device.write("goal", 361)
         with pytest.raises(FieldError, match="mode"):
             device.write("mode", "sideways")
-        with pytest.raises(CallerError, match="stands before"):
+        with pytest.raises(CallerError, match="comes before"):
             device.read("place", "goal")
         with pytest.raises(CallerError, match="confirm=True"):
             device.write("gain", 50)

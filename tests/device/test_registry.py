@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-import aces_bus.device.drivers as registry
+import aces_bus.plugins as registry
 from aces_bus.device import Driver, list_drivers, load_driver
+from aces_bus.device.drivers import DRIVERS
 from aces_bus.errors import SpecError, UnknownNameError
 from aces_bus.protocol import list_protocols
 from aces_bus.robot import parse_robot
@@ -41,15 +42,15 @@ def test_two_claims_on_a_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(registry, "entry_points", entry_points)
     points[:] = [
-        EntryPoint("fan", "one:driver", registry.GROUP),
-        EntryPoint("fan", "two:driver", registry.GROUP),
+        EntryPoint("fan", "one:driver", DRIVERS.group),
+        EntryPoint("fan", "two:driver", DRIVERS.group),
     ]
     with pytest.raises(SpecError, match="one:driver and two:driver"):
         list_drivers()
-    points[:] = [EntryPoint("fan", "math:pi", registry.GROUP)]
+    points[:] = [EntryPoint("fan", "math:pi", DRIVERS.group)]
     with pytest.raises(SpecError, match="not a Driver but float"):
         load_driver("fan")
-    points[:] = [EntryPoint("ventilator", "tests.device.fan:FAN", registry.GROUP)]
+    points[:] = [EntryPoint("ventilator", "tests.device.fan:FAN", DRIVERS.group)]
     with pytest.raises(SpecError, match="calls itself 'fan'"):
         load_driver("ventilator")
 

@@ -175,7 +175,7 @@ def test_what_cannot_be_is_refused() -> None:
     """A third channel, an unknown joint or mode, a change of mode while enabled."""
     with _running() as robot:
         device = robot.devices["B5"]
-        with pytest.raises(CallerError, match="no joint 'RHY'"):
+        with pytest.raises(CallerError, match="no joint of B5 named 'RHY'"):
             device.home("RHY")
         with pytest.raises(CallerError, match="absolute or incremental"):
             device.position_mode("relative")

@@ -14,10 +14,9 @@ from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameE
 from aces_bus.hardware.simulated.bus import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests, run_check
-from aces_devices.hubo_motor import driver
-from aces_devices.hubo_motor.example import D08, D08X, D12, D12_THREE
+from aces_devices.hubo_motor import D08, D08X, D12, D12_THREE, driver
+from aces_devices.hubo_motor.parameters import BoardParameters, selector
 from aces_devices.hubo_motor.scan import channels_by_length, name_of
-from aces_devices.hubo_motor.storage import BoardParameters, selector
 
 test_driver = driver_tests(driver)
 
@@ -182,9 +181,9 @@ def test_a_board_of_no_known_kind_is_refused() -> None:
 @pytest.mark.parametrize(
     ("settings", "what"),
     [
-        ("status_s = -1", "status_s is a number from 0 to 3600, not -1"),
-        ('filter = "long"', "filter is a number from 1"),
-        ("trigger = 1", "trigger is true or false"),
+        ("status_s = -1", r"status_s = -1: Expected `float` >= 0\.0"),
+        ('filter = "long"', "filter = 'long': Expected `float`"),
+        ("trigger = 1", "trigger = 1: Expected `bool`"),
         ("stauts_s = 1", "did you mean|status_s"),
     ],
 )

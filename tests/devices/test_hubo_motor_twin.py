@@ -13,8 +13,7 @@ from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_devices.hubo_motor import driver
-from aces_devices.hubo_motor.example import D08, D12
+from aces_devices.hubo_motor import D08, D12, driver
 from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_protocols.hubo.spec import hubo
 

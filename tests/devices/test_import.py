@@ -194,7 +194,7 @@ def test_a_tree_becomes_a_robot(tree: Path) -> None:
             "type DRC_TF",
             "robot.dd:50: type: no FT type named 'DRC_TF'; did you mean 'DRC_FT'?",
         ),
-        ("can_channel 1", "can_channel 9", "robot.dd:51: can_channel: expected 0…3, not 9"),
+        ("can_channel 1", "can_channel 9", "robot.dd:51: can_channel: expected 0 or 1 or 2 or 3, not '9'"),
         ("end meta", "end Joint", "robot.dd:6: end: expected end meta, not 'end Joint'"),
         ("end meta\n", "", "robot.dd:2: begin: no end meta follows"),
         (
@@ -300,7 +300,7 @@ def test_a_home_table_alone_is_laid_over_a_robot_that_ships(tables: list[Path]) 
     ("table", "old", "new", "said"),
     [
         (0, "JMC9 1", "JMC99 1", "my.joint.table:5: jmc: expected JMC0…EJMC15, not 'JMC99'"),
-        (0, "-1 JMC9", "-2 JMC9", "my.joint.table:5: dir: expected 1 or -1, not -2"),
+        (0, "-1 JMC9", "-2 JMC9", "my.joint.table:5: dir: expected 1 or -1, not '-2'"),
         (0, "-1 JMC9", "JMC9", "my.joint.table:5: : expected 16 columns"),
         (0, "WST 0", "WST zero", "my.joint.table:2: motNo: expected a whole number, not 'zero'"),
         (0, "NKP", "NKY", "my.joint.table:4: name: NKY is there twice: see line 3"),
@@ -312,8 +312,8 @@ def test_a_home_table_alone_is_laid_over_a_robot_that_ships(tables: list[Path]) 
         ),
         (0, "10 25", "10 0", "my.joint.table:2: joints.WST.gear: expected two numbers above 0"),
         (0, "REB 1", "REB 2", "my.joint.table:5: joints.REB.channel: JMC9 has no channel 2 (it has: 0…1)"),
-        (1, "0 1 1 -1", "0 1 16 -1", "my.sensor.table:2: board: expected 1…15, not 16"),
-        (1, "-1 -1 1", "-1 -1 7", "my.sensor.table:2: z-axis: expected 1 or -1 or 0, not 7"),
+        (1, "0 1 1 -1", "0 1 16 -1", "my.sensor.table:2: board: expected 1…15, not '16'"),
+        (1, "-1 -1 1", "-1 -1 7", "my.sensor.table:2: z-axis: expected 1 or -1 or 0, not '7'"),
         (2, "REB ", "TAIL ", "my.home:3: JointName: no joint is named 'TAIL'"),
         (2, "30          raw", "30          deg", "my.home:3: Type: expected raw or rad, not 'deg'"),
         (2, "-169999", "170003", "my.home:2: joints.WST.home.lower: 170002 is not below upper = 170000"),

@@ -246,7 +246,10 @@ def test_omnibot_wheels() -> None:
 
 @pytest.mark.parametrize(
     ("change", "complaint"),
-    [(("bits = 8", "bits = 9"), "bits is 7 or 8"), (("channel = 1", "channel = 2"), "a qik has 0 and 1")],
+    [
+        (("bits = 8", "bits = 9"), "the setting bits = 9"),
+        (("channel = 1", "channel = 2"), "a qik has 0 and 1"),
+    ],
 )
 def test_what_it_has_not_is_refused(change: tuple[str, str], complaint: str) -> None:
     """A third motor, a ninth bit."""

@@ -392,7 +392,7 @@ def test_a_scan_names_an_id_that_two_have() -> None:
 
 def test_settings_that_cannot_be_are_refused() -> None:
     """A level that no servo has, a way of stopping that nobody knows."""
-    with pytest.raises(CallerError, match="status_return_level 3"):
+    with pytest.raises(CallerError, match="status_return_level = 3"):
         made(robot_of(status_return_level=3))
     with pytest.raises(CallerError, match="stop"):
         made(robot_of(stop="fast"))

@@ -111,7 +111,7 @@ def test_a_wrong_number(robot: VirtualRobot) -> None:
     """A board that answers with a number that nobody has on this bus is a stranger by name; nothing of it is believed."""
     robot.twins["JMC7"].fault("wrong_number", 0x08)
     robot.advance(0.5)
-    strangers = [event.detail for event in robot.events.of("stranger")]
+    strangers = [event.detail for event in robot.events.of("unknown device")]
     assert any("Encoder of board 0x08" in one and "not on this bus" in one for one in strangers)
     assert robot["RSP.position"].value is not UNKNOWN  # board 0x08 of the other bus
     assert "silent" in kinds(robot, "JMC7")
@@ -127,7 +127,7 @@ def test_the_number_of_another_board(robot: VirtualRobot) -> None:
     assert "silent" in kinds(robot, "JMC4")
     assert robot["LHY.position"].value is UNKNOWN
     # JMC5 has one motor, JMC4 two: the frame is too long for what JMC5 says.
-    assert kinds(robot, "JMC5") & {"two answers", "malformed"}
+    assert kinds(robot, "JMC5") & {"duplicate reply", "malformed"}
     still_lives(robot)
 
 
@@ -166,13 +166,13 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
     double.twins[BOARD].reply_delay_ns += 3_000_000  # words of the same bits at the same time are one word
     with double:
         robot.advance(1.0)
-        assert robot.events.count("two answers", BOARD) >= 1
-        assert "two devices with board 0x00" in told(robot, "two answers", BOARD)
+        assert robot.events.count("duplicate reply", BOARD) >= 1
+        assert "two devices with board 0x00" in told(robot, "duplicate reply", BOARD)
         still_lives(robot)
     robot.advance(0.5)
-    count = robot.events.count("two answers", BOARD)
+    count = robot.events.count("duplicate reply", BOARD)
     robot.advance(1.0)
-    assert robot.events.count("two answers", BOARD) == count
+    assert robot.events.count("duplicate reply", BOARD) == count
     assert robot[f"{JOINT}.position"].value is not UNKNOWN
 
 
@@ -220,7 +220,7 @@ def test_everything_at_once(robot: VirtualRobot) -> None:
     robot.advance(1.0)
     assert "silent" in kinds(robot, "JMC2")
     assert kinds(robot, "JMC3") & {"late reply", "silent"}
-    assert "two answers" in kinds(robot, "JMC4")
+    assert "duplicate reply" in kinds(robot, "JMC4")
     assert "malformed" in kinds(robot, "JMC7")
     for joint in ("RKN", "LAP", "LAR"):
         assert robot[f"{joint}.position"].value is UNKNOWN

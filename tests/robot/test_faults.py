@@ -72,7 +72,7 @@ def test_a_board_that_reboots() -> None:
 def test_two_boards_of_one_number() -> None:
     """A second board of the same number is plugged in: two answers, named, and motion stops."""
     ended, walk, look, _ = walk_into(lambda run: run.world.twins["JMC3"].fault("twice"))
-    event = stopped_in_time("two answers", ended, walk, look)
+    event = stopped_in_time("duplicate reply", ended, walk, look)
     assert event.source == "JMC3"
     assert "two devices" in event.detail
 
@@ -155,7 +155,7 @@ def test_garbage_on_the_bus() -> None:
 def test_garbage_that_was_declared_harmless() -> None:
     """Declared harmless, garbage is counted, and the leg swings on as if nothing had been heard."""
     plain = walk_into(lambda run: None)[2]
-    ended, walk, look, run = walk_into(babble, reactions={"malformed": IGNORE, "stranger": IGNORE})
+    ended, walk, look, run = walk_into(babble, reactions={"malformed": IGNORE, "unknown device": IGNORE})
     assert ended.tripped == {}
     assert "malformed" in walk.kinds()
     assert sum(run.rig.hosts["lower"].unknown.values()) == 100
@@ -187,7 +187,7 @@ def test_a_cable_that_is_pulled(is_serial: bool) -> None:
     assert kind in ("silent", "not sent", "error-passive", "bus-off")
     stopped_in_time(kind, ended, walk, look)
     assert ended.seconds < 0.5
-    assert {name.partition(".")[0] for name in run.unknown_states()} >= set(joints)
+    assert {name.partition(".")[0] for name in run.states.unknown} >= set(joints)
     # Whoever is behind the cable has not stopped, as far as anybody knows, and is named.
     on_it = {joint.device for joint in robot.joints.values()} & set(run.rig.devices)
     assert set(ended.not_stopped) == on_it
@@ -228,7 +228,7 @@ def test_two_servos_of_one_number() -> None:
 
     ended, walk, look, _ = walk_into(second, mini_leg(), Walk(MINI))
     kind = walk.kinds()[0]
-    assert kind in ("two answers", "malformed", "silent")
+    assert kind in ("duplicate reply", "malformed", "silent")
     assert stopped_in_time(kind, ended, walk, look).source == "S96"
 
 
@@ -236,7 +236,7 @@ def test_two_servos_of_one_number() -> None:
 def test_noise_on_a_serial_line(is_declared: bool) -> None:
     """A line with noise says which servo it hit and stops motion; declared harmless, the servos follow all the same."""
     line = VirtualRobot(mini_leg(), rate_hz=100, noise={"servos": Noise(seed=1, flip=0.0005)})
-    calm = dict.fromkeys(("malformed", "no reply", "two answers", "alarm"), IGNORE)
+    calm = dict.fromkeys(("malformed", "no reply", "duplicate reply", "alarm"), IGNORE)
     ended, walk, look, run = walk_into(
         lambda run: None, line, Walk(MINI), reactions=calm if is_declared else {}
     )

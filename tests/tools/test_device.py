@@ -271,10 +271,15 @@ def test_who_is_not_switched_off_is_said(virtual: Any, monkeypatch: pytest.Monke
     """A device that stays on is named, also after an action that was interrupted, and the status is 1."""
     told: list[float] = []
 
-    def deaf(twin: Any, request: Any) -> None:
-        told.append(twin.clock.now() / 1e9)
+    switch = HuboMotorTwin.control
 
-    monkeypatch.setattr(HuboMotorTwin, "control_off", deaf)
+    def deaf(twin: Any, request: Any) -> None:
+        if type(request).__name__ == "ControlOn":
+            switch(twin, request)
+        else:
+            told.append(twin.clock.now() / 1e9)
+
+    monkeypatch.setattr(HuboMotorTwin, "control", deaf)
     made = virtual("KNEE", "set", "position=0.1", "--enable", "--for", "0.1s")
     assert made.status == 1
     assert made.messages[-1].startswith("NOT switched off: JMC1 (")

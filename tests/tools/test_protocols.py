@@ -125,8 +125,7 @@ def test_a_protocol_that_cannot_be_imported_does_not_hide_the_others(
         "broken": EntryPoint("broken", "no_such_module_here:x", "aces_bus.protocols"),
     }
     monkeypatch.setattr(verb, "list_protocols", lambda: points)
-    monkeypatch.setattr("aces_bus.protocol.live.scanner.list_protocols", lambda: points)
-    monkeypatch.setattr("aces_tools.protocols_arg.list_protocols", lambda: points)
+    monkeypatch.setattr("aces_bus.protocol.live.scanner.PROTOCOLS.points", lambda: points)
     result = aces("protocols")
     assert result.status == 2
     assert "no_such_module_here" in result.err

@@ -294,7 +294,7 @@ def test_what_is_missing_is_named_and_nothing_moves(
     aces: Aces, robot: Path, knee: Path, served: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A driven device that does not answer ends the run before motion, with its name and status 1."""
-    monkeypatch.setattr("aces_bus.robot.runner.HEARD_S", 0.3)
+    monkeypatch.setattr("aces_bus.robot.runner.RECEIVE_S", 0.3)
     robot.write_text(FANS.replace("board = 0x02", "board = 0x05"))
     result = aces("run", robot, knee, *served, "--for", "1s", "--tx")
     assert result.status == 1

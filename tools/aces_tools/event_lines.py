@@ -26,14 +26,14 @@ FEW, SHARE = 3, 0.1
 HINTS: Mapping[str, str] = {
     "error-passive": "does anybody else hear this bus? Look at bit rate, wires, terminators",
     "bus-off": "the controller left the bus after too many errors; look at bit rate, wires, terminators",
-    "two answers": "`aces scan` shows who is there",
+    "duplicate reply": "`aces scan` shows who is there",
 }
 
 
 class Happenings:
     """Listens to a rig from when it is made; `tell` prints what has come since.
 
-    `robot` is the whole robot: its other devices, which other programs talk to, are no strangers.
+    `robot` is the whole robot: its other devices, which other programs talk to, are not unknown.
     """
 
     def __init__(self, rig: Rig, robot: Robot) -> None:
@@ -95,14 +95,14 @@ class Happenings:
             say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
         elif event.kind == "not sent" and event.bus in self._lost:
             pass  # of course
-        elif not (event.kind == "stranger" and self._is_known(event.detail)):
+        elif not (event.kind == "unknown device" and self._is_known(event.detail)):
             self._lost -= {event.bus} if event.kind == "reopened" else set()
             hint = HINTS.get(event.kind)
             detail = f": {event.detail}" if event.detail else ""
             say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")
 
     def _is_known(self, detail: str) -> bool:
-        """Whether a stranger ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""
+        """Whether an unknown device ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""
         numbers = set(detail.partition(" of ")[2].partition(", which")[0].split(", "))
         return any(numbers <= other for other in self._others)
 

@@ -40,7 +40,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-from aces_bus.protocol import Protocol, Variant, list_protocols, load_protocol
+from aces_bus.protocol import Protocol, Variant, load_protocol
 from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol, ImportProblem, load_database
 
 from .console import say
@@ -112,12 +112,6 @@ def _installed(name: str) -> Protocol:
                 f"-p {name}: a file that declares a protocol has one of the suffixes {kinds}"
             ) from None
         raise
-    except AcesError:
-        raise
-    except Exception as error:  # whatever a package's import may raise
-        raise CallerError(
-            f"protocol {name} ({list_protocols()[name].value}) cannot be imported: {_said(error)}"
-        ) from error
 
 
 # ---------------------------------------------------------------------- database files

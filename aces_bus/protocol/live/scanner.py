@@ -1,26 +1,21 @@
-"""Scanners for any link, and the protocols that are installed.
-
-1. A protocol's name is claimed once: a second claim raises, with both packages.
-2. Nothing is imported before it is asked for by name.
-"""
+"""Scanners for any link, and the protocols that are installed (see `aces_bus.plugins`)."""
 
 from __future__ import annotations
 
 import typing
 from collections.abc import Callable, Sequence
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from threading import Lock, current_thread
 from typing import Any, Literal
 
-from ...errors import CallerError, SpecError, UnknownNameError
+from ...errors import CallerError
+from ...plugins import Plugins
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Protocol, Variant
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
-
-GROUP = "aces_bus.protocols"
 
 
 class Scanner(typing.Protocol):
@@ -138,35 +133,15 @@ def _guard(scanner: Any) -> None:
             scanner.__dict__[name] = guarded(name, method)
 
 
+#: The protocols that are installed.
+PROTOCOLS = Plugins("aces_bus.protocols", "protocol", Protocol)
+
+
 def list_protocols() -> dict[str, EntryPoint]:
-    """The installed protocols, by name, without importing them."""
-    found: dict[str, EntryPoint] = {}
-    for point in entry_points(group=GROUP):
-        other = found.get(point.name)
-        if other is not None and other.value != point.value:
-            raise SpecError(
-                f"two packages claim the protocol name {point.name!r}: {other.value} and {point.value}"
-            )
-        found[point.name] = point
-    return found
+    """The installed protocols, by name, without importing them. Raises `SpecError` when two packages claim a name."""
+    return PROTOCOLS.points()
 
 
 def load_protocol(name: str) -> Protocol:
-    """The installed protocol `name`; raises `UnknownNameError` with the names that exist.
-
-    What was loaded once is kept: looking through all that is installed takes milliseconds.
-    """
-    kept = _loaded.get(name)
-    if kept is not None:
-        return kept
-    known = list_protocols()
-    if name not in known:
-        raise UnknownNameError("protocol", name, known)
-    protocol = known[name].load()
-    if not isinstance(protocol, Protocol):
-        raise SpecError(f"{known[name].value} is not a Protocol but {type(protocol).__name__}")
-    _loaded[name] = protocol
-    return protocol
-
-
-_loaded: dict[str, Protocol] = {}
+    """The installed protocol `name`; raises `UnknownNameError` with the names that exist."""
+    return PROTOCOLS.load(name)

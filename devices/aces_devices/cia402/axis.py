@@ -10,6 +10,7 @@ Objects are named as those of axis 0; those of axis n are 0x800 × n higher (ros
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.device import Joint, Signal
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 CONTROLWORD, STATUSWORD, MODE, MODE_SHOWN = 0x6040, 0x6041, 0x6060, 0x6061
 POSITION, VELOCITY, TORQUE = 0x6064, 0x606C, 0x6077
 #: An axis that has not taken a set-point for so long does not (ns).
-TAKES = 1_000_000_000
+TAKES_NS = 1_000_000_000
 
 READ = {
     POSITION: "position",
@@ -52,7 +53,7 @@ class DriveAxis:
     """One joint of a drive."""
 
     def __init__(self, device: Cia402, joint: Joint) -> None:
-        self.device, self.joint = device, joint
+        self.device, self.joint, self.name, self.channel = device, joint, joint.name, joint.channel
         self.offset = 0x800 * joint.channel
         settings = device.config.settings
         self.units = units_of(device.name, joint, settings)
@@ -77,30 +78,23 @@ class DriveAxis:
     # ------------------------------------------------------------------ signals
 
     def _declare(self, torque_unit: str) -> None:
-        joint, add = self.joint, self._add
+        joint, add, units = self.joint, self._add, self.units
         speed = joint.max_speed
+        low = None if speed is None else -speed
+        torque = "torque" if torque_unit else "torque, as a share of the rated one"
+        #: What is measured and set: its name, raw numbers a SI unit, raw number at 0.
+        self.scales: dict[int, tuple[str, float, float]] = {
+            POSITION: ("position", units.per_rad, units.zero),
+            VELOCITY: ("velocity", units.per_speed, 0.0),
+            TORQUE: ("torque", units.per_torque, 0.0),
+        }
+        give = {name: partial(self._set, scale, zero) for name, scale, zero in self.scales.values()}
         self.signals: dict[str, Signal] = {
             "position": add(
-                "position", "rad", self._set_position, joint.lower, joint.upper, "position", "object 6064"
+                "position", "rad", give["position"], joint.lower, joint.upper, "position", "object 6064"
             ),
-            "velocity": add(
-                "velocity",
-                "rad/s",
-                self._set_velocity,
-                None if speed is None else -speed,
-                speed,
-                "velocity",
-                "object 606C",
-            ),
-            "torque": add(
-                "torque",
-                torque_unit,
-                self._set_torque,
-                None,
-                None,
-                "torque" if torque_unit else "torque, as a share of the rated one",
-                "object 6077",
-            ),
+            "velocity": add("velocity", "rad/s", give["velocity"], low, speed, "velocity", "object 606C"),
+            "torque": add("torque", torque_unit, give["torque"], None, None, torque, "object 6077"),
             "status": add("status", doc="the statusword", source="object 6041"),
             "state": add("state", doc="where it is in the state machine", source="object 6041"),
             "mode": add("mode", doc="mode of operation", source="object 6061"),
@@ -108,7 +102,7 @@ class DriveAxis:
             "limited": add("limited", doc="whether a limit inside is active", source="object 6041, bit 11"),
             "warning": add("warning", doc="whether the drive warns", source="object 6041, bit 7"),
         }
-        self._setters = {name: self.signals[name].setter for name in ("position", "velocity", "torque")}
+        self._setters = {name: self.signals[name].setter for name in give}
         self.choose(self.wanted)
 
     def _add(
@@ -146,13 +140,11 @@ class DriveAxis:
     def update(self, index: int, value: int, instant: int) -> None:
         """An object of the drive has been heard; `index` is that of axis 0."""
         signals = self.signals
-        if index == POSITION:
-            self.position_raw = value
-            signals["position"].update((value - self.units.zero) / self.units.per_rad + 0.0, instant)
-        elif index == VELOCITY:
-            signals["velocity"].update(value / self.units.per_speed + 0.0, instant)
-        elif index == TORQUE:
-            signals["torque"].update(value / self.units.per_torque + 0.0, instant)
+        if index in self.scales:
+            name, scale, zero = self.scales[index]
+            if index == POSITION:
+                self.position_raw = value
+            signals[name].update((value - zero) / scale + 0.0, instant)
         elif index == MODE_SHOWN:
             self.mode_shown = value
             signals["mode"].update(MODE_NAMES.get(value, str(value)), instant)
@@ -195,14 +187,8 @@ class DriveAxis:
         self.outputs[0x607A] = self.position_raw or 0
         self._is_fresh = False
 
-    def _set_position(self, value: Any) -> None:
-        self._give(round(float(value) * self.units.per_rad + self.units.zero))
-
-    def _set_velocity(self, value: Any) -> None:
-        self._give(round(float(value) * self.units.per_speed))
-
-    def _set_torque(self, value: Any) -> None:
-        self._give(round(float(value) * self.units.per_torque))
+    def _set(self, scale: float, zero: float, value: Any) -> None:
+        self._give(round(float(value) * scale + zero))
 
     def _give(self, raw: int) -> None:
         if self.statusword is None or self.mode_shown is None:
@@ -240,7 +226,7 @@ class DriveAxis:
             if is_taken:
                 self.outputs[CONTROLWORD] = word & ~(START | AT_ONCE)
                 self.device.put(self, CONTROLWORD)
-            elif now - self._raised_at > TAKES:
+            elif now - self._raised_at > TAKES_NS:
                 self._raised_at = now
                 self.device.tell_event("alarm", f"{self.joint.name} does not take its set-point")
         elif self._is_fresh and not is_taken:

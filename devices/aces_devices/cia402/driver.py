@@ -10,7 +10,7 @@ Modes, states and objects: CiA 402 as `states` has it. See the README for what i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Job, Poll, Signal, Steps
@@ -42,9 +42,9 @@ from .states import (
 #: Seconds that one step of the state machine may take, and a change of mode.
 STEP_S, MODE_S = 1.0, 1.0
 #: How often an absent node is looked for (ns).
-RETRY = 2_000_000_000
+RETRY_NS = 2_000_000_000
 #: `Host.postpone` until somebody says otherwise (s).
-LONG = 1e9
+LONG_S = 1e9
 #: Object → the signals that it gives.
 _SHOWN = {
     POSITION: ("position",),
@@ -56,7 +56,7 @@ _SHOWN = {
 NMT = ("start", "stop", "pre_operational", "reset_node", "reset_communication")
 
 
-class Cia402(ObjectAccess):
+class Cia402(ObjectAccess[DriveAxis]):
     """Signals of each joint: position, velocity, torque (the one that its mode takes can be set), state, mode and status;
     of the drive: network (NMT state) and error (the last emergency).
     """
@@ -86,8 +86,8 @@ class Cia402(ObjectAccess):
         if self.pdo not in ("read", "file", "write"):
             raise CallerError(f'{self.name}: settings pdo is "read", "file" or "write", not {self.pdo!r}')
         self.heartbeat_ms = int(settings.get("heartbeat_ms", 500))
-        self.inputs = {one.number: one for one in from_file(self.name, self.dictionary, self.node, SENT)}
-        self.outputs = {one.number: one for one in from_file(self.name, self.dictionary, self.node, RECEIVED)}
+        self.inputs = from_file(self.name, self.dictionary, self.node, SENT)
+        self.outputs = from_file(self.name, self.dictionary, self.node, RECEIVED)
         holder = next((one for one in self.inputs.values() if one.has(STATUSWORD)), None)
         as_filed = holder is not None and holder.kind == 1
         self.sync = bool(settings.get("sync", self.pdo == "write" or as_filed))
@@ -112,7 +112,6 @@ class Cia402(ObjectAccess):
         self._waiting: list[tuple[Callable[[], bool], Awaited, Any]] = []
         self._by_sdo: dict[int, int] = {}
         self._writing: Job | None = None
-        self._led: list[Job] = []
         self._wire()
         if self.sync:
             number = holder.number if holder is not None else 1
@@ -133,12 +132,8 @@ class Cia402(ObjectAccess):
         for axis in self.axes:
             found = {index for readers in self._readers.values() for _, a, index in readers if a is axis}
             for index, names in _SHOWN.items():
-                for name in names:
-                    whole = axis.signals[name].name
-                    if index in found:
-                        self.readable.add(whole)
-                    else:
-                        self.readable.discard(whole)
+                wholes = {axis.signals[name].name for name in names}
+                self.readable = self.readable | wholes if index in found else self.readable - wholes
         for one in self.outputs.values():
             for place in one.places:
                 self._takers.setdefault(place.index, one.number)
@@ -190,19 +185,19 @@ class Cia402(ObjectAccess):
     def _quiet(self, on: bool) -> None:
         """Whether it is not to be expected at SYNC."""
         if on:
-            self.host.postpone(self, "Sync", LONG)
+            self.host.postpone(self, "Sync", LONG_S)
             return
         holder = next((n for n, one in self.inputs.items() if one.has(STATUSWORD)), 1)
-        for turn in self.host.turns:
-            if turn.device is self:
-                turn.replies = frozenset((f"Tpdo{holder}",))
-                turn.due = self.clock.now()
+        for slot in self.host.slots:
+            if slot.device is self:
+                slot.replies = frozenset((f"Tpdo{holder}",))
+                slot.due = self.clock.now()
 
     def _look(self) -> None:
         """Every now and then: is a node that was absent there, is one that was there gone?"""
         now = self.clock.now()
         is_idle = self._set_up is None or self._set_up.is_over
-        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY:
+        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY_NS:
             self.set_up()
         beat = self.heartbeat_ms * 1_000_000
         if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
@@ -210,7 +205,7 @@ class Cia402(ObjectAccess):
             if age > 3 * beat:
                 self.is_silent = True
                 self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
-        self.clock.call_in(min(RETRY, beat or RETRY), self._look)
+        self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
 
     def heard(self, record: Any, instant: int) -> None:
         """PDOs, heartbeats and emergencies."""
@@ -245,9 +240,9 @@ class Cia402(ObjectAccess):
         elif state != "operational" and self.is_set_up:
             self._quiet(True)
         elif state == "operational" and self.is_set_up:
-            for turn in self.host.turns:
-                if turn.device is self and turn.due - instant > RETRY:
-                    turn.due = instant
+            for slot in self.host.slots:
+                if slot.device is self and slot.due - instant > RETRY_NS:
+                    slot.due = instant
         if self._waiting:
             self._looked()
 
@@ -334,18 +329,7 @@ class Cia402(ObjectAccess):
             return
         self.put(axis, CONTROLWORD)
         before = axis.heard
-        yield self.until(
-            lambda: axis.heard >= before + 2, STEP_S, lambda: f"{axis.joint.name} says no statusword"
-        )
-
-    def _axes(self, joint: str | None) -> list[DriveAxis]:
-        if joint is None:
-            return self.axes
-        found = [axis for axis in self.axes if joint in (axis.joint.name, *axis.joint.aliases)]
-        if not found:
-            names = ", ".join(axis.joint.name for axis in self.axes)
-            raise CallerError(f"{self.name} has no joint {joint!r} (it has: {names})")
-        return found
+        yield self.until(lambda: axis.heard >= before + 2, STEP_S, lambda: f"{axis.name} says no statusword")
 
     def _ready(self) -> Steps:
         """The node is set up and says its state."""
@@ -356,30 +340,22 @@ class Cia402(ObjectAccess):
             yield self.until(
                 lambda axis=axis, before=before: axis.heard > before,  # type: ignore[misc]
                 STEP_S,
-                lambda axis=axis: f"{axis.joint.name} says no statusword",  # type: ignore[misc]
+                lambda axis=axis: f"{axis.name} says no statusword",  # type: ignore[misc]
             )
 
     # ------------------------------------------------------------------ actions
 
-    def _leading(self, name: str, steps: Callable[[Job], Steps]) -> Job:
-        """A job that leads axes somewhere: stopping and disabling end it."""
-        made = self.job(name, steps)
-        self._led = [job for job in self._led if not job.is_over] + [made]
-        return made
-
     def enable(self, joint: str | None = None) -> Job:
         """Bring the joints, or one, to "operation enabled". Fails with `DeviceError` where a joint is in fault."""
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
         self.is_driven = True
 
         def steps(job: Job) -> Steps:
             yield from self._ready()
-            for number, axis in enumerate(axes):
-                job.text = axis.joint.name
+            for axis in self.in_turn(job, axes):
                 yield from self._enabled(axis)
-                job.progress = (number + 1) / len(axes)
 
-        return self._leading("enable", steps)
+        return self.lead("enable", steps)
 
     def _enabled(self, axis: DriveAxis) -> Steps:
         if axis.state != "operation enabled":
@@ -391,7 +367,7 @@ class Cia402(ObjectAccess):
                 return
             if state == "fault":
                 why = f" ({self.error.last})" if self.error.last else ""
-                raise DeviceError(f"{self.name}: {axis.joint.name} is in fault{why}; reset_fault first")
+                raise DeviceError(f"{self.name}: {axis.name} is in fault{why}; reset_fault first")
             axis.hold()
             word = ONWARD.get(state)
             if word is not None:
@@ -399,23 +375,20 @@ class Cia402(ObjectAccess):
             yield self.until(
                 lambda state=state: axis.state != state,  # type: ignore[misc]
                 STEP_S,
-                lambda: (
-                    f"{axis.joint.name} stays {axis.state!r} with controlword {axis.outputs[CONTROLWORD]:04X}"
-                ),
+                lambda: f"{axis.name} stays {axis.state!r} with controlword {axis.outputs[CONTROLWORD]:04X}",
             )
-        raise DeviceError(f"{self.name}: {axis.joint.name} does not get enabled; it is {axis.state!r}")
+        raise DeviceError(f"{self.name}: {axis.name} does not get enabled; it is {axis.state!r}")
 
     def disable(self, joint: str | None = None) -> Job:
         """Torque off."""
-        return self._down("disable", SHUTDOWN, self._axes(joint))
+        return self._down("disable", SHUTDOWN, self.axes_of(joint))
 
     def stop_motion(self) -> Job:
         """Quick stop, of all joints."""
         return self._down("stop", QUICK_STOP, self.axes)
 
-    def _down(self, name: str, word: int, axes: list[DriveAxis]) -> Job:
-        for job in self._led:
-            job.cancel()
+    def _down(self, name: str, word: int, axes: Sequence[DriveAxis]) -> Job:
+        self.end_led()
         for axis in axes:  # at once
             axis.hold()
             axis.outputs[CONTROLWORD] = word
@@ -431,14 +404,14 @@ class Cia402(ObjectAccess):
                 yield self.until(
                     lambda axis=axis: axis.state != "operation enabled",  # type: ignore[misc]
                     STEP_S,
-                    lambda axis=axis: f"{axis.joint.name} stays enabled",  # type: ignore[misc]
+                    lambda axis=axis: f"{axis.name} stays enabled",  # type: ignore[misc]
                 )
 
         return self.job(name, steps)
 
     def reset_fault(self, joint: str | None = None) -> Job:
         """Acknowledge a fault. Fails with `DeviceError` while its cause is there."""
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
 
         def steps(job: Job) -> Steps:
             yield from self._ready()
@@ -450,19 +423,17 @@ class Cia402(ObjectAccess):
                 yield self.until(
                     lambda axis=axis: axis.state != "fault",  # type: ignore[misc]
                     STEP_S,
-                    lambda axis=axis: (
-                        f"{axis.joint.name} stays in fault: {self.error.last or 'no reason given'}"
-                    ),  # type: ignore[misc]
+                    lambda axis=axis: f"{axis.name} stays in fault: {self.error.last or 'no reason given'}",  # type: ignore[misc]
                 )
                 yield from self._control(axis, DISABLE_VOLTAGE)
 
-        return self._leading("reset fault", steps)
+        return self.lead("reset fault", steps)
 
     def set_mode(self, mode: str, joint: str | None = None) -> Job:
         """Another mode of operation; the joint holds where it is. Raises `CallerError` for one that is none."""
         if mode not in TARGETS:
             raise CallerError(f"{self.name}: no mode {mode!r} (there are: {', '.join(TARGETS)})")
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
 
         def steps(job: Job) -> Steps:
             yield from self._ready()
@@ -471,7 +442,7 @@ class Cia402(ObjectAccess):
                 yield from self._into_mode(axis, mode)
                 axis.choose(mode)
 
-        return self._leading(f"mode {mode}", steps)
+        return self.lead(f"mode {mode}", steps)
 
     def _into_mode(self, axis: DriveAxis, mode: str) -> Steps:
         number = MODES[mode]
@@ -486,7 +457,7 @@ class Cia402(ObjectAccess):
             yield self.until(
                 lambda: axis.mode_shown == number,
                 MODE_S,
-                lambda: f"{axis.joint.name} does not go into mode {mode}; does the drive have it?",
+                lambda: f"{axis.name} does not go into mode {mode}; does the drive have it?",
             )
             return
         for _ in range(20):
@@ -495,24 +466,21 @@ class Cia402(ObjectAccess):
             if axis.mode_shown == number:
                 return
             yield round(MODE_S * 1e9 / 20)
-        raise DeviceError(
-            f"{self.name}: {axis.joint.name} does not go into mode {mode}; does the drive have it?"
-        )
+        raise DeviceError(f"{self.name}: {axis.name} does not go into mode {mode}; does the drive have it?")
 
     def home(self, joint: str | None = None, method: int | None = None, timeout_s: float = 30.0) -> Job:
         """Search home; the job's text says how far it is. Fails with `DeviceError` when the drive does not find it."""
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
         self.is_driven = True
 
         def steps(job: Job) -> Steps:
             yield from self._ready()
-            for number, axis in enumerate(axes):
-                job.text = f"{axis.joint.name} searches"
+            for axis in self.in_turn(job, axes):
+                job.text = f"{axis.name} searches"
                 yield from self._homed(axis, method, timeout_s)
-                job.text = f"{axis.joint.name} is home"
-                job.progress = (number + 1) / len(axes)
+                job.text = f"{axis.name} is home"
 
-        return self._leading("home", steps)
+        return self.lead("home", steps)
 
     def _homed(self, axis: DriveAxis, method: int | None, timeout_s: float) -> Steps:
         if method is not None:
@@ -529,13 +497,13 @@ class Cia402(ObjectAccess):
             yield self.until(
                 lambda: bool(status() & (TAKEN | FAILED)) or axis.state != "operation enabled",
                 timeout_s,
-                lambda: f"{axis.joint.name} has not found home",
+                lambda: f"{axis.name} has not found home",
             )
             if axis.state != "operation enabled" or status() & FAILED:
                 why = f" ({self.error.last})" if self.error.last else ""
-                raise DeviceError(f"{self.name}: {axis.joint.name} has not found home: homing error{why}")
+                raise DeviceError(f"{self.name}: {axis.name} has not found home: homing error{why}")
             yield self.until(
-                lambda: bool(status() & REACHED), STEP_S, lambda: f"{axis.joint.name} is home and moves on"
+                lambda: bool(status() & REACHED), STEP_S, lambda: f"{axis.name} is home and moves on"
             )
         finally:
             axis.wanted = mode

@@ -36,7 +36,7 @@ FOLLOWING, OVER_VOLTAGE, HOT, NO_HOME = 0x8611, 0x3210, 0x4210, 0xFF01
 #: Bits of the error register 1001.
 REGISTERS = {FOLLOWING: 0x21, OVER_VOLTAGE: 0x05, HOT: 0x09, NO_HOME: 0x81}
 #: A homing search that has found nothing for so long fails (ms).
-SEARCH = 10_000
+SEARCH_MS = 10_000
 POSITION_MODES = ("profile_position", "homing", "cyclic_position")
 SPEED_MODES = ("velocity", "profile_velocity", "cyclic_velocity")
 TORQUE_MODES = ("profile_torque", "cyclic_torque")
@@ -254,7 +254,7 @@ class AxisModel:
         ends = sorted(angle * units.per_rad + units.zero + self.shift for angle in (low, high))
         at = ends[0] if self.goal < self.demand else ends[1]
         is_there = self.demand <= at if self.goal < self.demand else self.demand >= at
-        if (self.cannot_home and (is_there or self._searched > 500)) or self._searched > SEARCH:
+        if (self.cannot_home and (is_there or self._searched > 500)) or self._searched > SEARCH_MS:
             self._bits |= FAILED
             self._stop_search()
             self._tell(NO_HOME, REGISTERS[NO_HOME])

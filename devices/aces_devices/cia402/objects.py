@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from aces_bus.device import Device, Job, Steps
+from aces_bus.device import Job, MotorDevice, Steps
+from aces_bus.device.motor import A
 from aces_bus.errors import AcesError, CallerError
 
 from .dictionary import object_of
@@ -24,7 +25,7 @@ IDENTITY = (
 )
 
 
-class ObjectAccess(Device):
+class ObjectAccess(MotorDevice[A]):
     """A CANopen node with its dictionary (canopen's) and its SDO channel."""
 
     dictionary: Any

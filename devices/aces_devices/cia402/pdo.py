@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -114,30 +115,32 @@ def _is_signed(dictionary: Any, index: int, subindex: int) -> bool:
 SIGNED = frozenset((0x6042, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x607A, 0x60C1, 0x60FF))
 
 
-def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> list[PdoLayout]:
-    """The PDOs that a file says its device has, those of `side` (`RECEIVED` or `SENT`)."""
+def layouts(
+    who: str, dictionary: Any, node: int, side: tuple[int, int, int], value: Callable[[int, int], int | None]
+) -> dict[int, PdoLayout]:
+    """The PDOs of `side` (`RECEIVED` or `SENT`) that a device has, by number; `value` is an object's (None: not there)."""
     communication, mapping, base = side
-    found: list[PdoLayout] = []
+    found: dict[int, PdoLayout] = {}
     for number in range(1, MOST + 1):
-        if communication + number - 1 not in dictionary or mapping + number - 1 not in dictionary:
+        index, objects = communication + number - 1, mapping + number - 1
+        if index not in dictionary or objects not in dictionary:
             continue
-        raw = {sub: _default(dictionary, communication + number - 1, sub) for sub in (1, 2, 5)}
-        if raw[1] is None:
-            raw[1] = base + 0x100 * (number - 1) + node
-        count = _default(dictionary, mapping + number - 1, 0) or 0
-        entries = [
-            _default(dictionary, mapping + number - 1, sub) or 0 for sub in range(1, min(count, 64) + 1)
-        ]
-        known = {sub: value for sub, value in raw.items() if value is not None}
-        made = layout_of(who, dictionary, number, base, node, known, [one for one in entries if one])
+        raw = {1: base + 0x100 * (number - 1) + node}
+        raw |= {sub: known for sub in (1, 2, 5) if (known := value(index, sub)) is not None}
+        count = min(value(objects, 0) or 0, 64)
+        entries = [value(objects, sub) or 0 for sub in range(1, count + 1)]
+        made = layout_of(who, dictionary, number, base, node, raw, [one for one in entries if one])
         if made is not None:
-            found.append(made)
+            found[number] = made
     return found
 
 
-def _default(dictionary: Any, index: int, subindex: int) -> int | None:
-    known = dictionary.get_variable(index, subindex)
-    if known is None:
-        return None
-    value = known.value if known.value is not None else known.default
-    return value if isinstance(value, int) else None
+def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
+    """The PDOs that a file says its device has."""
+
+    def value(index: int, subindex: int) -> int | None:
+        known = dictionary.get_variable(index, subindex)
+        found = None if known is None else known.default if known.value is None else known.value
+        return found if isinstance(found, int) else None
+
+    return layouts(who, dictionary, node, side, value)

@@ -97,7 +97,7 @@ GROUPS: Final = (
 def drive_state(statusword: int) -> str:
     """The state that a statusword says; "unknown" for what is none.
 
-    >>> state_of(0x0637), state_of(0x0218), state_of(0x0250)
+    >>> drive_state(0x0637), drive_state(0x0218), drive_state(0x0250)
     ('operation enabled', 'fault', 'switch on disabled')
     """
     for name, mask, value in STATES:
@@ -109,7 +109,7 @@ def drive_state(statusword: int) -> str:
 def emergency_text(code: int) -> str:
     """What an emergency's code says.
 
-    >>> text_of(0x3210), text_of(0x8130), text_of(0xABCD)
+    >>> emergency_text(0x3210), emergency_text(0x8130), emergency_text(0xABCD)
     ('0x3210, voltage inside', '0x8130, heartbeat lost', '0xABCD')
     """
     for mask, value, text in GROUPS:

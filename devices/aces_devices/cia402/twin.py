@@ -16,11 +16,11 @@ from aces_bus.protocol.record import as_dict
 
 from .dictionary import dictionary_of
 from .model import HOT, OVER_VOLTAGE, REGISTERS, AxisModel
-from .pdo import MOST, RECEIVED, SENT, PdoLayout, layout_of, offset_of
+from .pdo import RECEIVED, SENT, PdoLayout, layouts, offset_of
 from .units import units_of
 
 #: From power to the boot-up message (ns).
-BOOT = 1_000_000
+BOOT_NS = 1_000_000
 RESETS = ("reset_node", "reset_communication")
 
 
@@ -75,7 +75,7 @@ class Cia402Twin(Twin):
         self._syncs = 0
         self._timers_of_pdos: list[Any] = []
         self._apply_faults()
-        self.clock.call_in(BOOT, lambda: self._boot(network))
+        self.clock.call_in(BOOT_NS, lambda: self._boot(network))
 
     def _numbers(self, offset: int) -> dict[int, int]:
         """The numbers of an axis in the dictionary."""
@@ -131,21 +131,12 @@ class Cia402Twin(Twin):
 
     def _layouts(self, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
         """The PDOs as the dictionary has them now."""
-        communication, mapping, base = side
-        found: dict[int, PdoLayout] = {}
-        for number in range(1, MOST + 1):
-            index = communication + number - 1
-            if index not in self.dictionary:
-                continue
-            raw = {sub: self._number(index, sub) for sub in (1, 2)}
-            if side is SENT and 5 in self.dictionary[index]:
-                raw[5] = self._number(index, 5)
-            objects = mapping + number - 1
-            entries = [self._number(objects, sub + 1) for sub in range(self._number(objects, 0))]
-            made = layout_of(self.name, self.dictionary, number, base, self.node.id, raw, entries)
-            if made is not None:
-                found[number] = made
-        return found
+
+        def value(index: int, subindex: int) -> int | None:
+            known = self.dictionary.get_variable(index, subindex)
+            return None if known is None else self._number(index, subindex)
+
+        return layouts(self.name, self.dictionary, self.node.id, side, value)
 
     def _number(self, index: int, subindex: int) -> int:
         return int.from_bytes(self.node.get_data(index, subindex), "little")

@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import pi
 from typing import Any
 
-from aces_bus.device import Driver, Host, Job, Poll, Steps
+from aces_bus.device import Driver, Job, Poll
 
-from ..hubo_sensors.board import SensorBoard, found_by
+from ..hubo_sensors.board import SensorBoard, scan_of
 from .twin import ForceTorqueTwin
 
 #: Standard gravity.
@@ -84,10 +84,6 @@ class ForceTorqueBoard(SensorBoard):
         return self.nulled(*words)
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    return (yield from found_by(host, "hubo_ft", ("foot", "ft"), job))
-
-
 EXAMPLE = """
 name = "hubo_ft"
 rate_hz = 30
@@ -118,7 +114,7 @@ driver = Driver(
     example=EXAMPLE,
     doc="Force/torque board of a Hubo foot or hand; a foot's measures its tilt too.",
     source="HUBO2_CANprotocol.xls (X1, X2); acesHubo; hubo-ach; HuboCan",
-    scan=_scan,
+    scan=scan_of("hubo_ft", ("foot", "ft")),
     settings={
         "period_ms": "the board's period, which `init` and `set_period` give it; the robot's rate when absent",
         "name_info_tail": "five bytes, hexadecimal, at the end of a D08 board's NameInfo",

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from aces_bus.device import on
 from aces_bus.errors import CallerError
 
@@ -147,12 +149,8 @@ def _undone(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
     """The inverse of a 3 × 3 matrix. Raises `CallerError` when it has none."""
     if len(matrix) != 3 or any(len(row) != 3 for row in matrix):
         raise CallerError("a force/torque sensor's matrix has three rows of three")
-    (a, b, c), (d, e, f), (g, h, i) = matrix
-    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if not det:
-        raise CallerError("a force/torque sensor's matrix must have an inverse")
-    return [
-        [(e * i - f * h) / det, (c * h - b * i) / det, (b * f - c * e) / det],
-        [(f * g - d * i) / det, (a * i - c * g) / det, (c * d - a * f) / det],
-        [(d * h - e * g) / det, (b * g - a * h) / det, (a * e - b * d) / det],
-    ]
+    try:
+        inverse: list[list[float]] = np.linalg.inv(np.array(matrix)).tolist()
+    except np.linalg.LinAlgError:
+        raise CallerError("a force/torque sensor's matrix must have an inverse") from None
+    return inverse

@@ -9,9 +9,9 @@ from __future__ import annotations
 from math import pi
 from typing import Any
 
-from aces_bus.device import Driver, Host, Job, Poll, Steps
+from aces_bus.device import Driver, Job, Poll, Ticket
 
-from ..hubo_sensors.board import MOTION, SensorBoard, found_by
+from ..hubo_sensors.board import MOTION, SensorBoard, scan_of
 from .twin import ImuTwin
 
 _DEGREE = pi / 180
@@ -42,15 +42,11 @@ class ImuBoard(SensorBoard):
         """Take the present attitude for zero."""
         return super().null() if self.is_old else self.nulled(("NullImu", {}))
 
-    def init(self) -> Job:
+    def init(self) -> Ticket | Job:
         """Not known of this board in D12: only force/torque boards have it there."""
         if self.is_old:
             return super().init()
         return self.refused("init", "only force/torque boards are known to be initialised")
-
-
-def _scan(host: Host, job: Job) -> Steps:
-    return (yield from found_by(host, "hubo_imu", ("imu",), job))
 
 
 EXAMPLE = """
@@ -88,7 +84,7 @@ driver = Driver(
     example=EXAMPLE,
     doc="Hubo's inertial board: roll, pitch and their rates.",
     source="HUBO2_CANprotocol.xls (X2); hubo-ach; HuboCan",
-    scan=_scan,
+    scan=scan_of("hubo_imu", ("imu",)),
     settings={
         "period_ms": "the board's period, which `init` and `set_period` give it; the robot's rate when absent",
         "name_info_tail": "five bytes, hexadecimal, at the end of a D08 board's NameInfo",

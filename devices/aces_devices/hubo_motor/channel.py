@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 from aces_bus.device import Joint
 
 from ..joint_model import STEP_NS, MotorJoint, MotorModel
+from .parameters import BoardParameters, ChannelParameters
 
 #: How far the stops are beyond the soft limits, and where they are without (rad).
 BEYOND, RANGE = 0.1, 3.0
@@ -27,56 +27,21 @@ HOMING_SPEED = 0.05
 SEARCHING, INDEXING, RETURNING, HOMED = 1, 4, 5, 6
 
 
-@dataclass
-class Stored:
-    """What a board keeps of a motor without power. Units: see `storage.ChannelParameters`."""
+class StoredChannel(ChannelParameters, kw_only=True):
+    """What a board keeps of a motor without power, also what it does not tell."""
 
-    kp: int = 200
-    ki: int = 0
-    kd: int = 500
-    resolution: int = 4000
-    auto_scale: int = 0
-    direction: str = "ccw"
-    dead_zone: int = 0
-    search_direction: str = "cw"
-    search_mode: str = "switch_and_index"
-    search_limit: int = 60
-    home_offset: int = 0
-    lower_limit: int = 0
-    lower_limit_enabled: int = 0
-    upper_limit: int = 0
-    upper_limit_enabled: int = 0
-    max_acceleration: int = 0
-    max_velocity: int = 0
-    max_pwm: int = 100
-    max_current: int = 1000
-    kpt: int = 10
-    kdt: int = 10
-    kft: int = 10
     homing_duty: int = 30
 
 
-@dataclass
-class BoardStored:
-    """What a board keeps of itself without power. 0 in an error bound: no bound."""
+class StoredBoard(BoardParameters, kw_only=True):
+    """What a board keeps of itself without power, also what it does not tell."""
 
-    period: int = 5
-    homing_acceleration: float = 1.5
-    velocity_to_switch: int = 10
-    velocity_to_offset: int = 10
-    jam_time: int = 1000
-    saturation_time: int = 500
-    limit_duty: int = 50
-    jam_duty: int = 20
-    max_step: int = 0
-    max_error: int = 0
-    max_encoder_error: int = 10
-    temperature: int = 80
+    temperature_warning: int = 80
 
 
-def board_defaults(kind: int | str) -> BoardStored:
+def board_defaults(kind: int | str) -> StoredBoard:
     """What a board comes with. Fingers have far to go to their stop."""
-    return BoardStored(velocity_to_switch=40, velocity_to_offset=40) if kind == 5 else BoardStored()
+    return StoredBoard(velocity_to_switch=40, velocity_to_offset=40) if kind == 5 else StoredBoard()
 
 
 @dataclass
@@ -97,8 +62,10 @@ class Search:
 class MotorChannel:
     """A motor of a board. `q` of its `joint` is the joint's true angle (rad)."""
 
-    def __init__(self, number: int, own: Joint | None, kind: int | str, now: int, start: float) -> None:
-        self.number, self.own, self.kind = number, own, kind
+    def __init__(
+        self, number: int, own: Joint | None, kind: int | str, board: StoredBoard, now: int, start: float
+    ) -> None:
+        self.number, self.own, self.kind, self.board = number, own, kind, board
         known = own.counts_per_unit if own is not None else None
         self.counts = known if known is not None else 2000.0
         self.direction = own.direction if own is not None else 1
@@ -116,14 +83,13 @@ class MotorChannel:
 
     # ------------------------------------------------------------------ geometry
 
-    def defaults(self) -> Stored:
+    def defaults(self) -> StoredChannel:
         """What the board comes with: the robot file's gains and home."""
-        made, own = Stored(resolution=min(16383, int(self.turn))), self.own
+        made, own = StoredChannel(resolution=min(16383, int(self.turn))), self.own
         if own is None:
             return made
         if own.gains is not None:
-            made.kp, made.ki = int(own.gains.kp or 0), int(own.gains.ki or 0)
-            made.kd = int(own.gains.kd or 0)
+            made.kp, made.ki, made.kd = (int(one or 0) for one in (own.gains.kp, own.gains.ki, own.gains.kd))
         home = own.home
         if home is not None:
             made.search_direction = home.direction or made.search_direction
@@ -145,7 +111,7 @@ class MotorChannel:
         return made
 
     @staticmethod
-    def _sign(stored: Stored) -> int:
+    def _sign(stored: ChannelParameters) -> int:
         return 1 if stored.search_direction == "ccw" else -1
 
     def _soft(self) -> tuple[float, float]:
@@ -241,13 +207,13 @@ class MotorChannel:
 
     # ------------------------------------------------------------------ set-points
 
-    def refer(self, now: int, count: float, board: BoardStored) -> None:
+    def refer(self, now: int, count: float) -> None:
         """A reference (counts; A in current mode)."""
         self.sync(now)
         if count == self.reference and self.pwm is None and self.joint.mode == "position":
             self.step = 0.0
             return
-        stored = self.stored
+        stored, board = self.stored, self.board
         if self.mode == "position":
             step = count - self.reference
             if self.control_on:
@@ -388,14 +354,13 @@ class MotorChannel:
 
     # ------------------------------------------------------------------ what is wrong
 
-    #: Names of faults that are on for this motor, and the board's own settings; the twin's.
+    #: Names of faults that are on for this motor.
     faults: frozenset[str] = frozenset()
-    board: BoardStored = BoardStored()
 
-    def look(self, now: int, board: BoardStored) -> set[str]:
+    def look(self, now: int) -> set[str]:
         """The error bits as they are now: what happened since they were cleared, and what lasts."""
         self.sync(now)
-        joint, stored, faults = self.joint, self.stored, self.faults
+        joint, stored, board, faults = self.joint, self.stored, self.board, self.faults
         errors = self.errors
         duty = abs(joint.duty)
         if duty * 100 < board.jam_duty or self.search is not None:
@@ -425,7 +390,7 @@ class MotorChannel:
         for fault, bit in FAULT_BITS.items():
             if fault in faults:
                 errors.add(bit)
-        if joint.temperature >= board.temperature:
+        if joint.temperature >= board.temperature_warning:
             errors.add("temperature_error")
         return errors
 
@@ -436,20 +401,13 @@ class MotorChannel:
 
     def drive_flags(self) -> list[str]:
         """The switches of the status."""
-        names: list[str] = []
-        if self.driver_on:
-            names.append("driver_on")
-        if self.control_on:
-            names.append("control_on")
-        if self.mode == "current":
-            names.append("current_mode")
-        if self.at_switch:
-            names.append("limit_switch")
-        return names
-
-    def known(self) -> dict[str, Any]:
-        """What is stored, by name."""
-        return dict(vars(self.stored))
+        flags = {
+            "driver_on": self.driver_on,
+            "control_on": self.control_on,
+            "current_mode": self.mode == "current",
+            "limit_switch": self.at_switch,
+        }
+        return [name for name, is_on in flags.items() if is_on]
 
 
 #: Faults that set an error bit as long as they last, beside what else they do.

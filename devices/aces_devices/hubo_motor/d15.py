@@ -1,8 +1,10 @@
-"""The driver `hubo_d15`: a motor board of DRC-HUBO+ (dialect D15), two channels at most.
+"""The driver `hubo_d15` and its twin: a motor board of DRC-HUBO+ (dialect D15), two channels at most.
 
 1. What the source does not state is not done: gains, parameters, currents, limits of the board.
 2. References go out while the board is enabled, from where the joints are; a set-point before that is dropped and told.
 3. A board that has switched control off by itself gets nothing more until it is enabled again.
+4. The twin answers what RoboWorld2018 reads, as the spec has it; how a search goes is not stated there: it runs to 0, then
+   says 6. Control off lets a motor turn freely; a board that was off has forgotten control, home and modes, not where it is.
 
 Facts: RoboWorld2018, as the spec has them (`aces_protocols/hubo/d15.py`). The order of switching on is D12's: driver,
 then control (hubo-ach).
@@ -10,47 +12,44 @@ then control (hubo-ach).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import UNKNOWN, Device, Driver, Host, Job, Joint, Poll, Steps, together
+from aces_bus.device import UNKNOWN, Driver, Host, Job, Joint, MotorDevice, Poll, Steps, Twin, on, together
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.d15 import NUMBERS, POWER
 
-from .d15_twin import HuboMotorD15Twin
+from ..joint_model import AMBIENT, MotorJoint, MotorModel
+from .board import MotorAxis
 
 REPLIES = ("StatusD15", "StatusShortD15")
 STATUS_S, TEMPERATURE_S = 0.1, 1.0
+#: Signals of a joint's status: name → what it is.
+STATUS: Mapping[str, str] = {
+    "errors": "error bits, by name",
+    "driver_on": "whether the motor's driver is on",
+    "control_on": "whether the motor is controlled",
+    "homed": "whether home was found",
+}
 #: Seconds that a search may take, when nobody says otherwise.
 HOME_S = 20.0
 #: How often a search is looked at (ns).
-LOOK = 100_000_000
+LOOK_NS = 100_000_000
 
 
-class D15Axis:
-    """One channel: its joint, how its counts are rad, and what was last said of it."""
+class D15Axis(MotorAxis):
+    """One channel, with what its status said last."""
 
-    def __init__(self, device: HuboMotorD15, joint: Joint) -> None:
-        counts = joint.counts_per_unit
-        if counts is None:
-            raise CallerError(f"{device.name}: {joint.name} needs gear, harmonic and encoder for its counts")
-        self.joint, self.channel = joint, joint.channel
-        self.sign, self.counts, self.zero = joint.direction, counts, joint.zero or 0.0
+    __slots__ = ("drive", "failed")
+
+    def __init__(self, channel: int, joint: Joint) -> None:
+        super().__init__(channel, joint, joint.name)
         self.drive: frozenset[str] = frozenset()
-        self.errors: frozenset[str] = frozenset()
-        self.is_homed = False
-
-    def to_si(self, raw: float) -> float:
-        """The angle (rad) of a count."""
-        return self.sign * (raw / self.counts - self.zero)
-
-    def from_si(self, angle: float) -> int:
-        """The count of an angle, cut off as the sheet does."""
-        return int((self.sign * angle + self.zero) * self.counts)
+        self.failed: frozenset[str] = frozenset()
 
 
-class HuboMotorD15(Device):
+class HuboMotorD15(MotorDevice[D15Axis]):
     """Signals of each joint: position (set, read), temperature, errors, driver_on, control_on, homed; the board's
     temperature.
     """
@@ -69,48 +68,36 @@ class HuboMotorD15(Device):
 
     def setup(self) -> None:
         """A board's joints; the polls."""
-        self.axes = [D15Axis(self, joint) for joint in self.joints]
-        if any(axis.channel > 1 for axis in self.axes):
-            raise CallerError(f"{self.name}: a board of D15 has channels 0 and 1")
+        self.axes = [D15Axis(joint.channel, joint) for joint in self.joints]
         self.is_enabled = False
-        #: Jobs that lead joints somewhere: stopping and disabling end them.
-        self._led: list[Job] = []
-        for axis in self.axes:
-            joint = axis.joint
-            self.add_signal(
+        temperature: dict[str, Any] = {"unit": "°C", "stale_s": 5 * TEMPERATURE_S}
+        for joint, axis in zip(self.joints, self.axes, strict=True):
+            if axis.channel > 1:
+                raise CallerError(f"{self.name}: a board of D15 has channels 0 and 1")
+            if joint.counts_per_unit is None:
+                raise CallerError(
+                    f"{self.name}: {joint.name} needs gear, harmonic and encoder for its counts"
+                )
+            axis.position = self.add_signal(
                 "position",
                 owner=joint.name,
                 unit="rad",
                 of=f"EncoderD15.position.{axis.channel}",
                 set=f"ReferenceD15.position.{axis.channel}",
-                to_si=axis.to_si,
-                from_si=axis.from_si,
+                to_si=axis.to_rad,
+                from_si=axis.to_counts,
                 lower=joint.lower,
                 upper=joint.upper,
                 source="RoboWorld2018",
             )
-            self._guard(joint.name)
-            self.add_signal(
-                "temperature",
-                owner=joint.name,
-                unit="°C",
-                of=f"TemperatureD15.motor.{axis.channel}",
-                stale_s=5 * TEMPERATURE_S,
-                source="RoboWorld2018",
-            )
-            for name, doc in (
-                ("errors", "error bits, by name"),
-                ("driver_on", "whether the motor's driver is on"),
-                ("control_on", "whether the motor is controlled"),
-                ("homed", "whether home was found"),
-            ):
-                self.readable.add(self.add_signal(name, owner=joint.name, stale_s=5 * STATUS_S, doc=doc).name)
+            of = f"TemperatureD15.motor.{axis.channel}"
+            self.add_signal("temperature", owner=joint.name, of=of, source="RoboWorld2018", **temperature)
+            for name, doc in STATUS.items():
+                axis.signals[name] = self.add_signal(
+                    name, owner=joint.name, stale_s=5 * STATUS_S, doc=doc, is_read=True
+                )
         self.add_signal(
-            "temperature",
-            unit="°C",
-            of="TemperatureD15.board_temperature",
-            stale_s=5 * TEMPERATURE_S,
-            doc="the board's",
+            "temperature", of="TemperatureD15.board_temperature", doc="the board's", **temperature
         )
         self.polls = (
             Poll("SendEncoderD15", reply="EncoderD15", fields={"mode": "once"}),
@@ -118,36 +105,36 @@ class HuboMotorD15(Device):
             Poll("SendTemperatureD15", reply="TemperatureD15", every_s=TEMPERATURE_S),
         )
 
-    def _guard(self, joint: str) -> None:
-        """Set-points of a board that is not enabled are dropped, and that is told."""
-        signal = self.signals[f"{joint}.position"]
-        give = signal.setter
-        assert give is not None
-
-        def guarded(value: Any) -> None:
-            if self.is_enabled:
-                give(value)
-            else:
-                self.tell_event("not sent", f"{joint} is not enabled: the set-point is dropped")
-
-        signal.setter = guarded
+    def want(self, message: str, path: str, value: Any) -> None:
+        """A set-point; one of a board that is not enabled is dropped, and that is told."""
+        if self.is_enabled:
+            super().want(message, path, value)
+        else:
+            (axis,) = self.axes_of(path[-1])
+            self.tell_event("not sent", f"{axis.name} is not enabled: the set-point is dropped")
 
     def default_of(self, message: str, path: str) -> Any:
         """A channel that was never given a set-point stays where it is; one without a joint is 0."""
-        channel = int(path[-1])
         for axis in self.axes:
-            if axis.channel == channel:
-                angle = self.signals[f"{axis.joint.name}.position"].last
-                return None if angle is UNKNOWN else axis.from_si(angle)
+            if axis.channel == int(path[-1]):
+                return self._here(axis)
         return 0
+
+    @staticmethod
+    def _here(axis: D15Axis) -> int | None:
+        """The count at which a joint is; None: not known."""
+        assert axis.position is not None
+        return None if axis.position.last is UNKNOWN else axis.to_counts(axis.position.last)
+
+    def _hold_here(self, axes: Sequence[D15Axis]) -> None:
+        for axis in axes:
+            self.want("ReferenceD15", f"position.{axis.channel}", self._here(axis))
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
         """Both slots, also of a board with one joint."""
-        held = list(fields["position"])
-        for channel in (0, 1):
-            if channel >= len(held):
-                held.append(None)
-            if held[channel] is None:
+        held = [*fields["position"], None, None][:2]
+        for channel, count in enumerate(held):
+            if count is None:
                 held[channel] = self.default_of(message, f"position.{channel}")
         return {"position": held}
 
@@ -160,22 +147,17 @@ class HuboMotorD15(Device):
         for axis in self.axes:
             if axis.channel >= len(record.motor):
                 continue
-            motor = record.motor[axis.channel]
-            before = axis.errors
-            axis.drive, axis.errors = frozenset(motor.drive), frozenset(motor.errors)
-            axis.is_homed = motor.home == "homed"
-            owner = axis.joint.name
-            self.signals[f"{owner}.errors"].update(", ".join(motor.errors), instant)
-            self.signals[f"{owner}.driver_on"].update("driver_on" in axis.drive, instant)
-            self.signals[f"{owner}.control_on"].update("control_on" in axis.drive, instant)
-            self.signals[f"{owner}.homed"].update(axis.is_homed, instant)
-            if axis.errors - before:
-                self.tell_event("alarm", f"{owner}: {', '.join(sorted(axis.errors))}")
-            elif before and not axis.errors:
-                self.tell_event("alarm over", f"{owner}: {', '.join(sorted(before))}")
+            motor, before = record.motor[axis.channel], axis.failed
+            axis.drive, axis.failed = frozenset(motor.drive), frozenset(motor.errors)
+            axis.was_homed = motor.home == "homed"
+            axis.show("errors", ", ".join(motor.errors), instant)
+            axis.show("driver_on", "driver_on" in axis.drive, instant)
+            axis.show("control_on", "control_on" in axis.drive, instant)
+            axis.show("homed", axis.was_homed, instant)
+            self.tell_alarms(axis.failed, before, f"{axis.name}: ")
         if self.is_enabled and any("control_on" not in axis.drive for axis in self.axes):
             self._end()
-            if not any(axis.errors for axis in self.axes):
+            if not any(axis.failed for axis in self.axes):
                 self.rebooted("control is off, and nobody has switched it off")
 
     def _end(self) -> None:
@@ -183,19 +165,6 @@ class HuboMotorD15(Device):
         self.drop("ReferenceD15")
 
     # ------------------------------------------------------------------ actions
-
-    def _axes(self, joint: str | None) -> list[D15Axis]:
-        found = [axis for axis in self.axes if joint in (None, axis.joint.name, *axis.joint.aliases)]
-        if not found:
-            raise CallerError(
-                f"{self.name} has no joint {joint!r} (it has: {', '.join(a.joint.name for a in self.axes)})"
-            )
-        return found
-
-    def _leading(self, name: str, steps: Callable[[Job], Steps]) -> Job:
-        made = self.job(name, steps)
-        self._led = [job for job in self._led if not job.is_over] + [made]
-        return made
 
     def _status(self) -> Any:
         return self.ask("SendStatusD15", reply=REPLIES)
@@ -211,18 +180,16 @@ class HuboMotorD15(Device):
                 yield self.tell("ControlD15", channel=axis.channel + 1, state="on")
             yield 10_000_000
             yield self._status()
-            off = [axis.joint.name for axis in self.axes if not {"driver_on", "control_on"} <= axis.drive]
+            off = [axis.name for axis in self.axes if not {"driver_on", "control_on"} <= axis.drive]
             if off:
-                errors = sorted({error for axis in self.axes for error in axis.errors})
+                errors = sorted({error for axis in self.axes for error in axis.failed})
                 raise DeviceError(
                     f"{self.name}: {', '.join(off)} stays off" + (f": {', '.join(errors)}" if errors else "")
                 )
             self.is_enabled = True
-            for axis in self.axes:  # hold
-                here = self.default_of("ReferenceD15", f"position.{axis.channel}")
-                self.want("ReferenceD15", f"position.{axis.channel}", here)
+            self._hold_here(self.axes)
 
-        return self._leading("enable", steps)
+        return self.lead("enable", steps)
 
     def disable(self) -> Job:
         """Control off, drivers off."""
@@ -234,18 +201,12 @@ class HuboMotorD15(Device):
 
     def confirm_stopped(self) -> Job:
         """By the board's status."""
-
-        def steps(job: Job) -> Steps:
-            yield self._status()
-            on = [axis.joint.name for axis in self.axes if "control_on" in axis.drive]
-            if on:
-                raise DeviceError(f"its status says that {', '.join(on)} is still on")
-
-        return self.job("look whether it is off", steps)
+        return self.confirm_off(
+            self._status, lambda: [axis.name for axis in self.axes if "control_on" in axis.drive]
+        )
 
     def _off(self, name: str, *, is_driver_too: bool) -> Job:
-        for job in self._led:
-            job.cancel()
+        self.end_led()
         self._end()
         told: list[Any] = [
             self.tell_now("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes
@@ -259,44 +220,40 @@ class HuboMotorD15(Device):
 
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
         """Search home; enables before. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
         self.is_driven = True
 
         def steps(job: Job) -> Steps:
             if not self.is_enabled:
                 yield self.enable()
-            for number, axis in enumerate(axes):
-                job.text = axis.joint.name
+            for axis in self.in_turn(job, axes):
                 self.hold("ReferenceD15", timeout_s)
                 self._given.get("ReferenceD15", {}).pop(f"position.{axis.channel}", None)
                 yield self.tell("HomeD15", channel=axis.channel + 1)
-                yield LOOK
+                yield LOOK_NS
                 yield from self._searched(axis, timeout_s)
-                job.progress = (number + 1) / len(axes)
             yield self.ask("SendEncoderD15", reply="EncoderD15", mode="once")
-            for axis in axes:
-                here = self.default_of("ReferenceD15", f"position.{axis.channel}")
-                self.want("ReferenceD15", f"position.{axis.channel}", here)
+            self._hold_here(axes)
             self.hold("ReferenceD15", 0)
 
-        return self._leading("home", steps)
+        return self.lead("home", steps)
 
     def _searched(self, axis: D15Axis, timeout_s: float) -> Steps:
         end = self.clock.now() + round(timeout_s * 1e9)
         while True:
             yield self._status()
-            if axis.is_homed:
+            if axis.was_homed:
                 return
-            if axis.errors or "control_on" not in axis.drive:
-                errors = ", ".join(sorted(axis.errors)) or "control went off"
-                raise DeviceError(f"{self.name}: {axis.joint.name} has not found home: {errors}")
+            if axis.failed or "control_on" not in axis.drive:
+                errors = ", ".join(sorted(axis.failed)) or "control went off"
+                raise DeviceError(f"{self.name}: {axis.name} has not found home: {errors}")
             if self.clock.now() >= end:
-                raise DeviceError(f"{self.name}: {axis.joint.name} has not found home in {timeout_s:g} s")
-            yield LOOK
+                raise DeviceError(f"{self.name}: {axis.name} has not found home in {timeout_s:g} s")
+            yield LOOK_NS
 
     def clear_errors(self, joint: str | None = None) -> Job:
         """Clear error bits."""
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
 
         def steps(job: Job) -> Steps:
             for axis in axes:
@@ -310,7 +267,7 @@ class HuboMotorD15(Device):
         """What set-points count from. Only while disabled: the same number would mean another place."""
         if mode not in ("absolute", "incremental"):
             raise CallerError(f"{self.name}: mode is absolute or incremental, not {mode!r}")
-        axes = self._axes(joint)
+        axes = self.axes_of(joint)
 
         def steps(job: Job) -> Steps:
             if self.is_enabled:
@@ -325,6 +282,204 @@ class HuboMotorD15(Device):
         return self.ask("GetBoardInfoD15", reply="BoardInfoD15")
 
 
+# ---------------------------------------------------------------------- the twin
+
+#: A joint this far (rad) from its reference, and not moving, has a big error.
+BIG = 0.1
+#: A search ends this near to 0 (rad).
+NEAR = 1e-3
+VERSION = 20150601
+
+
+class _SimulatedMotor:
+    """One channel."""
+
+    def __init__(self, joint: Joint, now: int, position: float) -> None:
+        self.joint = joint
+        self.counts = joint.counts_per_unit or 1.0
+        lower = -1e9 if joint.lower is None else joint.lower - 0.2
+        upper = 1e9 if joint.upper is None else joint.upper + 0.2
+        self.model = MotorJoint(MotorModel(), now, position=position, lower=lower, upper=upper)
+        self.is_driven = self.is_controlled = self.is_homed = self.is_incremental = False
+        self.searching = False
+        self.errors = 0
+        self.goal = position
+
+    def raw(self, now: int) -> int:
+        return round(
+            (self.joint.direction * self.model.position(now) + (self.joint.zero or 0.0)) * self.counts
+        )
+
+    def aim(self, raw: int, now: int) -> None:
+        angle = self.joint.direction * (raw / self.counts - (self.joint.zero or 0.0))
+        self.goal = self.goal + angle if self.is_incremental else angle
+        if self.is_controlled and not self.searching:
+            self.model.follow(now, self.goal)
+
+    def position(self, now: int) -> float:
+        """Where the joint is (rad)."""
+        return self.model.position(now)
+
+
+class HuboMotorD15Twin(Twin):
+    """A board with its motors."""
+
+    protocol = "hubo"
+    faults: ClassVar = {
+        "jammed": "its joints are blocked",
+        "hot": "its motors are at 90 °C, and it says so",
+        "encoder_fail": "its encoders fail: an error, and control goes off",
+        "no_home": "a home search finds nothing",
+    }
+
+    def setup(self) -> None:
+        """As just switched on: where it stood, controlling nothing."""
+        now = self.clock.now()
+        self.motors: dict[int, _SimulatedMotor] = {}
+        for joint in self.joints:
+            old = self.world.joints.get(joint.name)
+            made = _SimulatedMotor(joint, now, 0.0 if old is None else old.position(now))
+            self.motors[joint.channel] = made
+            self.world.joints[joint.name] = made
+        self._continuous = 0
+
+    def _one(self, channel: int) -> _SimulatedMotor | None:
+        return self.motors.get(channel - 1)
+
+    # ------------------------------------------------------------------ asked
+
+    @on("SendEncoderD15")
+    def encoder(self, request: Any) -> None:
+        """The positions; again and again when asked so."""
+        self._continuous += 1
+        self._say()
+        if request.mode == "continuous":
+            self._go_on(self._continuous)
+
+    def _go_on(self, number: int) -> None:
+        def again() -> None:
+            if number == self._continuous and self.is_powered:
+                self._say()
+                self._go_on(number)
+
+        self.clock.call_in(5_000_000, again)
+
+    def _say(self) -> None:
+        now = self.clock.now()
+        here = [self.motors[n].raw(now) if n in self.motors else 0 for n in (0, 1)]
+        self.reply("EncoderD15", position=here)
+
+    @on("SendStatusD15")
+    def status(self, request: Any) -> None:
+        """Switches, home, errors, modes."""
+        now = self.clock.now()
+        told = [{"drive": 0, "home": 0, "errors": 0, "modes": 0} for _ in range(2)]
+        for number, motor in self.motors.items():
+            self._look(motor, now)
+            told[number] = {
+                "drive": int(motor.is_driven) | int(motor.is_controlled) << 1,
+                "home": 6 if motor.is_homed else 0,
+                "errors": motor.errors,
+                "modes": 0x80 | (int(motor.is_incremental) << 5),
+            }
+        self.reply("StatusD15", motor=told, rest=b"")
+
+    def _look(self, motor: _SimulatedMotor, now: int) -> None:
+        """What has become of it since it was looked at."""
+        faults = self.active_faults
+        motor.model.jammed = "jammed" in faults
+        angle = motor.model.position(now)
+        if "hot" in faults:
+            motor.errors |= 0x80
+        if "encoder_fail" in faults:
+            motor.errors |= 0x20
+            motor.is_controlled = False
+            motor.model.free(now)
+        if motor.searching:
+            if "no_home" in faults:
+                motor.errors |= 0x01
+                motor.searching = False
+            elif abs(angle) <= NEAR:
+                motor.searching, motor.is_homed, motor.goal = False, True, angle
+        elif motor.is_controlled and abs(angle - motor.goal) > BIG and abs(motor.model.v) < 1e-6:
+            motor.errors |= 0x04
+
+    @on("SendTemperatureD15")
+    def temperature(self, request: Any) -> None:
+        """Of the board and of both motors."""
+        now = self.clock.now()
+        found = [90.0 if "hot" in self.active_faults else AMBIENT] * 2
+        for number, motor in self.motors.items():
+            motor.model.sync(now)
+            if "hot" not in self.active_faults:
+                found[number] = min(motor.model.temperature, 6000.0)
+        self.reply("TemperatureD15", board_temperature=30.0, motor=found, rest=b"")
+
+    @on("GetBoardInfoD15")
+    def info(self, request: Any) -> None:
+        """What it is."""
+        self.reply("BoardInfoD15", period=5, unknown=bytes(2), version=VERSION, rest=b"")
+
+    # ------------------------------------------------------------------ told
+
+    @on("ReferenceD15")
+    def reference(self, request: Any) -> None:
+        """Where to."""
+        now = self.clock.now()
+        for number, motor in self.motors.items():
+            motor.aim(request.position[number], now)
+
+    @on("DriverSwitchD15")
+    def driver(self, request: Any) -> None:
+        """Driver on or off; without it nothing is controlled."""
+        motor = self._one(request.channel)
+        if motor is not None:
+            motor.is_driven = request.state == "on"
+            if not motor.is_driven:
+                motor.is_controlled = False
+                motor.model.free(self.clock.now())
+
+    @on("ControlD15")
+    def control(self, request: Any) -> None:
+        """Control on or off."""
+        motor = self._one(request.channel)
+        if motor is None:
+            return
+        now = self.clock.now()
+        motor.is_controlled = request.state == "on" and motor.is_driven
+        motor.searching = False
+        if motor.is_controlled:
+            motor.goal = motor.model.position(now)
+            motor.model.follow(now, motor.goal)
+        else:
+            motor.model.free(now)
+
+    @on("HomeD15")
+    def home(self, request: Any) -> None:
+        """Search: to 0, which the stored settings stand for."""
+        motor = self._one(request.channel)
+        if motor is not None and motor.is_controlled:
+            motor.is_homed, motor.searching, motor.goal = False, True, 0.0
+            motor.model.follow(self.clock.now(), 0.0)
+
+    @on("ClearErrorD15")
+    def clear(self, request: Any) -> None:
+        """Errors are gone, until there is a reason for them again."""
+        motor = self._one(request.channel)
+        if motor is not None:
+            motor.errors = 0
+
+    @on("PositionModeD15")
+    def position_mode(self, request: Any) -> None:
+        """What references count from."""
+        motor = self._one(request.channel)
+        if motor is not None:
+            motor.is_incremental = request.mode == "incremental"
+
+
+# ---------------------------------------------------------------------- what is registered
+
+
 def _scan(host: Host, job: Job) -> Steps:
     """Ask every board number what it is."""
     found: list[DeviceConfig] = []
@@ -334,16 +489,9 @@ def _scan(host: Host, job: Job) -> Steps:
         job.progress = number / len(NUMBERS)
         if number == POWER:
             continue
-        probe = host.probe("hubo", board=number)
-        try:
-            yield probe.ask("GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01, retries=1)
-        except NoReplyError:
-            continue
-        finally:
-            host.remove(probe.name)
-        found.append(
-            DeviceConfig(name=f"B{number}", driver="hubo_d15", bus=host.name, credentials={"board": number})
-        )
+        who = {"board": number}
+        if (yield from host.answers("hubo", who, "GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01)):
+            found.append(DeviceConfig(name=f"B{number}", driver="hubo_d15", bus=host.name, credentials=who))
     return found
 
 

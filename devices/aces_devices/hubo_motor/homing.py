@@ -16,25 +16,17 @@ from typing import Any
 from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError
 
-from .axis import ARRIVED, MotorAxis
-from .core import BoardCore, search_state
-from .switching import PAUSE
+from .board import ARRIVED, MotorAxis, MotorBoard, search_state
+from .switching import PAUSE_NS, Switching
 
 #: Between two looks at a search (ns).
-LOOK = 50_000_000
+LOOK_NS = 50_000_000
 #: A joint without a home flag must have rested for so long (ns).
-REST = 300_000_000
+REST_NS = 300_000_000
 
 
-class Homing(BoardCore):
+class Homing(Switching):
     """Home searches and zeros."""
-
-    _home_jobs: list[Job]
-
-    def setup(self) -> None:
-        """As all boards; nothing is searched."""
-        self._home_jobs = []
-        super().setup()
 
     def home(self, joint: str | None = None) -> Job:
         """Search the home of one joint, or of all of this board. It moves, whether enabled or not.
@@ -48,7 +40,7 @@ class Homing(BoardCore):
             raise CallerError(f"{self.name} (kind {self.kind}) has no home search")
         if self.homing:
             raise CallerError(f"{self.name}: a home search is under way")
-        axes = self.chosen(joint)
+        axes = self.axes_of(joint)
         self.is_driven = True
         if message == "Home":
             return self._start(axes, lambda job: self._home_d12(job, axes, joint is None))
@@ -70,26 +62,17 @@ class Homing(BoardCore):
             finally:
                 self.homing = set()
 
-        job = self.job("home", guarded)
-        self._home_jobs = [one for one in self._home_jobs if not one.is_over] + [job]
-        return job
-
-    def stop_homing(self) -> None:
-        """Wait for home searches no more."""
-        for job in self._home_jobs:
-            job.cancel()
-        self._home_jobs.clear()
-        self.homing = set()
+        return self.lead("home", guarded)
 
     def _announce(self) -> None:
         """A home command goes out: no references on this bus for a while (hubo-ach)."""
-        duration = self.settings.known("hold_home_s")
+        duration = self.settings.hold_home_s
         for device in self.host.devices.values():
-            if isinstance(device, BoardCore):
+            if isinstance(device, MotorBoard):
                 device.hold_off(duration)
 
     def _timeout(self) -> int:
-        return round(self.settings.known("home_timeout_s") * 1e9)
+        return round(self.settings.home_timeout_s * 1e9)
 
     def _arrived(self, axes: list[MotorAxis]) -> None:
         """Set-points are zero now."""
@@ -115,22 +98,22 @@ class Homing(BoardCore):
         status = self.shape.status
         assert status is not None
         while waiting:
-            yield LOOK
+            yield LOOK_NS
             now = self.clock.now()
             yield self.ask("SendStatus", reply=status.reply)
-            yield from self._positions()
+            yield from self.reading_positions()
             for axis in list(waiting):
                 if axis.count != first[axis.channel]:
                     moved.add(axis.channel)
                     rested[axis.channel] = now
                     first[axis.channel] = axis.count
-                if axis.status is not None and "limit_switch" in (axis.status.value or ()):
+                if "limit_switch" in (axis.shown("status") or ()):
                     moved.add(axis.channel)
                 near = axis.count is not None and abs(axis.to_rad(axis.count)) <= ARRIVED
                 if self.shape.has_home_flag:
-                    over = near and axis.homed is not None and bool(axis.homed.value)
+                    over = near and bool(axis.shown("homed"))
                 else:
-                    over = near and axis.channel in moved and now - rested[axis.channel] >= REST
+                    over = near and axis.channel in moved and now - rested[axis.channel] >= REST_NS
                 if over:
                     waiting.remove(axis)
             job.progress = max(1 - len(waiting) / len(axes), min(0.9, (now - began) / self._timeout()))
@@ -141,22 +124,17 @@ class Homing(BoardCore):
         self._arrived(axes)
         return [axis.name for axis in axes]
 
-    def _positions(self) -> Steps:
-        for ask in self.shape.encoders:
-            yield self.ask(ask.message, reply=ask.reply, **ask.fields)
-
     def _keep_off(self, now: int) -> None:
         """While a board searches, its own references stay away."""
-        if self._held_until < now + 4 * LOOK:
-            self.hold_off(4 * LOOK / 1e9)
+        if self._held_until < now + 4 * LOOK_NS:
+            self.hold_off(4 * LOOK_NS / 1e9)
 
     def _why(self, axes: list[MotorAxis]) -> str:
         """What is known of joints that found no home."""
         said: list[str] = []
         for axis in axes:
-            parts = [f"home flag {axis.home.value}"] if axis.home is not None else []
-            if axis.errors is not None and axis.errors.value:
-                parts += axis.errors.value
+            parts = [f"home flag {axis.shown('home')}"] if "home" in axis.signals else []
+            parts += axis.shown("errors") or ()
             if axis.count is not None:
                 parts.append(f"at {axis.to_rad(axis.count):.4f} rad")
             said.append(f"{axis.name} ({', '.join(parts)})")
@@ -175,7 +153,7 @@ class Homing(BoardCore):
     def _only_switch(self, joint: str | None) -> MotorAxis:
         """The one motor of three that has a limit switch."""
         axis = self.axes[0]
-        if joint is not None and self.axis(joint) is not axis:
+        if joint is not None and self.axes_of(joint) != [axis]:
             raise CallerError(f"{self.name}: only {axis.name} has a limit switch; it homes the board")
         return axis
 
@@ -191,7 +169,7 @@ class Homing(BoardCore):
     def tries(self) -> int:
         """How often a joint's search is tried: 3 for arms and wrists, 2 for legs and waist (acesHubo)."""
         arm = self.credentials["board"] in (0x08, 0x09, 0x0A, 0x0B, 0x20, 0x21, 0x22)
-        return int(self.settings.number("home_tries") or (3 if arm else 2))
+        return int(self.settings.home_tries or (3 if arm else 2))
 
     def home_fields(self, axis: MotorAxis) -> dict[str, Any]:
         """The home command of a channel of D08, from the robot's file.
@@ -223,7 +201,7 @@ class Homing(BoardCore):
                 yield self.tell(self.shape.home, **self.home_fields(axis))
                 state = "searching"
                 while state == "searching":
-                    yield LOOK
+                    yield LOOK_NS
                     record = yield self.ask("SendStatus", reply=status.reply)
                     state = search_state(record.motor[axis.channel])
                     passed = self.clock.now() - began
@@ -236,33 +214,32 @@ class Homing(BoardCore):
             else:
                 raise self.fail(f"{axis.name} found no home in {tries} tries")
             self._arrived([axis])
-        yield from self._positions()
+        yield from self.reading_positions()
         return [axis.name for axis in axes]
 
     def _home_blind(self, job: Job, axes: list[MotorAxis], message: str, fields: dict[str, Any]) -> Steps:
         """Fingers of D08 are driven against their stop; nothing tells when they are there."""
         self._announce()
         yield self.tell(message, **fields)
-        yield round(self.settings.known("hold_home_s") * 1e9)
+        yield round(self.settings.hold_home_s * 1e9)
         return [axis.name for axis in axes]
 
     # ------------------------------------------------------------------ zeros and errors
 
     def zero_encoder(self, joint: str | None = None) -> Job:
         """Make the present position of a joint, or of all, the encoder's zero. Errors are cleared too (D12)."""
-        axes = self.chosen(joint)
+        axes = self.axes_of(joint)
         if self.kind == "neck" or not self.shape.encoders:
             raise CallerError(f"{self.name} (kind {self.kind}) has no encoder to set to zero")
 
         def steps(job: Job) -> Steps:
             self.homing = {axis.channel for axis in axes}
             try:
+                number = axes[0].channel
                 if self.dialect == "D12":
-                    for channel in ["all"] if joint is None else [f"channel_{axes[0].channel}"]:
-                        yield self.tell("EncoderZero", channel=channel)
+                    yield self.tell("EncoderZero", channel="all" if joint is None else f"channel_{number}")
                 else:
-                    for motor in ["all"] if joint is None else [f"motor_{axes[0].channel + 1}"]:
-                        yield self.tell("EncoderZeroD08", motor=motor)
+                    yield self.tell("EncoderZeroD08", motor="all" if joint is None else f"motor_{number + 1}")
                 # The old set-points mean other places now.
                 for axis in axes:
                     if (
@@ -271,8 +248,8 @@ class Homing(BoardCore):
                         and self.set_message == self.shape.reference
                     ):
                         self.give(axis, 0)
-                yield 2 * PAUSE
-                yield from self._positions()
+                yield 2 * PAUSE_NS
+                yield from self.reading_positions()
             finally:
                 self.homing = set()
 
@@ -284,10 +261,10 @@ class Homing(BoardCore):
         The job fails with a `DeviceError` when the joint is farther than 0.0075 rad from zero and `zero` is False.
         """
         self.only_d12_errors()
-        axes = self.chosen(joint)
+        axes = self.axes_of(joint)
 
         def steps(job: Job) -> Steps:
-            yield from self._positions()
+            yield from self.reading_positions()
             away = [
                 a
                 for a in axes

@@ -8,34 +8,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
-from aces_bus.device import Device, DeviceConfig, Job, Steps
+from aces_bus.device import DeviceConfig, Host, Job, Steps
 from aces_bus.errors import AcesError, CallerError
-from aces_protocols.hubo.spec import hubo
 
 #: Numbers of motor boards.
 BOARDS = range(0x30)
 #: So many boards are asked at once, and so long their answers may take (ns).
-AT_ONCE, PATIENCE = 8, 8_000_000
+AT_ONCE, PATIENCE_NS = 8, 8_000_000
 #: Identifiers of encoder and status replies, less the board's number.
 _ENCODER, _STATUS = 0x060, 0x150
-
-
-class _Probe(Device):
-    """Whoever has this number."""
-
-    protocol = hubo
-    is_there = False
-
-    def setup(self) -> None:
-        """Nothing has been heard."""
-        #: Lengths of encoder replies that do not fit the kind in the table.
-        self.lengths: list[int] = []
-
-    def heard(self, record: Any, instant: int) -> None:
-        """Something of this number."""
-        self.is_there = True
 
 
 def name_of(board: int) -> str:
@@ -52,98 +36,87 @@ def channels_by_length(lengths: list[int], dialect: str) -> int | None:
     return next((channels for size, channels in ((8, 2), (6, 3), (4, 1)) if size in lengths), None)
 
 
-def scan_boards(host: Any, job: Job) -> Steps:
+def scan_boards(host: Host, job: Job) -> Steps:
     """The motor boards that answer on this host's bus, as a list of `DeviceConfig` by number.
 
     Boards that the host has already and hears are listed as they are. Raises `CallerError` on a bus without Hubo's protocol.
     """
-    variant = next((v for v in host.variants.values() if v.protocol.name == "hubo"), None)
+    variant = host.variants.get("hubo")
     if variant is None:
         raise CallerError(f"{host.name} does not speak hubo")
     dialect = variant.dialect or "D12"
     table = dict(variant.tables.get("channels", {})) if variant.tables else {}
     own = {
-        device.credentials["board"]: device.config
+        device.credentials["board"]: device
         for device in host.devices.values()
         if "board" in device.credentials
     }
-    robot = _no_robot()
-    probes: dict[int, _Probe] = {}
-    for board in BOARDS:
-        if board not in own and table.get(board) != "power":
-            config = DeviceConfig(
-                name=f"probe {board:#04x}", driver="hubo_motor", bus=host.name, credentials={"board": board}
-            )
-            probes[board] = host.add(_Probe(host, config, robot, variant))
+    probes = {
+        board: host.probe("hubo", board=board)
+        for board in BOARDS
+        if board not in own and table.get(board) != "power"
+    }
+    #: Of each number, the lengths of encoder replies that do not fit the kind in the table; of other answers None.
+    answers: dict[int, list[int | None]] = {}
 
     def unknown(word: Any, instant: int) -> None:
-        identifier = word.meta.identifier
         for base in (_ENCODER, _STATUS):
-            probe = None if identifier is None else probes.get(identifier - base)
-            if probe is not None:
-                probe.is_there = True
-                if base == _ENCODER:
-                    probe.lengths.append(len(word.meta.raw))
+            board = (word.meta.identifier or 0) - base
+            if board in probes:
+                answers.setdefault(board, []).append(len(word.meta.raw) if base == _ENCODER else None)
+
+    def is_there(board: int) -> bool:
+        return board in answers or probes[board].last_heard is not None
 
     host.unknown_handlers.append(unknown)
     try:
         requests = _requests(dialect, host)
-        for number, (message, fields) in enumerate(requests):
-            waiting = [p for p in probes.values() if fields is not None or not p.is_there]
+        for number, (message, fields, is_for_all) in enumerate(requests):
+            waiting = [board for board in probes if is_for_all or not is_there(board)]
             for start in range(0, len(waiting), AT_ONCE):
-                for probe in waiting[start : start + AT_ONCE]:
-                    _tell(probe, message, fields)
-                yield PATIENCE
+                for board in waiting[start : start + AT_ONCE]:
+                    with suppress(AcesError):  # NameInfo of one byte is for hands only: others are not that
+                        probes[board].tell(message, **fields)
+                yield PATIENCE_NS
             job.progress = (number + 1) / len(requests)
     finally:
         host.unknown_handlers.remove(unknown)
         for probe in probes.values():
             host.remove(probe.name)
-    found = [config for config in own.values() if config.driver == "hubo_motor" and _is_heard(host, config)]
-    for board, probe in probes.items():
-        if probe.is_there:
-            found.append(_config(host, board, probe, table.get(board), dialect))
+    found = [
+        device.config
+        for device in own.values()
+        if device.config.driver == "hubo_motor" and device.last_heard is not None and not device.is_silent
+    ]
+    for board in filter(is_there, probes):
+        lengths = [size for size in answers.get(board, ()) if size is not None]
+        found.append(_config(host, board, channels_by_length(lengths, dialect), table.get(board)))
     return sorted(found, key=lambda config: config.credentials["board"])
 
 
-def _requests(dialect: str, host: Any) -> list[tuple[str, dict[str, Any] | None]]:
-    """What is asked, in order; None: of those that have not answered, with the period."""
-    asked: list[tuple[str, dict[str, Any] | None]]
-    if dialect == "D12":
-        asked = [
-            ("SendEncoder", {"selector": "normal"}),
-            ("SendEncoder", {"selector": "upper"}),
-            ("SendStatus", {}),
-        ]
-        # Twice: a bus loses words.
-        return [*asked, *asked, ("GetBoardInfo", None)]
-    asked = [("SendEncoderD08", {}), ("SendStatus", {})]
-    return [*asked, *asked, ("NameInfo5", None)]
+def _requests(dialect: str, host: Host) -> list[tuple[str, dict[str, Any], bool]]:
+    """What is asked, in order, with the fields, and whether of all numbers or of those that have not answered.
+
+    All but the last are asked twice: a bus loses frames.
+    """
+    rate = host.rate_hz
+    period = {"period": 5 if rate is None else max(1, min(255, round(1000 / rate)))}
+    if dialect != "D12":
+        return [("SendEncoderD08", {}, True), ("SendStatus", {}, True)] * 2 + [("NameInfo5", period, False)]
+    asked: list[tuple[str, dict[str, Any], bool]] = [
+        ("SendEncoder", {"selector": "normal"}, True),
+        ("SendEncoder", {"selector": "upper"}, True),
+        ("SendStatus", {}, True),
+    ]
+    return [*asked, *asked, ("GetBoardInfo", period, False)]
 
 
-def _tell(probe: _Probe, message: str, fields: dict[str, Any] | None) -> None:
-    if fields is None:
-        rate = probe.host.rate_hz
-        fields = {"period": 5 if rate is None else max(1, min(255, round(1000 / rate)))}
-    try:
-        probe.tell(message, **fields)
-    except AcesError:
-        return  # NameInfo of one byte is for hands only: other kinds have answered, or are not there
-
-
-def _is_heard(host: Any, config: DeviceConfig) -> bool:
-    device = host.devices[config.name]
-    return device.last_heard is not None and not device.is_silent
-
-
-def _config(host: Any, board: int, probe: _Probe, known: Any, dialect: str) -> DeviceConfig:
-    measured = channels_by_length(probe.lengths, dialect)
+def _config(host: Host, board: int, measured: int | None, known: Any) -> DeviceConfig:
+    """A board of so many channels as was measured, else of the kind in the table, else of two channels."""
     kind: str | None = None
-    if known is not None and measured is None:
-        channels = 3 if isinstance(known, str) else int(known)
-        kind = known if isinstance(known, str) else None
-    else:
-        channels = measured if measured is not None else 2
+    if measured is None and isinstance(known, str):
+        measured, kind = 3, known
+    channels = measured or (2 if known is None else int(known))
     return DeviceConfig(
         name=name_of(board),
         driver="hubo_motor",
@@ -152,9 +125,3 @@ def _config(host: Any, board: int, probe: _Probe, known: Any, dialect: str) -> D
         channels=channels,
         kind=kind,
     )
-
-
-def _no_robot() -> Any:
-    from aces_bus.device import Robot
-
-    return Robot(name="scan", buses={}, devices={}, joints={}, sensors={})

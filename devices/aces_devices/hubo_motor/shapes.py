@@ -1,4 +1,4 @@
-"""What a motor board of each kind and dialect is asked and told: the table that the driver and its twin read.
+"""What a motor board of each kind and dialect is asked and told, and its settings: the tables that driver and twin read.
 
 1. A board is a row of `SHAPES`; nothing else in the driver asks for a dialect or a kind, except where firmware behaves
    differently with the same messages.
@@ -11,9 +11,75 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import Device, Twin
+from aces_bus.errors import UnknownNameError
 
 Kind = int | str
+
+
+def _number(text: str, least: float, most: float) -> Meta:
+    return Meta(ge=least, le=most, description=text)
+
+
+class BoardSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    period_ms: (
+        Annotated[
+            float,
+            _number(
+                "what NameInfo (D08) and GetBoardInfo (D12) tell the board: ms between two references", 1, 255
+            ),
+        ]
+        | None
+    ) = None
+    status_s: Annotated[float, _number("how often the status is asked for (s, default 0.1)", 0, 3600)] = 0.1
+    current_s: Annotated[
+        float, _number("how often currents and temperature are asked for (s, default 0.1)", 0, 3600)
+    ] = 0.1
+    filter: Annotated[
+        float, _number("length of hubo-ach's reference filter (40 there; default 1: none)", 1, 100_000)
+    ] = 1
+    neck_counts: Annotated[
+        float,
+        _number(
+            "what a neck servo's turn is divided by in references: 4096 (default) or hubo-ach's 4095",
+            4095,
+            4096,
+        ),
+    ] = 4096
+    home_timeout_s: Annotated[
+        float, _number("how long a home search may take (s, default 30)", 0.1, 3600)
+    ] = 30
+    home_tries: (
+        Annotated[
+            float,
+            _number("how often a D08 home search is tried (default 3 for arms, 2 for others)", 1, 100),
+        ]
+        | None
+    ) = None
+    hold_start_s: Annotated[
+        float, _number("no references for so long after the start (s, default 0.8)", 0, 3600)
+    ] = 0.8
+    hold_home_s: Annotated[
+        float,
+        _number(
+            "no references of any board on the bus for so long after a home command (s, default 3)", 0, 3600
+        ),
+    ] = 3
+    trigger: Annotated[
+        bool,
+        Meta(
+            description=(
+                "true: set-points go out when all channels of the board have a new one (acesHubo); default false"
+            )
+        ),
+    ] = False
 
 
 @dataclass(frozen=True)
@@ -215,3 +281,17 @@ SHAPES: Final[Mapping[tuple[str, Kind], Shape]] = {
     ("D08X", 3): _three_d08("Status3D08X", "Home3D08X"),
     ("D08X", 5): _fingers_d08(None),
 }
+
+
+def shape_of(board: Device | Twin) -> tuple[str, Kind, Shape]:
+    """Dialect, kind and row of a board. Raises `UnknownNameError` with the kinds that its dialect has."""
+    dialect, own = board.variant.dialect or "D12", board.config.kind
+    kind = own if isinstance(own, (int, str)) else board.config.channels
+    found = None if kind is None else SHAPES.get((dialect, kind))
+    if found is None or kind is None:
+        raise UnknownNameError(
+            f"kind of Hubo motor board of {dialect} ({board.name})",
+            str(kind),
+            [str(k) for d, k in SHAPES if d == dialect],
+        )
+    return dialect, kind, found

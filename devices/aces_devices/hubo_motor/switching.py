@@ -1,10 +1,16 @@
-"""Switching a board: enable, disable, modes, gains, sounds.
+"""Switching a board: enable, disable, modes, gains, sounds, compliance.
 
 1. Before anything is switched on, the set-points are where the joints are (hubo-ach), and have been sent.
 2. Enabling is over when the board's status says so, where it has one.
 
 Enable: D08 NameInfo and gains, then as D12: reference = present position, FET switch 0x0B, control on 0x0E. Disable: 0x0F,
 then 0x0B with 0 (facts, 5.6). Hands of five fingers take no control on and off (hubo-ach); theirs is a duty of 0.
+
+Compliance (hubo-ach; D12, one and two channels): the host closes the position loop itself, softly, by duties. Each encoder
+reply gives one duty of both channels; no reference is sent meanwhile. Duty (0.1 %) =
+−(10 Kp (ref − pos) − 10 Kd vel + 10 pwm), limited to 10 maxPWM: the Kp term, the Kd term and the sum are each truncated
+toward zero, as hubo-ach does. Kp is in %/rad. Back to rigid: reference = position, control on, then a filter of length 400
+until |error| is at most 0.0075 rad.
 """
 
 from __future__ import annotations
@@ -12,31 +18,41 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from aces_bus.device import Job, Steps, Ticket
-from aces_bus.errors import CallerError, DeviceError
+from aces_bus.errors import CallerError
 
-from .axis import MotorAxis
-from .core import BoardCore, unsigned
+from .board import ARRIVED, MotorAxis, MotorBoard, unsigned
 
 #: Between two requests that one board is sent by a job (ns).
-PAUSE = 2_000_000
+PAUSE_NS = 2_000_000
 
 
-class Switching(BoardCore):
+#: The filter's length on the way back to rigid (hubo-ach).
+RIGID_FILTER = 400
+
+
+def compliant_duty(
+    error: float, velocity: float, kp: float, kd: float, max_pwm: float, pwm: float = 0.0
+) -> int:
+    """The duty in 0.1 %, as it goes out: `error` = reference − position (rad), `velocity` in rad/s.
+
+    >>> compliant_duty(0.1, 0.0, 80, 0, 8)
+    -80
+    >>> compliant_duty(0.033, 0.0, 80, 0, 8)
+    -26
+    """
+    effort = int(int(10 * kp * error) - int(10 * kd * velocity) + 10 * pwm)
+    most = min(1000, int(10 * max_pwm))
+    return -max(-most, min(most, effort))
+
+
+class Switching(MotorBoard):
     """Enable, disable, gains, modes."""
-
-    _enable_job: Job | None = None
 
     def enable(self) -> Job:
         """Follow set-points from now on, beginning where the joints are. Waits for a hold-off to end."""
-        self._stop_enabling()
+        self.end_led("enable")
         self.is_driven = True
-        self._enable_job = self.job("enable", self._enabling)
-        return self._enable_job
-
-    def _stop_enabling(self) -> None:
-        if self._enable_job is not None:
-            self._enable_job.cancel()
-            self._enable_job = None
+        return self.lead("enable", self._enabling)
 
     def _enabling(self, job: Job) -> Steps:
         shape = self.shape
@@ -70,16 +86,16 @@ class Switching(BoardCore):
         """The set-point at which a channel stays where it is."""
         if self.set_message == self.shape.pwm:
             return 0
-        if self.shape.references[axis.channel].startswith("finger"):
+        if self.is_pushed(axis.channel):
             return 0.0 if self.hand_mode == "hybrid" else 0
         if self.kind == "neck":
-            return self._neck(axis)(axis.to_rad(axis.count or 0))
+            return self.neck_angle(axis)(axis.to_rad(axis.count or 0))
         return axis.count or 0
 
     def tick_ns(self) -> int:
         """Until the next tick has surely sent what was given (ns)."""
         rate = self.host.rate_hz
-        return PAUSE if rate is None else round(1e9 / rate) + PAUSE
+        return PAUSE_NS if rate is None else round(1e9 / rate) + PAUSE_NS
 
     def reading_positions(self) -> Steps:
         """Ask for the encoders, whatever is known of them."""
@@ -90,16 +106,12 @@ class Switching(BoardCore):
         assert self.shape.status is not None
         off: list[str] = []
         for _ in range(10):
-            yield 2 * PAUSE
+            yield 2 * PAUSE_NS
             yield self.ask("SendStatus", reply=self.shape.status.reply)
-            off = [a.name for a in self.axes if a.enabled is not None and not a.enabled.value]
+            off = [axis.name for axis in self.axes if axis.signals and not axis.shown("enabled")]
             if not off:
                 return
-        why = [
-            f"{a.name} {', '.join(a.errors.value)}"
-            for a in self.axes
-            if a.errors is not None and a.errors.value
-        ]
+        why = [f"{a.name} {', '.join(a.shown('errors'))}" for a in self.axes if a.shown("errors")]
         self.quiet()
         raise self.fail(f"{', '.join(off)} cannot be enabled" + (f" ({'; '.join(why)})" if why else ""))
 
@@ -113,7 +125,7 @@ class Switching(BoardCore):
                 yield from self._gain_tickets(axis, None, None, None, False)
 
     def _name_info(self) -> dict[str, Any] | None:
-        period = self.settings.number("period_ms")
+        period = self.settings.period_ms
         homes = [axis.joint.home if axis.joint is not None else None for axis in self.axes]
         if period is None:
             return None
@@ -141,7 +153,7 @@ class Switching(BoardCore):
         if self.shape.name_info is None:
             rate = self.host.rate_hz
             usual = 5 if rate is None else max(1, min(255, round(1000 / rate)))
-            period = int(self.settings.number("period_ms") or usual)
+            period = int(self.settings.period_ms or usual)
             return self.ask("GetBoardInfo", reply="BoardInfo", period=period)
         fields = self._name_info()
         if fields is None:
@@ -161,7 +173,7 @@ class Switching(BoardCore):
             stopped = self.stop_motion()
             if stopped is not None:
                 yield stopped
-            yield PAUSE
+            yield PAUSE_NS
             if self.shape.has_driver_switch:
                 yield self.tell("DriverSwitch", state="off")
 
@@ -169,9 +181,9 @@ class Switching(BoardCore):
 
     def stop_motion(self) -> Ticket | None:
         """No set-points any more, control off (duty off for boards without that), at once."""
-        self._stop_enabling()
-        self.stop_homing()
-        was_compliant = self.is_compliant
+        self.end_led()
+        self.homing = set()
+        was_compliant = self.comply is not None
         self.quiet()
         shape = self.shape
         ticket: Ticket | None = None
@@ -184,17 +196,13 @@ class Switching(BoardCore):
     def confirm_stopped(self) -> Job | None:
         """By the board's status, where it tells of its drives."""
         status = self.shape.status
-        axes = [axis for axis in self.axes if axis.enabled is not None]
-        if status is None or not axes or not (self.shape.reports_drive and self.shape.has_switches):
+        axes = [axis for axis in self.axes if "enabled" in axis.signals]
+        if status is None or not axes or not self.shape.has_switches:
             return None
-
-        def steps(job: Job) -> Steps:
-            yield self.ask("SendStatus", reply=status.reply)
-            on = [axis.name for axis in axes if axis.enabled is not None and axis.enabled.value is not False]
-            if on:
-                raise DeviceError(f"its status says that {', '.join(on)} is still on")
-
-        return self.job("look whether it is off", steps)
+        return self.confirm_off(
+            lambda: self.ask("SendStatus", reply=status.reply),
+            lambda: [axis.name for axis in axes if axis.shown("enabled") is not False],
+        )
 
     def _pwm_off(self) -> Ticket | None:
         shape = self.shape
@@ -205,10 +213,6 @@ class Switching(BoardCore):
         if not shape.pwm_signed or shape.pwm_off == "Pwm":
             fields.update(unsigned(zeros, shape.directions))
         return self.tell_now(shape.pwm_off, **fields)
-
-    def stop_homing(self) -> None:
-        """End home searches that this driver waits for."""
-        raise NotImplementedError
 
     # ------------------------------------------------------------------ gains and modes
 
@@ -225,13 +229,13 @@ class Switching(BoardCore):
 
         The job's result is how many commands were sent. Raises `UnknownNameError` for a joint that is not here.
         """
-        axes = self.chosen(joint)
+        axes = self.axes_of(joint)
 
         def steps(job: Job) -> Steps:
             sent: list[Ticket] = []
             for axis in axes:
                 sent += self._gain_tickets(axis, kp, ki, kd, torque)
-                yield PAUSE
+                yield PAUSE_NS
             return len(sent)
 
         return self.job("set gains", steps)
@@ -301,3 +305,86 @@ class Switching(BoardCore):
             raise CallerError(
                 f"{self.name} speaks {self.dialect} and is of kind {self.kind}: it has not got {what}"
             )
+
+    # ------------------------------------------------------------------ compliance
+
+    def set_compliance(self, on: bool = True) -> Job:
+        """Let the joints of this board give way, around the positions they are set to; off: rigid again.
+
+        Each joint needs `compliance` gains in the robot's file; the board must be enabled. Raises `CallerError` otherwise.
+        """
+        if self.dialect != "D12" or self.kind not in (1, 2) or self.set_message != "Reference":
+            raise CallerError(f"{self.name} (kind {self.kind}, {self.dialect}) has no compliant motion")
+        without = [a.name for a in self.axes if a.joint is not None and a.joint.compliance is None]
+        if on and without:
+            raise CallerError(f"{self.name}: {', '.join(without)} needs compliance = {{ kp, kd, max_pwm }}")
+        return self.job("compliance", self._softening if on else self._stiffening)
+
+    def _softening(self, job: Job) -> Steps:
+        if not self.is_enabled:
+            raise self.fail("enable it first")
+        yield self.tell("SwitchingMode", mode="non_complementary")
+        self.comply = self._comply
+        self._filtering = False
+        for axis in self.axes:
+            if axis.goal is not None:  # a filter was on its way there
+                axis.reference, axis.goal = round(axis.goal), None
+        self.drop("Reference")
+
+    def _stiffening(self, job: Job) -> Steps:
+        if self.comply is None:
+            return
+        self.comply = None
+        self.drop("PwmFine")
+        goals = {axis.channel: axis.reference for axis in self.axes}
+        for axis in self.axes:
+            if axis.joint is not None:
+                self.give(axis, axis.count or 0)
+                if axis.duty is not None:
+                    axis.duty.update(0.0, self.clock.now())
+        yield self.tick_ns()
+        yield self.tell("SwitchingMode", mode="complementary")
+        yield self.tell("ControlOn")
+        length, self.filter_length = self.filter_length, RIGID_FILTER
+        for axis in self.axes:
+            goal = goals[axis.channel]
+            if axis.joint is not None and goal is not None:
+                axis.goal = float(goal)
+                self._filtering = True
+        while self._filtering and self.is_streaming:
+            yield self.tick_ns()
+            far = [axis for axis in self.axes if axis.goal is not None and not self._is_near(axis)]
+            if not far:
+                break
+        self.filter_length = length
+        for axis in self.axes:
+            if axis.goal is not None and self.is_streaming:
+                self.give(axis, round(axis.goal))
+
+    @staticmethod
+    def _is_near(axis: MotorAxis) -> bool:
+        return axis.count is not None and abs((axis.goal or 0) - axis.count) * abs(axis.scale) <= ARRIVED
+
+    def _comply(self, instant: int) -> None:
+        """One step: the duties of all channels from what the encoders just said."""
+        given: list[tuple[str, Any]] = []
+        for axis in self.axes:
+            joint = axis.joint
+            if joint is None or joint.compliance is None or axis.count is None or axis.reference is None:
+                given.append((f"duty.{axis.channel}", 0))
+                continue
+            gains = joint.compliance
+            velocity = axis.velocity.last if axis.velocity is not None else 0.0
+            duty = compliant_duty(
+                (axis.reference - axis.count) / axis.counts,
+                axis.direction * (velocity or 0.0),
+                gains.kp or 0.0,
+                gains.kd or 0.0,
+                gains.max_pwm or 0.0,
+            )
+            given.append((f"duty.{axis.channel}", duty / 10))
+            if axis.duty is not None:
+                axis.duty.update(-duty / 10 * axis.direction, instant)
+        for path, value in given:
+            self._paths.setdefault("PwmFine", {})[path] = None
+            self.want_raw("PwmFine", path, value)

@@ -1,30 +1,231 @@
 """A simulated motor board: it answers as the facts say, and moves motors that have torque, friction, heat and stops.
 
-1. It hears bytes and says bytes; what a kind of board says stands in the same `shapes` as the driver's.
-2. Here is what it is told: set-points, switches, searches, parameters. What it is asked is in `reporting`.
+1. It receives bytes and sends bytes; what a kind of board says stands in the same `shapes` as the driver's.
+2. Between two requests nothing is computed; each request catches up with its own channels (see `joint_model`).
+3. What a board stores survives a reboot; where its motors are and whether they are homed does not.
+
+Each joint is in `world.joints`, with its true angle.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Mapping
+from math import pi, tau
+from typing import Any, ClassVar
 
-from aces_bus.device import on
+from aces_bus.device import Twin, on
+from aces_protocols.hubo.spec import hubo
 
-from .channel import board_defaults
-from .reporting import Reporting
-from .storage import selector
+from .channel import MotorChannel, board_defaults
+from .parameters import BOARD_BLOCKS, WRITES, block_fields, selector
+from .shapes import shape_of
 
 #: What selector asks for which block of which channel.
 _BLOCKS = {selector(channel, block): (channel, block) for channel in range(5) for block in range(1, 7)}
-
-#: What stands in the board's blocks 21 and 22.
-_TIMES = ("velocity_to_switch", "velocity_to_offset", "jam_time", "saturation_time")
-_BOUNDS = ("limit_duty", "jam_duty", "max_step", "max_error", "max_encoder_error")
+#: Largest counts of encoder replies of two bytes.
+_HALF, _WORD = 0x8000, 0x10000
 
 
-class HuboMotorTwin(Reporting):
+class _Place:
+    """A joint as other twins see it."""
+
+    __slots__ = ("_channel",)
+
+    def __init__(self, channel: MotorChannel) -> None:
+        self._channel = channel
+
+    def position(self, now: int) -> float:
+        """Its true angle (rad), 0 where calibration says so, whatever the encoder counts from."""
+        self._channel.sync(now)
+        return self._channel.joint.q
+
+
+class HuboMotorTwin(Twin):
     """One motor board. Faults with an amount are of motor 1, 2, … (0: of all; default 1)."""
+
+    protocol = hubo
+    channels: list[MotorChannel]
+
+    faults: ClassVar[Mapping[str, str]] = {
+        "jam": "the motor is blocked where it is",
+        "hot": "the motor is too hot (95 °C is told, temperature error)",
+        "saturated": "the PWM counts as saturated",
+        "no_switch": "the home switch never closes",
+        "no_index": "the encoder's index never comes",
+        "encoder_fail": "the encoder stands still and the status says so",
+        "fet_fault": "the driver has failed: no current, driver off",
+        "motor_fail_0": "the status has motor fail 0",
+        "motor_fail_1": "the status has motor fail 1",
+        "overspeed": "the status has a velocity error",
+        "over_acceleration": "the status has an acceleration error",
+        "can_error": "off the bus: neither hears nor says anything",
+        "amnesia": "loses its home flags, as after a brown-out",
+    }
+
+    def setup(self) -> None:
+        """Power-up."""
+        now = self.clock.now()
+        if "channels" in self.__dict__:
+            for channel in self.channels:
+                channel.sync(now)
+                channel.powered(now)
+            return
+        self._listening = self._handlers
+        #: The last word of some replies, and the fields it was made of.
+        self._words: dict[str, tuple[dict[str, Any], Any]] = {}
+        self.dialect, self.kind, self.shape = shape_of(self)
+        #: Whether its encoder replies have two bytes a channel.
+        self._is_short = self.shape.channels > 2 and self.kind != "neck"
+        self.board = board_defaults(self.kind)
+        self.board.board_type = self.shape.channels
+        #: What was heard: beeps (ns, s), alarms (ns, sound).
+        self.beeps: list[tuple[int, float]] = []
+        self.alarms: list[tuple[int, str]] = []
+        self.gain_override: tuple[list[int], int] | None = None
+        by_channel = {joint.channel: joint for joint in self.joints}
+        self.channels = [
+            MotorChannel(n, by_channel.get(n), self.kind, self.board, now, self.random.uniform(-0.05, 0.05))
+            for n in range(self.shape.channels)
+        ]
+        for channel in self.channels:
+            if channel.own is not None:
+                self.world.joints[channel.own.name] = _Place(channel)
+        self._frozen: dict[int, int] = {}
+
+    # ------------------------------------------------------------------ faults
+
+    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
+        """As all twins; those of motors take effect at once."""
+        super().fault(name, amount, on=on)
+        # Off the bus nothing is heard.
+        self._handlers = {} if "can_error" in self.active_faults else self._listening
+        now = self.clock.now()
+        for channel in self.channels:
+            channel.sync(now)
+            mine = frozenset(
+                fault
+                for fault, of in self.active_faults.items()
+                if fault in self.faults and (of == 0 or round(of) == channel.number + 1)
+            )
+            channel.faults = mine
+            channel.joint.jammed = "jam" in mine
+            if "jam" in mine:
+                channel.joint.v = 0.0
+            if "encoder_fail" in mine:
+                self._frozen.setdefault(channel.number, channel.count(now))
+            else:
+                self._frozen.pop(channel.number, None)
+            if "amnesia" in mine:
+                channel.home = 0
+                channel.found = dict.fromkeys(channel.found, "none")
+            if "fet_fault" in mine:
+                channel.switch(now, driver=False)
+
+    # ------------------------------------------------------------------ encoders, currents, status
+
+    def _counts(self, channels: list[MotorChannel]) -> list[int]:
+        """What the encoders say; on a board of 16 bits they run around."""
+        now, found = self.clock.now(), list[int]()
+        for channel in channels:
+            count = channel.count(now)
+            count = self._frozen.get(channel.number, count)
+            found.append((count + _HALF) % _WORD - _HALF if self._is_short else count)
+        return found
+
+    @on("SendEncoder", "SendEncoderD08")
+    def send_encoder(self, request: Any) -> None:
+        """Positions; `upper` are channels 3 and 4 of five."""
+        channels, asked = self.shape.channels, self.shape.encoders
+        if not asked:
+            return
+        if channels == 5:
+            is_upper = request.selector == "upper"
+            chosen = self.channels[3:] if is_upper else self.channels[:3]
+            self.reply("Encoder5Upper" if is_upper else "Encoder5", position=self._counts(chosen))
+            return
+        counts: list[Any] = self._counts(self.channels)
+        if self.kind == "neck":
+            counts = [min(4095, max(0, count)) * tau / 4096 - pi for count in counts]
+        self.reply(asked[0].reply[0], position=[*counts, 0] if channels == 1 else counts)
+
+    def repeat(self, message: str, **fields: Any) -> None:
+        """Reply, with the word of the last time where the fields are the same: most status replies are."""
+        if self.active_faults or not self.is_powered:
+            self.reply(message, **fields)
+            return
+        known = self._words.get(message)
+        if known is None or known[0] != fields:
+            known = self._words[message] = (fields, self.twins.word(self, message, fields))
+        self._transmit(known[1], self.reply_delay_ns)
+
+    @on("SendCurrent")
+    def send_current(self, request: Any) -> None:
+        """Magnitudes of the currents, within what the field holds; the temperature of the hottest motor."""
+        current = self.shape.current
+        if current is None:
+            return
+        now = self.clock.now()
+        for channel in self.channels:
+            channel.sync(now)
+        amps = [abs(channel.joint.current) for channel in self.channels]
+        if not self.shape.current_unit:
+            # The unit is not known: mA, signed, is this twin's choice.
+            signed = [round(1000 * channel.joint.current * channel.direction) for channel in self.channels]
+            self.reply(current.reply[0], current=[*signed, 0][:2])
+            return
+        most = {1: 10.23, 2: 10.23, 5: 0.255}.get(self.kind if isinstance(self.kind, int) else 0, 1.02)
+        told = [min(most, round(one, 3)) for one in amps]
+        if self.shape.channels == 5:
+            self.repeat(current.reply[0], current=told)
+            return
+        heat = 95.0 if "hot" in self.active_faults else max(c.joint.temperature for c in self.channels)
+        wide = told if self.shape.channels > 2 else [*told, 0.0][:2]
+        self.repeat(current.reply[0], current=wide, temperature=min(255, int(heat)))
+
+    @on("SendStatus")
+    def send_status(self, request: Any) -> None:
+        """Switches, home flags, errors; or how home searches went (D08)."""
+        status = self.shape.status
+        if status is None:
+            return
+        now = self.clock.now()
+        looked = [channel.look(now) for channel in self.channels]
+        if not self.shape.reports_drive:
+            self._status_d08(status.reply[0])
+            return
+        motors: list[Any] = []
+        if self.shape.has_home_flag:
+            for channel, errors in zip(self.channels, looked, strict=True):
+                home = "homed" if channel.home == 6 else channel.home
+                motors.append({"drive": channel.drive_flags(), "home": home, "errors": sorted(errors)})
+            if len(motors) == 1:
+                motors.append({"drive": [], "home": 0, "errors": []})
+        else:
+            for channel, errors in zip(self.channels, looked, strict=True):
+                short = [
+                    name for name in ("jam", "saturated", "big_error", "encoder_error") if name in errors
+                ]
+                motors.append(channel.drive_flags() + short)
+        self.repeat(status.reply[0], motor=motors)
+
+    def _status_d08(self, message: str) -> None:
+        found = [dict(channel.found) for channel in self.channels]
+        none = dict.fromkeys(found[0], "none")
+        if message == "StatusD08":
+            # What the first five bytes say is not known.
+            self.reply(
+                message, board_state=0, motor_state=[0, 0], motor_control=[0, 0], motor=[*found, none][:2]
+            )
+        elif message == "Status3D08X":
+            self.reply(message, state=bytes(5), motor=found)
+        else:
+            self.reply(message, state=bytes(6), motor=[*found, none][:2])
+
+    @on("SendPm")
+    def send_pm(self, request: Any) -> None:
+        """The index of the first two motors, within its turn (D08)."""
+        phases = [round(channel.index % channel.turn) for channel in self.channels[:2]]
+        self.reply("Pm", z_phase=[*phases, 0][:2])
 
     # ------------------------------------------------------------------ what it is
 
@@ -51,36 +252,24 @@ class HuboMotorTwin(Reporting):
         """Positions in counts."""
         now = self.clock.now()
         for channel, count in zip(self.channels, request.position, strict=False):
-            if channel.mode == "current":
-                channel.refer(now, count * 0.01, self.board)
-            else:
-                channel.refer(now, count, self.board)
+            channel.refer(now, count * 0.01 if channel.mode == "current" else count)
 
-    @on("ReferenceHand")
+    @on("ReferenceHand", "ReferenceHandPosition")
     def reference_hand(self, request: Any) -> None:
-        """Wrist roll in counts, fingers in A."""
+        """Wrist roll in counts; fingers in A, or in steps of 64 counts: the unit is not known."""
         now = self.clock.now()
-        self.channels[0].refer(now, request.position, self.board)
-        for channel, amps in zip(self.channels[1:], request.finger, strict=True):
-            channel.refer(now, amps, self.board)
-
-    @on("ReferenceHandPosition")
-    def reference_hand_position(self, request: Any) -> None:
-        """Wrist roll in counts, fingers in steps of 64 counts: the unit is not known."""
-        now = self.clock.now()
-        self.channels[0].refer(now, request.position, self.board)
-        for channel, steps in zip(self.channels[1:], request.finger, strict=True):
-            channel.refer(now, 64 * steps, self.board)
+        unit = 64 if type(request).__name__ == "ReferenceHandPosition" else 1
+        self.channels[0].refer(now, request.position)
+        for channel, finger in zip(self.channels[1:], request.finger, strict=True):
+            channel.refer(now, unit * finger)
 
     @on("ReferenceNeck")
     def reference_neck(self, request: Any) -> None:
         """Servo angles: servos hold whatever they are told."""
-        from math import pi, tau
-
         now = self.clock.now()
         for channel, angle in zip(self.channels, request.position, strict=True):
             channel.driver_on = channel.control_on = True
-            channel.refer(now, round((angle + pi) * 4096 / tau), self.board)
+            channel.refer(now, round((angle + pi) * 4096 / tau))
 
     @on("PwmFine", "Pwm3", "PwmFingers", "PwmD08", "Pwm3D08", "PwmFingersD08", "Pwm")
     def pwm(self, request: Any) -> None:
@@ -107,19 +296,12 @@ class HuboMotorTwin(Reporting):
         for channel in self.channels:
             channel.switch(now, driver=request.state == "on" and "fet_fault" not in channel.faults)
 
-    @on("ControlOn")
-    def control_on(self, request: Any) -> None:
-        """Control begins where the joints are."""
+    @on("ControlOn", "ControlOff")
+    def control(self, request: Any) -> None:
+        """Control begins where the joints are; off: no control, no search, no duty."""
         now = self.clock.now()
         for channel in self.channels:
-            channel.switch(now, control=True)
-
-    @on("ControlOff")
-    def control_off(self, request: Any) -> None:
-        """No control, no search, no duty."""
-        now = self.clock.now()
-        for channel in self.channels:
-            channel.switch(now, control=False)
+            channel.switch(now, control=type(request).__name__ == "ControlOn")
 
     @on("ControlMode", "ControlModeD08")
     def control_mode(self, request: Any) -> None:
@@ -163,20 +345,14 @@ class HuboMotorTwin(Reporting):
                 channel.apply_gains()
             channel.apply(now)
 
-    @on("EncoderZero")
+    @on("EncoderZero", "EncoderZeroD08")
     def encoder_zero(self, request: Any) -> None:
-        """Encoders are zero here; errors are gone."""
-        self._zero(None if request.channel == "all" else int(request.channel[-1]))
-
-    @on("EncoderZeroD08")
-    def encoder_zero_d08(self, request: Any) -> None:
-        """Encoders are zero here."""
-        self._zero(None if request.motor == "all" else int(request.motor[-1]) - 1)
-
-    def _zero(self, number: int | None) -> None:
+        """Encoders are zero here; errors are gone. D08 counts motors from 1."""
+        is_d12 = type(request).__name__ == "EncoderZero"
+        which = str(request.channel if is_d12 else request.motor)
         now = self.clock.now()
         for channel in self.channels:
-            if number in (None, channel.number):
+            if which == "all" or int(which[-1]) - (not is_d12) == channel.number:
                 channel.zero_here(now)
 
     # ------------------------------------------------------------------ home
@@ -228,64 +404,35 @@ class HuboMotorTwin(Reporting):
     def get_parameters(self, request: Any) -> None:
         """One block; a selector that means nothing is not answered."""
         number = request.selector
-        board = self.board
-        if number == 20:
-            self.reply(
-                "Parameters20",
-                selector=number,
-                number=self.credentials["board"],
-                period=board.period,
-                board_type=self.shape.channels,
-                homing_acceleration=board.homing_acceleration,
-            )
-        elif number == 21:
-            self.reply("Parameters21", selector=number, **{key: getattr(board, key) for key in _TIMES})
-        elif number == 22:
-            self.reply("Parameters22", selector=number, **{key: getattr(board, key) for key in _BOUNDS})
+        self.board.number = self.credentials["board"]
+        if number in BOARD_BLOCKS:
+            fields = {name: getattr(self.board, name) for name in BOARD_BLOCKS[number]}
+            self.reply(f"Parameters{number}", selector=number, **fields)
         elif number in _BLOCKS and _BLOCKS[number][0] < len(self.channels):
             channel, block = _BLOCKS[number]
-            self.reply(f"Parameters{block}", selector=number, **_block(self.channels[channel].known(), block))
+            fields = block_fields(self.channels[channel].stored, block)
+            self.reply(f"Parameters{block}", selector=number, **fields)
 
-    @on("DeadZone", "HomeSearch", "EncoderResolution", "MaxSpeed", "LowerLimit", "UpperLimit", "HomingSpeed")
+    @on(*WRITES)
     def store(self, request: Any) -> None:
-        """A parameter of one motor."""
-        if request.channel >= len(self.channels):
-            return
-        channel, name = self.channels[request.channel], type(request).__name__
-        channel.sync(self.clock.now())
-        kept = channel.stored
-        if name == "DeadZone":
-            kept.dead_zone = request.dead_zone
-        elif name == "HomeSearch":
-            kept.search_limit, kept.search_direction = request.limit, request.direction
-            kept.home_offset = request.offset
-        elif name == "EncoderResolution":
-            kept.resolution, kept.auto_scale = request.resolution, request.auto_scale
-            kept.direction = request.direction
-        elif name == "MaxSpeed":
-            kept.max_acceleration, kept.max_velocity = request.acceleration, request.velocity
-        elif name == "HomingSpeed":
-            kept.search_mode, kept.homing_duty = request.mode, request.duty
-            self.board.homing_acceleration = request.acceleration
-            self.board.velocity_to_switch = request.velocity_to_switch
-            self.board.velocity_to_offset = request.velocity_to_offset
-        else:
-            side = "lower" if name == "LowerLimit" else "upper"
-            setattr(kept, f"{side}_limit_enabled", int("enable" in request.options))
+        """Parameters of one motor, or of the board."""
+        number = getattr(request, "channel", 0)
+        if number < len(self.channels):
+            channel = self.channels[number]
+            channel.sync(self.clock.now())
+            for name, field in WRITES[type(request).__name__].items():
+                kept = channel.stored if hasattr(channel.stored, name) else self.board
+                setattr(kept, name, getattr(request, field))
+
+    @on("LowerLimit", "UpperLimit")
+    def store_limit(self, request: Any) -> None:
+        """A limit of one motor."""
+        if request.channel < len(self.channels):
+            kept = self.channels[request.channel].stored
+            side = "lower" if type(request).__name__ == "LowerLimit" else "upper"
+            setattr(kept, f"{side}_limit_enabled", "enable" in request.options)
             if "update" in request.options:
                 setattr(kept, f"{side}_limit", request.limit)
-
-    @on("JamLimits")
-    def jam_limits(self, request: Any) -> None:
-        """When a motor counts as jammed or saturated."""
-        self.board.jam_time, self.board.saturation_time = request.jam_time, request.saturation_time
-        self.board.limit_duty, self.board.jam_duty = request.limit_duty, request.jam_duty
-
-    @on("ErrorBounds")
-    def error_bounds(self, request: Any) -> None:
-        """Largest step, largest error, temperature of the warning."""
-        self.board.max_step, self.board.max_error = request.max_step, request.max_error
-        self.board.temperature = request.temperature
 
     @on("GainOverride")
     def override_gains(self, request: Any) -> None:
@@ -301,11 +448,11 @@ class HuboMotorTwin(Reporting):
     def init_board(self, request: Any) -> None:
         """Defaults, and as after power-up."""
         now = self.clock.now()
-        for key, value in asdict(board_defaults(self.kind)).items():
-            setattr(self.board, key, value)
+        self.board = board_defaults(self.kind)
+        self.board.board_type = self.shape.channels
         for channel in self.channels:
             channel.sync(now)
-            channel.stored = channel.defaults()
+            channel.board, channel.stored = self.board, channel.defaults()
             channel.powered(now)
 
     @on("SetBoardNumber")
@@ -324,32 +471,3 @@ class HuboMotorTwin(Reporting):
     def alarm(self, request: Any) -> None:
         """Noted."""
         self.alarms.append((self.clock.now(), request.sound))
-
-
-def _block(known: dict[str, Any], block: int) -> dict[str, Any]:
-    """The fields of a parameter block of one motor."""
-    keys: tuple[str, ...]
-    if block == 1:
-        keys = ("kp", "ki", "kd", "resolution", "auto_scale", "direction")
-    elif block == 2:
-        keys = ("dead_zone", "search_direction", "search_mode", "search_limit")
-        low = known["home_offset"] & 0xFFFF
-        return {**{key: known[key] for key in keys}, "home_offset_low": low}
-    elif block == 3:
-        offset, upper = known["home_offset"], known["upper_limit"]
-        return {
-            "home_offset_high": offset - (offset & 0xFFFF),
-            "lower_limit_enabled": known["lower_limit_enabled"],
-            "lower_limit": known["lower_limit"] & ~1,
-            "upper_limit_enabled": known["upper_limit_enabled"],
-            "upper_limit_low": upper & 0xFFFE,
-        }
-    elif block == 4:
-        upper = known["upper_limit"]
-        keys = ("max_acceleration", "max_velocity", "max_pwm")
-        return {**{key: known[key] for key in keys}, "upper_limit_high": upper - (upper & 0xFFFF)}
-    elif block == 5:
-        keys = ("max_current", "kpt", "kdt")
-    else:
-        return {"kft": known["kft"], "sums": bytes(6)}
-    return {key: known[key] for key in keys}

@@ -6,19 +6,34 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import Device, Driver, Host, Job, Poll, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, NoReplyError
+from aces_bus.device.settings import described, settings_of
+from aces_bus.errors import CallerError
 
 from .twin import PowerTwin
 
 #: How often it is asked (s): hubo-ach asks twice in each cycle of 5 ms.
-EVERY = 0.05
+EVERY_S = 0.05
 #: Where a low battery is told (V), and by how much it must recover. No sheet has it: 3.67 V a cell of a 12-cell pack.
-LOW, RECOVERED = 44.0, 0.5
+LOW_V, RECOVERED_V = 44.0, 0.5
 SOUNDS = ("off", "sound_1", "sound_2", "sound_3", "sound_4")
+
+
+class PowerSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    every_s: Annotated[float, Meta(gt=0, description=f"how often it is asked (s), {EVERY_S} when absent")] = (
+        EVERY_S
+    )
+    low_voltage_v: Annotated[
+        float, Meta(description=f"below this a low battery is told (V), {LOW_V:g} when absent")
+    ] = LOW_V
 
 
 class PowerBoard(Device):
@@ -33,8 +48,8 @@ class PowerBoard(Device):
 
     def setup(self) -> None:
         """Three signals and one poll, as often as the settings say."""
-        every = float(self.config.settings.get("every_s", EVERY))
-        self.low_v = float(self.config.settings.get("low_voltage_v", LOW))
+        settings = settings_of(self.name, PowerSettings, self.config.settings)
+        every, self.low_v = settings.every_s, settings.low_voltage_v
         self.is_low = False
         self.polls = (Poll("PowerQuery", reply="Power", every_s=every),)
         for name, unit in (("voltage", "V"), ("current", "A"), ("power", "W")):
@@ -50,7 +65,7 @@ class PowerBoard(Device):
         if not self.is_low and voltage < self.low_v:
             self.is_low = True
             self.tell_event("alarm", f"low battery: {voltage:.1f} V, below {self.low_v:g} V")
-        elif self.is_low and voltage > self.low_v + RECOVERED:
+        elif self.is_low and voltage > self.low_v + RECOVERED_V:
             self.is_low = False
             self.tell_event("alarm over", f"battery: {voltage:.1f} V")
 
@@ -77,18 +92,12 @@ def _scan(host: Host, job: Job) -> Steps:
         return found
     table = variant.tables["channels"]
     for board in [number for number, kind in table.items() if kind == "power"]:
-        probe = host.probe("hubo", board=board)
-        try:
-            yield probe.ask("PowerQuery", reply="Power", timeout_s=0.03, retries=1)
-        except NoReplyError:
-            continue
-        finally:
-            host.remove(probe.name)
-        found.append(
-            DeviceConfig(
-                name="JMC14", driver="hubo_power", bus=host.name, credentials={"board": board}, kind="power"
+        who = {"board": board}
+        if (yield from host.answers("hubo", who, "PowerQuery", reply="Power", timeout_s=0.03)):
+            config = DeviceConfig(
+                name="JMC14", driver="hubo_power", bus=host.name, credentials=who, kind="power"
             )
-        )
+            found.append(config)
     return found
 
 
@@ -111,8 +120,5 @@ driver = Driver(
     doc="Hubo's smart power controller: voltage, current, power; alarm and beeper.",
     source="hubo-ach; HuboCan",
     scan=_scan,
-    settings={
-        "every_s": f"how often it is asked (s), {EVERY} when absent",
-        "low_voltage_v": f"below this a low battery is told (V), {LOW:g} when absent",
-    },
+    settings=described(PowerSettings),
 )

@@ -16,7 +16,7 @@ FULL, EMPTY, RESISTANCE, CAPACITY = 50.4, 43.2, 0.05, 20.0
 #: What the robot draws at rest (A), and more for each rad/s of its joints together.
 IDLE, A_SPEED = 2.5, 0.4
 #: Joint speeds are taken over at least this (ns).
-SPAN = 10_000_000
+SPAN_NS = 10_000_000
 #: The standard deviation of a reading: V, A.
 NOISE = (0.02, 0.05)
 #: The end of a field of 16 bits in hundredths.
@@ -31,6 +31,7 @@ class PowerTwin(Twin):
 
     protocol = "hubo"
     faults: ClassVar = {"low_battery": "2 % of the charge is left (or as many as said)"}
+    amounts: ClassVar = {"low_battery": 2.0}
     feed: Callable[[int], tuple[float, float]] | None = None
 
     def setup(self) -> None:
@@ -42,16 +43,12 @@ class PowerTwin(Twin):
         self._at = self.clock.now()
         self._places: list[float] | None = None
 
-    def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
-        """See `Twin.fault`."""
-        super().fault(name, {"low_battery": 2.0}.get(name) if amount is None else amount, on=on)
-
     def measured(self, now: int) -> tuple[float, float]:
         """Voltage (V) and current (A) at an instant (ns), without noise."""
         if self.feed is not None:
             return self.feed(now)
         passed = now - self._at
-        if passed >= SPAN:
+        if passed >= SPAN_NS:
             places = [joint.position(now) for joint in self.world.joints.values()]
             moved = 0.0
             if self._places is not None and len(places) == len(self._places):

@@ -9,18 +9,19 @@ An axis of the robot's file: value = sign × (matrix · digits), or sign × what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps
+from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError
 
 #: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).
 HAND_TAIL = bytes.fromhex("0038721200")
 HANDS = (0x35, 0x36)
 #: How often a null is sent in D08 (acesHubo: "several times"), and how far apart (ns).
-NULLS, APART = 3, 10_000_000
+NULLS, APART_NS = 3, 10_000_000
 #: What attitude is made of; a tilt sensor has the first two.
 MOTION = (("roll", "rad"), ("pitch", "rad"), ("roll_rate", "rad/s"), ("pitch_rate", "rad/s"))
 
@@ -147,7 +148,7 @@ class SensorBoard(Device):
         def steps(job: Job) -> Steps:
             for turn in range(NULLS if self.is_old else 1):
                 if turn:
-                    yield APART
+                    yield APART_NS
                 for message, fields in words:
                     yield self.tell(message, **fields)
 
@@ -160,32 +161,24 @@ class SensorBoard(Device):
         period = float(self.config.settings.get("period_ms", 1000 / rate))
         return max(1, min(255, round(period)))
 
-    def set_period(self, period_ms: int | None = None) -> Job:
+    def set_period(self, period_ms: int | None = None) -> Ticket:
         """Set the board's period (ms). In D12 the answer says what the board took; in D08 nothing is answered."""
         period = self.period_ms if period_ms is None else period_ms
+        if self.is_old:
+            return self.tell("SetPeriod", period=period)
+        return self.ask("GetBoardInfo", reply="SensorBoardInfo", period=period)
 
-        def steps(job: Job) -> Steps:
-            if self.is_old:
-                return (yield self.tell("SetPeriod", period=period))
-            return (yield self.ask("GetBoardInfo", reply="SensorBoardInfo", period=period))
-
-        return self.job("set_period", steps)
-
-    def init(self) -> Job:
+    def init(self) -> Ticket | Job:
         """Set the board up anew: 0xFA in D12, NameInfo in D08."""
-
-        def steps(job: Job) -> Steps:
-            if not self.is_old:
-                return (yield self.tell("InitSensor"))
-            tail = self.config.settings.get("name_info_tail")
-            if tail is None and self.credentials["board"] not in HANDS:
-                raise DeviceError(
-                    f"{self.name}: nothing is known of the NameInfo of this board; give its settings name_info_tail"
-                )
-            raw = HAND_TAIL if tail is None else bytes.fromhex(tail)
-            return (yield self.ask("NameInfoSensor", reply="NameInfoReply", period=self.period_ms, tail=raw))
-
-        return self.job("init", steps)
+        if not self.is_old:
+            return self.tell("InitSensor")
+        tail = self.config.settings.get("name_info_tail")
+        if tail is None and self.credentials["board"] not in HANDS:
+            return self.refused(
+                "init", "nothing is known of the NameInfo of this board; give its settings name_info_tail"
+            )
+        raw = HAND_TAIL if tail is None else bytes.fromhex(tail)
+        return self.ask("NameInfoSensor", reply="NameInfoReply", period=self.period_ms, tail=raw)
 
     def refused(self, name: str, why: str) -> Job:
         """A job that fails at once."""
@@ -217,7 +210,20 @@ def _times(factor: float) -> Callable[[Any], Any]:
 # ---------------------------------------------------------------------- finding
 
 
-def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout_s: float = 0.03) -> Steps:
+#: What a board is asked that may be there: message, answer, fields.
+_QUESTIONS: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
+    "old": ("DaOffsetQuery", "DaOffset", {}),
+    "imu": ("ImuRequest", "Imu", {"select": "imu"}),
+    "force": ("ForceTorqueRequest", "ForceTorque", {"mode": "ft_scaled"}),
+}
+
+
+def scan_of(driver: str, kinds: Sequence[str], *, timeout_s: float = 0.03) -> Callable[[Host, Job], Steps]:
+    """What finds the sensor boards of `kinds`, for `Driver(scan=…)`."""
+    return partial(_scan, driver, kinds, timeout_s)
+
+
+def _scan(driver: str, kinds: Sequence[str], timeout_s: float, host: Host, job: Job) -> Steps:
     """Ask every sensor board whether it is there; the list of those of `kinds` that answer.
 
     Nothing is set: D12 boards are asked for data, D08 boards for their D/A offsets. What kind a board number is, the
@@ -231,31 +237,18 @@ def found_by(host: Host, driver: str, kinds: Sequence[str], job: Job, *, timeout
     boards = [board for board, kind in table.items() if kind in kinds]
     found: list[DeviceConfig] = []
     for number, board in enumerate(boards):
-        probe = host.probe("hubo", board=board, sensor=board - 0x2F)
-        try:
-            if old:
-                yield probe.ask("DaOffsetQuery", reply="DaOffset", timeout_s=timeout_s, retries=1)
-            elif table[board] == "imu":
-                yield probe.ask("ImuRequest", reply="Imu", timeout_s=timeout_s, retries=1, select="imu")
-            else:
-                yield probe.ask(
-                    "ForceTorqueRequest",
-                    reply="ForceTorque",
-                    timeout_s=timeout_s,
-                    retries=1,
-                    mode="ft_scaled",
-                )
-        except NoReplyError:
+        who = {"board": board, "sensor": board - 0x2F}
+        message, reply, fields = _QUESTIONS["old" if old else "imu" if table[board] == "imu" else "force"]
+        told = yield from host.answers("hubo", who, message, reply=reply, timeout_s=timeout_s, **fields)
+        job.progress = (number + 1) / len(boards)
+        if told is None:
             continue
-        finally:
-            host.remove(probe.name)
-            job.progress = (number + 1) / len(boards)
         found.append(
             DeviceConfig(
                 name=f"{'IMU' if driver == 'hubo_imu' else 'FT'}_{board:02X}",
                 driver=driver,
                 bus=host.name,
-                credentials={"board": board, "sensor": board - 0x2F},
+                credentials=who,
                 kind=table[board],
             )
         )

@@ -20,7 +20,7 @@ from aces_bus.device import Robot, World
 from aces_bus.errors import UnknownNameError
 
 #: How long a pose holds (ns).
-HOLD: Final = 1_000_000
+HOLD_NS: Final = 1_000_000
 _LEG = ("HP", "KN", "AP", "HR", "AR")
 
 
@@ -59,14 +59,14 @@ class BodyPose:
         self.world, self.build = world, build
         # Looked up in each update: a board that reboots may register other models.
         self._names = [[_name(robot, side + one) for one in _LEG] for side in "RL"]
-        self._at = -HOLD
+        self._at = -HOLD_NS
         self.roll = self.pitch = self.roll_rate = self.pitch_rate = 0.0
         self.feet = {"R": Foot(), "L": Foot()}
 
     def update(self, now: int) -> None:
         """Compute the pose, unless that was done within the last millisecond."""
         passed = now - self._at
-        if passed < HOLD:
+        if passed < HOLD_NS:
             return
         build = self.build
         joints = self.world.joints

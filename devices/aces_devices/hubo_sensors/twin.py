@@ -37,6 +37,7 @@ class SensorTwin(Twin):
         "hot": "too warm by 20 K (or as said): readings are off",
         "drift": "readings wander by 1 % of their range a minute (or as said)",
     }
+    amounts: ClassVar = {"hot": 20.0}
     body: BodyPose
 
     def setup(self) -> None:
@@ -50,7 +51,7 @@ class SensorTwin(Twin):
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """See `Twin.fault`."""
-        super().fault(name, {"hot": 20.0}.get(name) if amount is None else amount, on=on)
+        super().fault(name, amount, on=on)
         if on:
             self._since.setdefault(name, self.clock.now())
         else:

@@ -25,9 +25,9 @@ MOST = 32767.99
 def angle_bytes(angle: float) -> dict[str, Any]:
     """An angle in degrees as the datagram has it.
 
-    >>> split(-87.73), split(45.499999), split(-0.001)["negative"]
+    >>> angle_bytes(-87.73), angle_bytes(45.499999), angle_bytes(-0.001)["negative"]
     ({'negative': 1, 'degrees': 87, 'hundredths': 0.73}, {'negative': 0, 'degrees': 45, 'hundredths': 0.5}, 0)
-    >>> split(29.996)["degrees"], split(29.996)["hundredths"]
+    >>> angle_bytes(29.996)["degrees"], angle_bytes(29.996)["hundredths"]
     (30, 0.0)
     """
     hundredths = round(abs(angle) * 100)

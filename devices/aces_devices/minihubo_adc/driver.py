@@ -56,6 +56,3 @@ class MinihuboADC(Device):
             doc=f"Channel {number + 1}, 0 to 4095; mid-scale is 2048.",
             source="recording of the board",
         )
-
-
-__all__ = ["CHANNELS", "SETTINGS", "MinihuboADC", "rate_of"]

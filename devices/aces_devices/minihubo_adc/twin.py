@@ -51,6 +51,3 @@ class MinihuboADCTwin(Twin):
             counts[2] |= 0xFF
         self.samples += 1
         self.reply("Sample", delay_ns=0, channels=counts[:CHANNELS])
-
-
-__all__ = ["MinihuboADCTwin"]

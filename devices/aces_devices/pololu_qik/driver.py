@@ -8,8 +8,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from math import ceil
-from typing import Any, ClassVar
+from operator import mul
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import (
     Device,
@@ -24,12 +29,13 @@ from aces_bus.device import (
     together,
 )
 from aces_bus.device.config import DeviceConfig
-from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.device.settings import described, settings_of
+from aces_bus.errors import CallerError, DeviceError
 
 from .twin import UNIT_S, QikTwin
 
 #: Setting a parameter takes 4 ms (Pololu 0J25 5.c); without answers that time is left to the device (ns).
-PAUSE = 5_000_000
+PAUSE_NS = 5_000_000
 PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
 
 
@@ -67,6 +73,24 @@ def timeout_code(seconds: float) -> int:
     return min(choices)[1]
 
 
+class QikSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    answers: Annotated[
+        bool,
+        Meta(
+            description="true where the device's transmit line is wired: errors are asked for, settings read back"
+        ),
+    ] = False
+    errors_every_s: Annotated[
+        float, Meta(gt=0, description="how often errors are asked for (s), 0.5 when absent")
+    ] = 0.5
+    bits: Annotated[Literal[7, 8], Meta(description="7 (duty −127…127, when absent) or 8 (−255…255)")] = 7
+    timeout_s: Annotated[
+        float, Meta(ge=0, description="the serial time-out that `enable` sets (s), none when absent")
+    ] = 0.0
+
+
 class Qik(Device):
     """Signals: duty of each joint (set only); with answers, the device's errors."""
 
@@ -86,12 +110,8 @@ class Qik(Device):
 
     def setup(self) -> None:
         """A duty for each joint; errors, when somebody listens."""
-        settings = self.config.settings
-        self.bits = int(settings.get("bits", 7))
-        if self.bits not in (7, 8):
-            raise CallerError(f"{self.name}: settings bits is 7 or 8, not {self.bits}")
-        self.timeout_s = float(settings.get("timeout_s", 0.0))
-        self.answers = bool(settings.get("answers", False))
+        settings = settings_of(self.name, QikSettings, self.config.settings)
+        self.bits, self.timeout_s, self.answers = settings.bits, settings.timeout_s, settings.answers
         self.errors: frozenset[str] = frozenset()
         most = 127 if self.bits == 7 else 255
         for joint in self.joints:
@@ -102,14 +122,14 @@ class Qik(Device):
                 "duty",
                 owner=joint.name,
                 set=f"SetSpeed.{joint.channel}",
-                from_si=_steps(joint.direction),
+                from_si=partial(mul, joint.direction),
                 lower=-limit,
                 upper=limit,
                 doc=f"share of the supply, in 1/{most}; its sign is the direction",
                 source="acesHubo omnibot",
             )
         if self.answers:
-            every = float(settings.get("errors_every_s", 0.5))
+            every = settings.errors_every_s
             self.polls = (Poll("GetError", reply="Errors", every_s=every, timeout_s=0.05),)
             self.add_signal(
                 "errors",
@@ -124,13 +144,8 @@ class Qik(Device):
         """Tell errors when they come and when they have gone."""
         if type(record).__name__ != "Errors":
             return
-        present = frozenset(record.errors)
-        if present != self.errors:
-            if present - self.errors:
-                self.tell_event("alarm", ", ".join(sorted(present)))
-            elif not present:
-                self.tell_event("alarm over", ", ".join(sorted(self.errors)))
-            self.errors = present
+        before, self.errors = self.errors, frozenset(record.errors)
+        self.tell_alarms(self.errors, before)
 
     # ------------------------------------------------------------------ actions
 
@@ -162,7 +177,7 @@ class Qik(Device):
             if not self.answers:
                 ticket = self.tell("SetConfiguration", **fields)
                 yield ticket
-                yield self.host.port.wire_ns(ticket.word) + PAUSE
+                yield self.host.port.wire_ns(ticket.word) + PAUSE_NS
                 return None
             told = yield self.ask("SetConfiguration", reply="ConfigurationSet", timeout_s=0.05, **fields)
             if told.result != "ok":
@@ -190,20 +205,19 @@ class Qik(Device):
 
     def coast(self) -> Job:
         """Let both motors turn freely; set-points end."""
-        self.drop("SetSpeed")
-        return self._both("coast", [self.tell_now("Coast", motor=motor) for motor in (0, 1)])
+        return self._both("coast", "Coast")
 
     def brake(self) -> Job:
         """Stop both motors; set-points end."""
-        self.drop("SetSpeed")
-        words = {"reverse": 0, "high": 0, "speed": 0}
-        return self._both("brake", [self.tell_now("SetSpeed", motor=motor, **words) for motor in (0, 1)])
+        return self._both("brake", "SetSpeed", reverse=0, high=0, speed=0)
 
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""
         return self.brake()
 
-    def _both(self, name: str, tickets: list[Ticket]) -> Job:
+    def _both(self, name: str, message: str, **fields: int) -> Job:
+        self.drop("SetSpeed")
+        tickets = [self.tell_now(message, motor=motor, **fields) for motor in (0, 1)]
         return together(self.clock, f"{self.name} {name}", tickets)
 
     def firmware(self) -> Ticket:
@@ -222,10 +236,6 @@ class Qik(Device):
             return found
 
         return self.job("configuration", steps)
-
-
-def _steps(direction: int) -> Any:
-    return lambda duty: direction * duty
 
 
 #: How long a number is asked, and how long when somebody has answered (s); a late answer has come after so long (ns).
@@ -260,14 +270,9 @@ def _scan(host: Host, job: Job) -> Steps:
 
 def _answers(host: Host, number: int, timeout_s: float) -> Steps:
     """Whether anybody answers to this number."""
-    probe = host.probe("pololu_qik", id=number)
-    try:
-        yield probe.ask("GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0)
-    except NoReplyError:
-        return False
-    finally:
-        host.remove(probe.name)
-    return True
+    return host.answers(
+        "pololu_qik", {"id": number}, "GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0
+    )
 
 
 EXAMPLE = """
@@ -297,10 +302,5 @@ driver = Driver(
     doc="Pololu qik dual motor driver: two motors at a share of the supply.",
     source="acesHubo omnibot; Pololu 0J25 (Qik 2s9v1 User's Guide)",
     scan=_scan,
-    settings={
-        "answers": "true where the device's transmit line is wired: errors are asked for, settings read back",
-        "errors_every_s": "how often errors are asked for (s), 0.5 when absent",
-        "bits": "7 (duty −127…127, when absent) or 8 (−255…255)",
-        "timeout_s": "the serial time-out that `enable` sets (s), none when absent",
-    },
+    settings=described(QikSettings),
 )

@@ -21,7 +21,7 @@ FACTORY = {"pwm": 0, "shutdown_on_error": 1, "serial_timeout": 0}
 #: The largest value of each parameter.
 LARGEST = {"device_id": 127, "pwm": 3, "shutdown_on_error": 1, "serial_timeout": 127}
 #: Setting a parameter takes so long (ns).
-SETTING = 4_000_000
+SETTING_NS = 4_000_000
 #: Error bits.
 OVERRUN, FRAME, FORMAT, TIMEOUT = 8, 16, 64, 128
 
@@ -174,13 +174,13 @@ class QikTwin(Twin):
             result = "bad_value"
         if result != "ok":
             self._failed(FORMAT)
-            self.reply("ConfigurationSet", result=result, delay_ns=SETTING)
+            self.reply("ConfigurationSet", result=result, delay_ns=SETTING_NS)
             return
         self.parameters[name] = value
         if name == "pwm":
             for wheel in self.wheels:
                 wheel.drive(self.clock.now(), 0.0)
-        self.reply("ConfigurationSet", result=result, delay_ns=SETTING)
+        self.reply("ConfigurationSet", result=result, delay_ns=SETTING_NS)
         if name == "device_id":
             self.twins.renumber(self, id=value)
         self._watch_over()

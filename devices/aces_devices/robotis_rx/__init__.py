@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from aces_bus.device import Driver
+from aces_bus.device.settings import described
 
-from .driver import SETTINGS, RobotisRX
+from .driver import RobotisRX, ServoSettings
 from .scan import scan_servos
 from .twin import RobotisRXTwin
 
@@ -34,7 +35,7 @@ driver = Driver(
     doc="Robotis RX-10, RX-28 and RX-64 servos.",
     source="Robotis RX-28 manual; recordings of two servos; acesHubo robotis.*",
     scan=scan_servos,
-    settings=SETTINGS,
+    settings=described(ServoSettings),
 )
 
 __all__ = ["RobotisRX", "RobotisRXTwin", "driver"]

@@ -12,10 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import Job, Poll, Steps
 from aces_bus.device.register_device import RegisterDevice
+from aces_bus.device.settings import settings_of
+from aces_bus.device.station import shown
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_protocols.robotis.control_table import ANGLE, ERRORS, SPEED
 from aces_protocols.robotis.spec import BROADCAST, control_table
@@ -35,19 +40,51 @@ RECEIVE_BUFFER = 143
 AROUND = 8
 #: Error bits that say what is wrong with the request, not with the servo.
 OF_REQUEST = frozenset(("angle_limit", "range", "checksum", "instruction"))
-#: So many garbled answers in a row are no noise.
-GARBLED = 5
+#: So many malformed answers in a row are no noise.
+MALFORMED = 5
 #: Names of the status return levels.
 LEVELS = ("none", "read_only", "all")
 
-SETTINGS: Mapping[str, str] = {
-    "status_return_level": "what the servo answers: 0 Ping alone, 1 reads too, 2 everything (default 2; register 0x10)",
-    "return_delay_us": "how long it waits before it answers (default 500; register 0x05); for its twin",
-    "timeout_s": "how long an answer may take beyond the wire's time (default 0.02: adapters collect bytes)",
-    "health_s": "how often temperature, voltage, torque and the rest of the RAM are read (default 1)",
-    "motion": "true: speed and load are read with each position (default false: with the health)",
-    "stop": 'what stop_motion does: "hold" the present position (default), or "release" the torque',
-}
+
+class ServoSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    status_return_level: Annotated[
+        Literal[0, 1, 2],
+        Meta(
+            description="what the servo answers: 0 Ping alone, 1 reads too, 2 everything (default 2; register 0x10)"
+        ),
+    ] = 2
+    return_delay_us: Annotated[
+        float,
+        Meta(
+            ge=0, description="how long it waits before it answers (default 500; register 0x05); for its twin"
+        ),
+    ] = 500
+    timeout_s: Annotated[
+        float,
+        Meta(
+            gt=0,
+            description="how long an answer may take beyond the wire's time (default 0.02: adapters collect bytes)",
+        ),
+    ] = 0.02
+    health_s: Annotated[
+        float,
+        Meta(
+            gt=0,
+            description="how often temperature, voltage, torque and the rest of the RAM are read (default 1)",
+        ),
+    ] = 1.0
+    motion: Annotated[
+        bool,
+        Meta(description="true: speed and load are read with each position (default false: with the health)"),
+    ] = False
+    stop: Annotated[
+        Literal["hold", "release"],
+        Meta(
+            description='what stop_motion does: "hold" the present position (default), or "release" the torque'
+        ),
+    ] = "hold"
 
 
 def signed(raw: int) -> int:
@@ -95,30 +132,23 @@ class RobotisRX(RegisterDevice):
 
     def setup(self) -> None:
         """Signals of the joint and of the servo, and what is polled."""
-        get = self.config.settings.get
-        self.level = int(get("status_return_level", 2))
-        if not 0 <= self.level < len(LEVELS):
-            raise CallerError(f"{self.name}: status_return_level {self.level}; there are 0, 1 and 2")
-        self.stops_by = str(get("stop", "hold"))
-        if self.stops_by not in ("hold", "release"):
-            raise CallerError(f'{self.name}: stop = {self.stops_by!r}; there are "hold" and "release"')
-        self.timeout_s = float(get("timeout_s", 0.02))
-        self.health_s = float(get("health_s", 1.0))
+        settings = self.settings = settings_of(self.name, ServoSettings, self.config.settings)
+        self.timeout_s, self.health_s = settings.timeout_s, settings.health_s
         self.errors: frozenset[str] = frozenset()
         #: The last errors that switch the torque off, since it was switched on.
         self.trips: frozenset[str] = frozenset()
-        #: Garbled words in a row where its answers should be.
-        self.garbles = 0
+        #: Malformed answers in a row where its answers should be.
+        self.malformed_in_a_row = 0
         joint = self.joints[0] if self.joints else None
         self.direction = joint.direction if joint is not None else 1
         self.zero = (joint.zero or 0.0) if joint is not None else 0.0
         self.turns = joint is not None and (joint.command == "duty" or joint.type == "continuous")
-        self._set_level(self.level)
+        self._set_level(settings.status_return_level)
         self._signals(joint.name if joint is not None else self.name)
         if self.level == 0:
             self.polls = [Poll("Ping", "Status", every_s=self.health_s, timeout_s=self.timeout_s)]
         else:
-            last = "present_load" if get("motion", False) else "present_position"
+            last = "present_load" if settings.motion else "present_position"
             self.polls = [
                 self.poll("present_position", last),
                 self.poll("torque_enable", "moving", every_s=self.health_s),
@@ -132,7 +162,7 @@ class RobotisRX(RegisterDevice):
         direction, zero = self.direction, self.zero
         slow = max(0.1, 5 * self.health_s)
         motion: dict[str, Any] = {"owner": owner}
-        if not self.config.settings.get("motion"):
+        if not self.settings.motion:
             motion["stale_s"] = slow
         span = sorted((direction * (end - zero)) for end in (0.0, TOP * STEP))
         joint = self.joints[0] if self.joints else None
@@ -239,7 +269,7 @@ class RobotisRX(RegisterDevice):
         """Every status has the error bits."""
         if type(record).__name__ != "Status":
             return
-        self.garbles = 0
+        self.malformed_in_a_row = 0
         error: int = record.error
         now = frozenset(record.error) if error else frozenset[str]()
         self._errors.update(tuple(sorted(now)), instant)
@@ -275,13 +305,14 @@ class RobotisRX(RegisterDevice):
             mask = self.codec("alarm_shutdown").register.default or 0
         return frozenset(name for name, bit in ERRORS.items() if mask >> bit & 1)
 
-    def garbled(self, reason: str, instant: int) -> None:
-        """Its answers are garbled again and again: noise does that now and then, two servos with one id each time."""
-        self.garbles += 1
-        if self.garbles % GARBLED == 0:
+    def malformed(self, reason: str, instant: int) -> None:
+        """Its answers are malformed again and again: noise does that now and then, two servos with one id each time."""
+        self.malformed_in_a_row += 1
+        if self.malformed_in_a_row % MALFORMED == 0:
             self.tell_event(
-                "two answers",
-                f"{self.garbles} garbled answers in a row: are there two servos with id {self.credentials['id']:#04x}?",
+                "duplicate reply",
+                f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
+                f" {shown(self.credentials)}?",
             )
 
     # ------------------------------------------------------------------ actions
@@ -354,7 +385,7 @@ class RobotisRX(RegisterDevice):
         if self.turns:
             return self.write("moving_speed", 0, raw=True)
         here = self.position.value
-        if self.stops_by == "release" or not isinstance(here, float):
+        if self.settings.stop == "release" or not isinstance(here, float):
             return self.write("torque_enable", "off")
         return self.write("goal_position", self.known["present_position"][0] & TOP, raw=True)
 
@@ -426,14 +457,12 @@ class RobotisRX(RegisterDevice):
 
     def _is_free(self, number: int) -> Steps:
         """Steps that fail when somebody answers to an id."""
-        probe = self.host.probe("robotis", id=number)
-        try:
-            yield probe.ask("Ping", reply=self.reply, timeout_s=self.timeout_s, retries=1)
-        except NoReplyError:
-            return
-        finally:
-            self.host.remove(probe.name)
-        raise DeviceError(f"{self.name}: a servo answers to id {number} already: two would answer")
+        if (
+            yield from self.host.answers(
+                "robotis", {"id": number}, "Ping", reply=self.reply, timeout_s=self.timeout_s
+            )
+        ):
+            raise DeviceError(f"{self.name}: a servo answers to id {number} already: two would answer")
 
     def set_baud(self, baud: float, *, confirm: bool = False) -> Job:
         """Give the servo another line speed. It is deaf here from then on: open the line at that speed."""
@@ -468,6 +497,3 @@ class RobotisRX(RegisterDevice):
         except NoReplyError:
             return
         self._raise_refusal(record, message)
-
-
-__all__ = ["SETTINGS", "RobotisRX", "signed"]

@@ -75,6 +75,3 @@ def _look(host: Host, device: Device, number: int, adapter_s: float, tries: int)
         return config
     value = register.decode(answer.parameters)
     return msgspec.structs.replace(config, model=value if isinstance(value, str) else f"model {value}")
-
-
-__all__ = ["scan_servos"]

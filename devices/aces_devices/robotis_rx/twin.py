@@ -14,12 +14,13 @@ from struct import Struct
 from typing import Any, ClassVar, NamedTuple
 
 from aces_bus.device import Twin, on
+from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Quantity
 from aces_protocols.robotis.control_table import ERRORS, VOLT
 from aces_protocols.robotis.spec import BROADCAST, control_table
 
-from .driver import CLOCKWISE, STEP, TOP, signed
+from .driver import CLOCKWISE, STEP, TOP, ServoSettings, signed
 from .motion import FREE, PER_SPEED, ShaftMotion
 
 SIZE = 0x32
@@ -97,12 +98,12 @@ class RobotisRXTwin(Twin):
             self.table = bytearray(SIZE)
             self.motion = ShaftMotion()
             self._factory()
-            get = self.config.settings.get
+            settings = settings_of(self.name, ServoSettings, self.config.settings)
             self["id"] = self.credentials["id"]
             self["baud_rate"] = self._baud_number()
             self["model_number"] = MODELS.get(self.config.model or "", 28)
-            self["return_delay"] = round(float(get("return_delay_us", 500)) / 2)
-            self["status_return_level"] = int(get("status_return_level", 2))
+            self["return_delay"] = round(settings.return_delay_us / 2)
+            self["status_return_level"] = settings.status_return_level
             joint = self.joints[0] if self.joints else None
             if joint is not None:
                 self.world.joints[joint.name] = self
@@ -363,6 +364,3 @@ class RobotisRXTwin(Twin):
 
 def _directed(size: int, sign: float) -> int:
     return size | CLOCKWISE if sign < 0 and size else size
-
-
-__all__ = ["RobotisRXTwin"]

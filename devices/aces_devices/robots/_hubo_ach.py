@@ -10,217 +10,173 @@ The limit words of a .home table carry their switch in bit 0: −169999 is −17
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from aces_bus.robot import RobotFileProblem
-
-from . import _hubo
-from ._hubocan import Places
-from ._words import MOST, WordLine, decimal_number, plausible_number, read_lines, take
-
-JOINT_COLUMNS: Final = (
-    *("name", "motNo", "refEnc", "drive", "driven", "harm", "enc", "dir", "jmc", "active", "can", "numMot"),
-    *("kp", "kd", "maxPWM", "zeroed"),
+from ._description import (
+    BOARDS,
+    BUSES,
+    DECIMAL,
+    NUMBER,
+    WORD,
+    Column,
+    RobotDescription,
+    WordLine,
+    one_of,
+    read_lines,
 )
-SENSOR_COLUMNS: Final = ("name", "can", "active", "board", "x-axis", "y-axis", "z-axis")
-HOME_COLUMNS: Final = (
-    "JointName",
-    "HomeOffset",
-    "LowerLimit",
-    "UpperLimit",
-    "SearchDirection",
-    "SearchLimit",
-    "Type",
-)
-WORDS: Final = {"name", "jmc", "JointName", "Type"}
-REAL: Final = {"drive", "driven", "harm", "kp", "kd", "maxPWM"}
+
+_FLAG, _CAN, _SIGN = one_of((0, 1)), one_of(BUSES), one_of((1, -1, 0))
+JOINT_COLUMNS: Final[Mapping[str, Column]] = {
+    "name": WORD,
+    "motNo": DECIMAL,
+    "refEnc": DECIMAL,
+    "drive": NUMBER,
+    "driven": NUMBER,
+    "harm": NUMBER,
+    "enc": DECIMAL,
+    "dir": one_of((1, -1)),
+    "jmc": one_of(BOARDS, str),
+    "active": _FLAG,
+    "can": _CAN,
+    "numMot": one_of((1, 2, 3, 5)),
+    "kp": NUMBER,
+    "kd": NUMBER,
+    "maxPWM": NUMBER,
+    "zeroed": DECIMAL,
+}
+SENSOR_COLUMNS: Final[Mapping[str, Column]] = {
+    "name": WORD,
+    "can": _CAN,
+    "active": _FLAG,
+    "board": one_of(range(1, 16)),
+    "x-axis": _SIGN,
+    "y-axis": _SIGN,
+    "z-axis": _SIGN,
+}
+HOME_COLUMNS: Final[Mapping[str, Column]] = {
+    "JointName": WORD,
+    "HomeOffset": DECIMAL,
+    "LowerLimit": DECIMAL,
+    "UpperLimit": DECIMAL,
+    "SearchDirection": _FLAG,
+    "SearchLimit": DECIMAL,
+    "Type": one_of(("raw", "rad"), str),
+}
+_IN_RAD: Final = dict.fromkeys(("HomeOffset", "LowerLimit", "UpperLimit", "SearchLimit"), NUMBER)
 
 
-class TableRows:
-    """The rows of a table as mappings from columns to values, and what is wrong with them."""
-
-    def __init__(self, path: Path, columns: Sequence[str], lines: list[WordLine] | None = None) -> None:
-        self.problems: list[RobotFileProblem] = []
-        self.rows: list[tuple[WordLine, dict[str, Any]]] = []
-        seen: dict[str, int] = {}
-        for line in lines if lines is not None else read_lines(path):
-            if line.words[0] == columns[0] and line.words[0] == "JointName":
-                continue
-            if len(line.words) != len(columns):
-                text = f"expected {len(columns)} columns ({' '.join(columns)}), not {len(line.words)}"
-                self.problems.append(line.problem("", text))
-                continue
-            if len(self.problems) > MOST:
-                break
-            row: dict[str, Any] = {}
-            for column, word in zip(columns, line.words, strict=True):
-                read = (
-                    str
-                    if column in WORDS
-                    else plausible_number
-                    if column in REAL or line.words[-1] == "rad"
-                    else decimal_number
-                )
-                values = take(line, column, [word], read, 1, self.problems)
-                if values is not None:
-                    row[column] = values[0]
-            name = str(row.get(columns[0]))
-            if name in seen:
-                self.problems.append(
-                    line.problem(columns[0], f"{name} is there twice: see line {seen[name]}")
-                )
-            elif len(row) == len(columns):
-                seen[name] = line.number
-                self.rows.append((line, row))
-
-    def among(self, line: WordLine, column: str, value: Any, allowed: Sequence[Any]) -> bool:
-        if value in allowed:
-            return True
-        names = " or ".join(map(str, allowed)) if len(allowed) < 5 else f"{allowed[0]}…{allowed[-1]}"
-        self.problems.append(line.problem(column, f"expected {names}, not {value!r:.60}"))
-        return False
-
-
-def read_joints(path: Path, content: dict[str, Any], places: Places) -> list[RobotFileProblem]:
-    """A joint table: joints and their boards."""
-    table = TableRows(path, JOINT_COLUMNS)
-    motors: dict[str, tuple[int, int]] = {}
-    devices, joints = content["devices"], content["joints"]
-    for line, row in table.rows:
-        board = row["jmc"]
-        if not all(
-            [
-                table.among(line, "jmc", board, list(_hubo.BOARDS)),
-                table.among(line, "active", row["active"], (0, 1)),
-                table.among(line, "can", row["can"], tuple(_hubo.BUSES)),
-                table.among(line, "dir", row["dir"], (1, -1)),
-                table.among(line, "numMot", row["numMot"], (1, 2, 3, 5)),
-            ]
-        ):
+def _rows(
+    made: RobotDescription, path: Path, columns: Mapping[str, Column]
+) -> Iterator[tuple[WordLine, dict[str, Any]]]:
+    """The rows of a table as mappings from columns to values: those that are right."""
+    seen: dict[str, int] = {}
+    for line in read_lines(path):
+        if line.words[0] == "JointName":
             continue
+        if made.is_hopeless:
+            return
+        if len(line.words) != len(columns):
+            text = f"expected {len(columns)} columns ({' '.join(columns)}), not {len(line.words)}"
+            made.complain(line, "", text)
+            continue
+        kinds = {**columns, **_IN_RAD} if line.words[-1] == "rad" else columns
+        words = zip(kinds.items(), line.words, strict=True)
+        row = {key: made.value(line, key, [word], kind) for (key, kind), word in words}
+        first = next(iter(columns))
+        if row[first] in seen:
+            made.complain(line, first, f"{row[first]} is there twice: see line {seen[row[first]]}")
+        elif None not in row.values():
+            seen[row[first]] = line.number
+            yield line, row
+
+
+def read_joints(path: Path, made: RobotDescription) -> None:
+    """A joint table: joints and their boards."""
+    motors: dict[str, tuple[int, int]] = {}
+    devices, joints = made.content["devices"], made.content["joints"]
+    for line, row in _rows(made, path, JOINT_COLUMNS):
+        board, active = row["jmc"], bool(row["active"])
         wired = (row["numMot"], row["can"])
         known = devices.get(board)
-        if known is None or (row["active"] and not known["active"]):
+        if known is None or (active and not known["active"]):
             # What an inactive row says of a board counts only where no active one says it.
             motors[board] = wired
             devices[board] = {
                 "driver": "hubo_motor",
-                "bus": _hubo.BUSES[row["can"]],
-                "credentials": {"board": _hubo.BOARDS[board]},
+                "bus": BUSES[row["can"]],
+                "credentials": {"board": BOARDS[board]},
                 "channels": row["numMot"],
-                "active": bool(row["active"]),
+                "active": active,
             }
-        elif row["active"] and motors[board] != wired:
-            text = f"{board} has other numMot or can {wired} than before {motors[board]}"
-            table.problems.append(line.problem("jmc", text))
-        joint = {
+        elif active and motors[board] != wired:
+            made.complain(line, "jmc", f"{board} has other numMot or can {wired} than before {motors[board]}")
+        joints[row["name"]] = joint = {
             "device": board,
             "channel": row["motNo"],
             "gear": [row["drive"], row["driven"]],
             "harmonic": row["harm"],
             "encoder": row["enc"],
             "direction": row["dir"],
-            "active": bool(row["active"]),
+            "active": active,
         }
         if row["kp"] or row["kd"] or row["maxPWM"]:
             joint["compliance"] = {"kp": row["kp"], "kd": row["kd"], "max_pwm": row["maxPWM"]}
-        joints[row["name"]] = joint
-        places["joints", row["name"]] = line
-        places.setdefault(("devices", board), line)
+        made.places["joints", row["name"]] = line
+        made.places.setdefault(("devices", board), line)
     # Three motors on a hand's board are a DRC-Hubo's, whose neck is three servos.
     if any(motors.get(hand, (0, 0))[0] == 3 for hand in ("EJMC4", "EJMC5")):
         for board, kind in (("EJMC4", "hand"), ("EJMC5", "hand"), ("EJMC2", "neck")):
             if board in devices and motors[board][0] == 3:
                 devices[board]["kind"] = kind
-    _hubo.add_aliases(joints)
-    return table.problems
 
 
-def read_sensors(path: Path, content: dict[str, Any], places: Places) -> list[RobotFileProblem]:
+def read_sensors(path: Path, made: RobotDescription) -> None:
     """A sensor table: sensors and their boards."""
-    table = TableRows(path, SENSOR_COLUMNS)
-    for line, row in table.rows:
-        sensor, name = row["board"], row["name"]
+    for line, row in _rows(made, path, SENSOR_COLUMNS):
+        name = row["name"]
         kind = "force_torque" if "FT" in name else "tilt" if "TILT" in name else "imu"
-        if not all(
-            [
-                table.among(line, "can", row["can"], tuple(_hubo.BUSES)),
-                table.among(line, "active", row["active"], (0, 1)),
-                table.among(line, "board", sensor, range(1, 16)),
-                *(table.among(line, axis, row[axis], (1, -1, 0)) for axis in SENSOR_COLUMNS[4:]),
-            ]
-        ):
-            continue
-        board = _hubo.SENSOR_BOARDS.get(sensor + _hubo.SENSOR_BASE, f"SENSOR_{sensor}")
-        known = content["devices"].get(board)
-        kinds = {kind} | {one["kind"] for one in content["sensors"].values() if one["device"] == board}
-        made = _hubo.sensor_board(sensor, kinds)
-        content["devices"][board] = {
-            "driver": _hubo.DRIVERS[made],
-            "bus": _hubo.BUSES[row["can"]],
-            "credentials": {"board": sensor + _hubo.SENSOR_BASE, "sensor": sensor},
-            "kind": made,
-            "active": bool(row["active"]) or bool(known and known["active"]),
-        }
-        entry: dict[str, Any] = {"device": board, "kind": kind, "active": bool(row["active"])}
-        signs = [row[axis] for axis in SENSOR_COLUMNS[4:]]
-        if all(signs):
-            entry["signs"] = signs  # zeros: not used, as the table says
-        content["sensors"][name] = entry
-        places["sensors", name] = line
-        places.setdefault(("devices", board), line)
-    return table.problems
+        signs = [row[axis] for axis in ("x-axis", "y-axis", "z-axis")]
+        more = {"signs": signs} if all(signs) else {}  # zeros: not used, as the table says
+        made.add_sensor(line, name, row["board"], BUSES[row["can"]], kind, active=bool(row["active"]), **more)
 
 
-def read_homes(
-    path: Path, content: dict[str, Any], places: Places
-) -> tuple[list[RobotFileProblem], list[str]]:
-    """A .home table, into joints that are there; also what is worth saying of it."""
-    table, notes = TableRows(path, HOME_COLUMNS), list[str]()
-    names = {alias: name for name, joint in content["joints"].items() for alias in joint.get("aliases", ())}
-    names |= {name: name for name in content["joints"]}
-    for line, row in table.rows:
+def read_homes(path: Path, made: RobotDescription) -> None:
+    """A .home table, into joints that are there."""
+    names = made.names()
+    for line, row in _rows(made, path, HOME_COLUMNS):
         known = names.get(row["JointName"])
         if known is None:
-            table.problems.append(line.problem("JointName", f"no joint is named {row['JointName']!r:.60}"))
+            made.complain(line, "JointName", f"no joint is named {row['JointName']!r:.60}")
             continue
-        if not (
-            table.among(line, "Type", row["Type"], ("raw", "rad"))
-            and table.among(line, "SearchDirection", row["SearchDirection"], (0, 1))
-        ):
-            continue
-        joint = content["joints"][known]
+        joint, in_rad = made.content["joints"][known], row["Type"] == "rad"
         scale = _counts_per_rad(joint)
-        if scale is None and row["Type"] == "rad":
-            table.problems.append(line.problem("Type", f"{known} has no gear: rad cannot be made counts"))
+        if scale is None and in_rad:
+            made.complain(line, "Type", f"{known} has no gear: rad cannot be made counts")
             continue
+        unit = (scale or 0) if in_rad else 1
         home: dict[str, Any] = {
-            "offset": row["HomeOffset"]
-            if row["Type"] == "raw"
-            else math.trunc(row["HomeOffset"] * (scale or 0)),
+            "offset": math.trunc(row["HomeOffset"] * unit),
             "direction": "ccw" if row["SearchDirection"] else "cw",
             "search_turns": int(row["SearchLimit"]),
         }
         for key, column in (("lower", "LowerLimit"), ("upper", "UpperLimit")):
-            word = row[column]
-            if row["Type"] == "rad":
-                joint[key], home[key] = word, math.trunc(word * (scale or 0))
-            elif not word & 1:
-                notes.append(
+            limit = row[column]
+            if in_rad:
+                joint[key], home[key] = limit, math.trunc(limit * unit)
+            elif not limit & 1:
+                made.notes.append(
                     f"{line.file}:{line.number}: the {key} limit of {known} is switched off: left out"
                 )
                 joint.pop(key, None)
             else:
-                home[key] = word & ~1
+                home[key] = limit & ~1
                 if scale is not None:
                     joint[key] = round(home[key] / scale, 9)
         joint["home"] = {**joint.get("home", {}), **home}
-        places["joints", known, "home"] = places["joints", known, "lower"] = places[
-            "joints", known, "upper"
-        ] = line
-    return table.problems, notes
+        for key in ("home", "lower", "upper"):
+            made.places["joints", known, key] = line
 
 
 def _counts_per_rad(joint: Mapping[str, Any]) -> float | None:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,9 +16,8 @@ from aces_bus.device import Robot
 from aces_bus.errors import CallerError
 from aces_bus.robot import RobotError, RobotFileProblem, list_robots, make_robot, robot_text
 
-from . import _hubo, _hubo_ach, _hubocan
-from ._hubocan import Places
-from ._words import WordLine, read_lines
+from . import _hubo_ach, _hubocan
+from ._description import RobotDescription, read_lines
 
 
 class ImportedRobot(NamedTuple):
@@ -47,47 +46,33 @@ def import_robot(
     if "tree" in kinds and {"joint table", "sensor table"} & kinds.keys():
         raise CallerError("a .dd tree and a table both say which joints and sensors there are: name one")
     homes = next(iter(kinds.get("home table", ())), None)
-    notes: list[str] = []
-    problems: list[RobotFileProblem] = []
-    places: Places = {}
-    content: dict[str, Any]
+    tables = [path for kind in ("joint table", "sensor table") for path in kinds.get(kind, ())]
+    made = RobotDescription({"name": Path(paths[0]).name.partition(".")[0]}, str(paths[0]))
+    if base is not None and (tables or "tree" in kinds):
+        raise CallerError("--base is for a .home table alone: the other files say which joints there are")
     if "tree" in kinds:
-        content, places, problems = _hubocan.read_tree(kinds["tree"][0])
-    elif {"joint table", "sensor table"} & kinds.keys():
-        if base is not None:
-            raise CallerError("--base is for a .home table alone: the other files say which joints there are")
-        content = {"name": Path(paths[0]).name.partition(".")[0]}
-        content |= {"buses": {}, "devices": {}, "joints": {}, "sensors": {}}
+        (tree,) = kinds["tree"]
+        made.content["name"] = tree.stem
+        made.finish(_hubocan.read_tree(tree, made))
+    elif tables:
         for path in kinds.get("joint table", ()):
-            problems += _hubo_ach.read_joints(path, content, places)
+            _hubo_ach.read_joints(path, made)
         for path in kinds.get("sensor table", ()):
-            problems += _hubo_ach.read_sensors(path, content, places)
-        used = {device["bus"] for device in content["devices"].values()}
-        content["buses"] = {name: _hubo.bus(i) for i, name in _hubo.BUSES.items() if name in used}
-    else:
-        assert homes is not None
-        content = _base(homes, base, notes)
+            _hubo_ach.read_sensors(path, made)
+        made.finish()
+    elif homes is not None:
+        made.content = _base(homes, base, made.notes)
     if homes is not None:
-        more, said = _hubo_ach.read_homes(homes, content, places)
-        problems += more
-        notes += said
-    sources = [content["source"]] if "source" in content else []
-    content["source"] = ", ".join([*sources, *(Path(path).name for path in paths)])
+        _hubo_ach.read_homes(homes, made)
+    sources = [made.content["source"]] if "source" in made.content else []
+    made.content["source"] = ", ".join([*sources, *(Path(path).name for path in paths)])
     if name is not None:
-        content["name"] = name
-    first = str(paths[0])
-
-    def place(path: Sequence[str]) -> tuple[str, int]:
-        wanted = tuple(path)
-        while wanted and wanted not in places:
-            wanted = wanted[:-1]
-        return (places[wanted].file, places[wanted].number) if wanted in places else (first, 1)
-
-    robot, found_problems = make_robot(content, place)
-    errors = [*problems, *(problem for problem in found_problems if not problem.is_warning)]
+        made.content["name"] = name
+    robot, said = make_robot(made.content, made.place)
+    errors = [*made.problems, *(problem for problem in said if not problem.is_warning)]
     if errors or robot is None:
         raise RobotError(sorted(set(errors)))
-    return ImportedRobot(robot, tuple(notes), tuple(p for p in found_problems if p.is_warning))
+    return ImportedRobot(robot, tuple(made.notes), tuple(p for p in said if p.is_warning))
 
 
 def _kind(path: Path) -> str:
@@ -112,10 +97,10 @@ def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
     """The file of a robot that ships, which has the joints of a .home table."""
     if base is not None:
         return tomllib.loads(robot_text(base))
-    wanted = {line.words[0] for line in _rows(read_lines(homes))}
+    wanted = {line.words[0] for line in read_lines(homes)} - {"JointName"}
     for robot in list_robots():
         content = tomllib.loads(robot_text(robot))
-        if wanted <= _names(content["joints"]) and any(
+        if wanted <= RobotDescription(content, "").names().keys() and any(
             b.get("protocol") == "hubo" for b in content["buses"].values()
         ):
             notes.append(f"{homes} is laid over {robot}, which has all its joints (--base chooses another)")
@@ -124,11 +109,3 @@ def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
         f"{homes}: no installed robot has all its joints; name --base ROBOT ({', '.join(list_robots())}),"
         " or a joint table too"
     )
-
-
-def _rows(lines: Sequence[WordLine]) -> list[WordLine]:
-    return [line for line in lines if line.words[0] != "JointName"]
-
-
-def _names(joints: Mapping[str, Any]) -> set[str]:
-    return set(joints) | {alias for joint in joints.values() for alias in joint.get("aliases", ())}

@@ -1,35 +1,132 @@
-"""What all parts of the driver share: a board's channels, what is heard of them, what they are to be told.
+"""A motor board as the driver knows it: its channels, what is received of them, what they are to be sent.
 
-1. What is sent and heard by which kind of board stands in `shapes`; what one channel is, in `axis`.
+1. What is sent and received by which kind of board stands in `shapes`.
 2. References go out in each tick, one frame a board, and only while the board is enabled and no hold-off runs: 0.8 s after
-   the start, 3 s after a home command (hubo-ach). A set-point that nobody will send is told ("not sent"), never kept.
+   the start, 3 s after a home command (hubo-ach). A set-point that will not be sent is told ("not sent"), never kept.
 3. A board that forgot what it was told (home flag lost, control off without an error) gets nothing more until it is
    enabled again.
-4. Switching is in `switching`, homing in `homing`, what is stored in a board in `storage`, compliance in `compliance`.
+4. raw = (direction × position + zero) × counts_per_unit, truncated toward zero as the programs that drove the robots do;
+   the way back is exact. Velocity is (new − old) ÷ (instants' difference): real time stamps, not the nominal period.
+5. Switching and compliance are in `switching`, homing in `homing`, what is stored in a board in `driver`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from math import pi, tau
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Poll
+from aces_bus.device import Joint, MotorDevice, Poll, Signal
 from aces_bus.device.coalesce import Setpoint
-from aces_bus.errors import CallerError, DeviceError, UnknownNameError
+from aces_bus.device.settings import settings_of
+from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.spec import hubo
 
-from .axis import MotorAxis, joints_by_channel
-from .settings import Settings
-from .shapes import SHAPES, Shape
+from .shapes import BoardSettings, shape_of
 
 #: Status bits that are no error.
 _SWITCHES = ("driver_on", "control_on", "current_mode", "limit_switch")
 #: Home flags that say that a joint is homed: 6, and 2 of a wrist roll (hubo-ach).
 HOMED = ("homed", "wrist_roll_homed")
+#: When a joint that is homed, or becomes stiff again, has arrived (rad; hubo-ach).
+ARRIVED = 0.0075
+#: Signals of a status, by what the status of a board tells: name → what it is.
+_DRIVE_STATUS: Mapping[str, str] = {
+    "status": "names of all bits that are set",
+    "errors": "names of the error bits that are set",
+    "enabled": "driver and control are on",
+}
+_HOME_STATUS: Mapping[str, str] = {
+    "home": "the home flag: 6 (homed), or a code",
+    "homed": "the home flag says so",
+}
+_SEARCH_STATUS: Mapping[str, str] = {
+    "status": "home search: origin, limit switch, encoder",
+    "homed": "the home search ended well",
+}
 
 
-class BoardCore(Device):
-    """What all parts of the driver share: the channels, what is heard of them, what they are to be told."""
+class MotorAxis:
+    """A channel. `joint` None: nobody named one; the channel only has a place in its board's frames."""
+
+    __slots__ = (
+        "channel",
+        "count",
+        "counts",
+        "direction",
+        "duty",
+        "goal",
+        "instant",
+        "joint",
+        "name",
+        "position",
+        "reference",
+        "scale",
+        "signals",
+        "velocity",
+        "was_homed",
+        "zero",
+    )
+
+    def __init__(self, channel: int, joint: Joint | None, name: str) -> None:
+        self.channel, self.joint, self.name = channel, joint, name
+        counts = joint.counts_per_unit if joint is not None else None
+        self.counts: float = counts if counts is not None else 1.0
+        self.direction: int = joint.direction if joint is not None else 1
+        self.zero: float = (joint.zero or 0.0) if joint is not None else 0.0
+        #: rad a count, with the sign of the direction.
+        self.scale = self.direction / self.counts
+        #: The last encoder count, and when it was heard (ns).
+        self.count: int | None = None
+        self.instant = 0
+        #: The set-point in counts, and where a filter is to bring it (None: no filter).
+        self.reference: int | None = None
+        self.goal: float | None = None
+        #: Whether it was homed by the last status.
+        self.was_homed = False
+        #: What the status tells.
+        self.signals: dict[str, Signal] = {}
+        self.position: Signal | None = None
+        self.velocity: Signal | None = None
+        self.duty: Signal | None = None
+
+    def to_counts(self, position: float) -> int:
+        """Counts of a position (rad), truncated toward zero."""
+        return int((self.direction * position + self.zero) * self.counts)
+
+    def to_rad(self, count: float) -> float:
+        """Position (rad) of an encoder count."""
+        return count * self.scale - self.zero * self.direction
+
+    def heard(self, count: int, instant: int, moves: bool) -> None:
+        """The encoder says `count`; `moves` False: a zero is being set, and the difference is no movement."""
+        position, velocity = self.position, self.velocity
+        if position is not None:
+            position.update(count * self.scale - self.zero * self.direction, instant)
+            old, passed = self.count, instant - self.instant
+            if velocity is not None and old is not None and passed > 0 and moves:
+                velocity.update((count - old) * self.scale * 1e9 / passed, instant)
+        self.count, self.instant = count, instant
+
+    def forget(self) -> None:
+        """The board has forgotten."""
+        self.count = self.reference = self.goal = None
+        self.was_homed = False
+
+    def show(self, name: str, value: Any, instant: int) -> None:
+        """A new value of a signal, where there is one of this name."""
+        found = self.signals.get(name)
+        if found is not None:
+            found.update(value, instant)
+
+    def shown(self, name: str) -> Any:
+        """The value of a signal; None where there is none of this name."""
+        found = self.signals.get(name)
+        return None if found is None else found.value
+
+
+class MotorBoard(MotorDevice[MotorAxis]):
+    """One board, without what can be done with it."""
 
     protocol = hubo
     streams: ClassVar[Collection[str]] = (
@@ -46,23 +143,17 @@ class BoardCore(Device):
         "PwmFingersD08",
     )
 
-    shape: Shape
     axes: list[MotorAxis]
 
     def setup(self) -> None:
         """Signals of the joints, polls of the board."""
-        dialect = self.variant.dialect or "D12"
-        kind = self.config.kind if isinstance(self.config.kind, (int, str)) else self.config.channels
-        found = SHAPES.get((dialect, kind)) if kind is not None else None
-        if found is None:
-            raise UnknownNameError(
-                f"kind of Hubo motor board of {dialect} ({self.name})",
-                str(kind),
-                [str(k) for d, k in SHAPES if d == dialect],
-            )
-        self.dialect, self.kind, self.shape = dialect, kind, found
-        self.settings = Settings(self.name, self.config.settings)
-        self.axes = joints_by_channel(self.joints, found.channels, self.name)
+        self.dialect, self.kind, self.shape = shape_of(self)
+        self.settings = settings_of(self.name, BoardSettings, self.config.settings)
+        found, joints = self.shape, {joint.channel: joint for joint in self.joints}
+        self.axes = [
+            MotorAxis(n, joints.get(n), joints[n].name if n in joints else f"{self.name}.{n}")
+            for n in range(found.channels)
+        ]
         beyond = [joint.name for joint in self.joints if joint.channel >= found.channels]
         if beyond:
             raise CallerError(f"{self.name} has {found.channels} channels; {', '.join(beyond)} is beyond")
@@ -70,11 +161,12 @@ class BoardCore(Device):
         self._by_path.update(zip(found.references, self.axes, strict=False))
         #: Whether set-points go out; whether the board was enabled and nothing has been heard against it.
         self.is_streaming = self.is_enabled = False
-        self.is_compliant = False
+        #: What makes duties of positions while the board is compliant; None: it is rigid.
+        self.comply: Callable[[int], None] | None = None
         #: Channels whose home search or new zero is under way.
         self.homing: set[int] = set()
         self.is_triggered = self.settings.trigger
-        self.filter_length = int(self.settings.known("filter"))
+        self.filter_length = int(self.settings.filter)
         self._awaited: dict[str, int] = {}
         self._filtering = False
         self._held_until = 0
@@ -89,18 +181,13 @@ class BoardCore(Device):
         commands = {axis.joint.command for axis in self.axes if axis.joint is not None}
         by_duty = "duty" in commands or (shape.reference is None and shape.pwm is not None)
         for axis in self.axes:
-            pushes = axis.channel < len(shape.references) and shape.references[axis.channel].startswith(
-                "finger"
-            )
-            if axis.joint is not None and axis.joint.command not in (
-                "duty",
-                "current" if pushes else "position",
-            ):
-                if not (pushes and axis.joint.command == "position"):
-                    raise CallerError(
-                        f"{self.name} cannot be given a {axis.joint.command} for {axis.name}: motors here take"
-                        f" {'currents' if pushes else 'positions'} or duties"
-                    )
+            pushes = self.is_pushed(axis.channel)
+            able = {"duty", "position", "current"} if pushes else {"duty", "position"}
+            if axis.joint is not None and axis.joint.command not in able:
+                raise CallerError(
+                    f"{self.name} cannot be given a {axis.joint.command} for {axis.name}: motors here take"
+                    f" {'currents' if pushes else 'positions'} or duties"
+                )
         if by_duty and commands - {"duty", "position"}:
             raise CallerError(f"{self.name}: a board is driven by duty or by references, not by both at once")
         if "duty" in commands and "position" in commands and shape.reference is not None:
@@ -108,19 +195,40 @@ class BoardCore(Device):
                 f"{self.name}: its joints are driven by duty or by position, not by both at once"
             )
         message = shape.pwm if by_duty else shape.reference
+        slow_s = max(0.1, 5 * self.settings.current_s)
         for axis in self.axes:
             path = ""
             if message is not None:
-                path = f"duty.{axis.channel}" if by_duty else shape.references[axis.channel]
+                path = self.path_of(axis, message)
                 self._paths.setdefault(message, {})[path] = None
             if axis.joint is not None:
-                self._declare_axis(axis, None if by_duty else message, message if by_duty else None, path)
+                if not by_duty and message is not None and path.startswith("position"):
+                    self._declare_position(axis, axis.joint, f"{message}.{path}")
+                else:
+                    self._declare_position(axis, axis.joint, None)
+                self._declare_duty(axis, axis.joint, f"{message}.{path}" if by_duty else None)
+                if shape.current is not None:
+                    pushed = not by_duty and path.startswith("finger")
+                    most = axis.joint.max_current or 0.1
+                    self.add_signal(
+                        "current",
+                        owner=axis.name,
+                        unit=shape.current_unit,
+                        of=[f"{reply}.current.{axis.channel}" for reply in shape.current.reply],
+                        set=f"{message}.{path}" if pushed else None,
+                        lower=-most if pushed else None,
+                        upper=most if pushed else None,
+                        stale_s=slow_s,
+                        doc="magnitude" if shape.current_unit else "unit unknown",
+                        source="hubo-ach" if shape.current_unit else "X1; X2",
+                    )
+                self._declare_status(axis)
         if shape.current is not None and shape.current_unit and shape.channels < 5:
-            self.board_temperature = self.add_signal(
+            self.add_signal(
                 "temperature",
                 unit="°C",
                 of=[f"{reply}.temperature" for reply in shape.current.reply],
-                stale_s=self._slow("current_s"),
+                stale_s=slow_s,
                 doc="the board's; hubo-ach calls this byte to be checked",
                 source="hubo-ach",
             )
@@ -128,130 +236,107 @@ class BoardCore(Device):
             self.add_signal(
                 "board_state",
                 of="StatusD08.board_state",
-                stale_s=self._slow("status_s"),
+                stale_s=max(0.1, 5 * self.settings.status_s),
                 doc="first byte of the status, of unknown meaning",
                 source="acesHubo",
             )
         return message
 
-    def _slow(self, key: str) -> float:
-        return max(0.1, 5 * self.settings.known(key))
+    def is_pushed(self, channel: int) -> bool:
+        """Whether what a channel is given is a current."""
+        references = self.shape.references
+        return channel < len(references) and references[channel].startswith("finger")
 
-    def _declare_axis(self, axis: MotorAxis, reference: str | None, pwm: str | None, path: str) -> None:
-        shape, joint = self.shape, axis.joint
-        assert joint is not None
-        owner = joint.name
-        knows_counts = joint.counts_per_unit is not None
-        if reference is not None and not knows_counts and path.startswith("position"):
-            raise CallerError(f"{self.name}: {owner} needs gear, harmonic and encoder to follow positions")
-        by_position = reference is not None and path.startswith("position")
+    def path_of(self, axis: MotorAxis, message: str) -> str:
+        """Where a channel's set-point is in a message."""
+        return f"duty.{axis.channel}" if message == self.shape.pwm else self.shape.references[axis.channel]
+
+    def _declare_position(self, axis: MotorAxis, joint: Joint, target: str | None) -> None:
+        shape, knows_counts = self.shape, joint.counts_per_unit is not None
+        if target is not None and not knows_counts:
+            raise CallerError(
+                f"{self.name}: {joint.name} needs gear, harmonic and encoder to follow positions"
+            )
+        if not shape.encoders or not knows_counts:
+            return
+        lower, upper = self._limits(axis, joint) if target is not None else (None, None)
         rate = self.host.rate_hz
         fresh = self.stale_s if rate is None else max(self.stale_s, 5 / rate)
-        if shape.encoders and knows_counts:
-            lower, upper = self._limits(axis)
-            axis.position = self.add_signal(
-                "position",
-                owner=owner,
-                unit="rad",
-                set=f"{reference}.{path}" if by_position else None,
-                from_si=self._neck(axis) if self.kind == "neck" else axis.to_counts,
-                lower=lower if by_position else None,
-                upper=upper if by_position else None,
-                stale_s=fresh,
-                doc="encoder; set: where the board is to go",
-                source="hubo-ach; HuboCan; acesHubo",
-            )
-            axis.velocity = self.add_signal(
-                "velocity",
-                owner=owner,
-                unit="rad/s",
-                stale_s=fresh,
-                doc="from two encoder positions and their instants",
-            )
-            self.readable.update((axis.position.name, axis.velocity.name))
-        if pwm is not None:
+        axis.position = self.add_signal(
+            "position",
+            owner=joint.name,
+            unit="rad",
+            set=target,
+            from_si=self.neck_angle(axis) if self.kind == "neck" else axis.to_counts,
+            lower=lower,
+            upper=upper,
+            stale_s=fresh,
+            is_read=True,
+            doc="encoder; set: where the board is to go",
+            source="hubo-ach; HuboCan; acesHubo",
+        )
+        axis.velocity = self.add_signal(
+            "velocity",
+            owner=joint.name,
+            unit="rad/s",
+            stale_s=fresh,
+            is_read=True,
+            doc="from two encoder positions and their instants",
+        )
+
+    def _declare_duty(self, axis: MotorAxis, joint: Joint, target: str | None) -> None:
+        shape = self.shape
+        if target is not None:
             most = min(joint.max_duty or shape.largest_duty, shape.largest_duty)
-            sign = shape.positive * (axis.direction if shape.reference is not None else 1)
-            whole = shape.pwm != "PwmFine"
+            sign, steps = self._duty_sign(axis), 10 if shape.pwm == "PwmFine" else 1
             axis.duty = self.add_signal(
                 "duty",
-                owner=owner,
+                owner=joint.name,
                 unit=shape.duty_unit,
-                set=f"{pwm}.{path}",
-                from_si=(lambda v: sign * int(v)) if whole else (lambda v: sign * int(10 * v) / 10),
+                set=target,
+                from_si=lambda v: sign * int(v) if steps == 1 else sign * int(steps * v) / steps,
                 lower=-most,
                 upper=most,
                 doc="open-loop PWM as last set; boards do not report it",
             )
         elif self.kind in (1, 2) and self.dialect == "D12" and joint.compliance is not None:
-            axis.duty = self.add_signal("duty", owner=owner, unit="%", doc="PWM as last sent while compliant")
+            axis.duty = self.add_signal(
+                "duty", owner=joint.name, unit="%", doc="PWM as last sent while compliant"
+            )
         if axis.duty is not None:
             axis.duty.stale_after_ns = None
-        fed = reference is not None and path.startswith("finger")
-        if shape.current is not None:
-            axis.current = self.add_signal(
-                "current",
-                owner=owner,
-                unit=shape.current_unit,
-                of=[f"{reply}.current.{axis.channel}" for reply in shape.current.reply],
-                set=f"{reference}.{path}" if fed else None,
-                lower=-(joint.max_current or 0.1) if fed else None,
-                upper=(joint.max_current or 0.1) if fed else None,
-                stale_s=self._slow("current_s"),
-                doc="magnitude" if shape.current_unit else "unit unknown",
-                source="hubo-ach" if shape.current_unit else "X1; X2",
-            )
-        if shape.status is not None:
-            self._declare_status(axis, owner)
 
-    def _declare_status(self, axis: MotorAxis, owner: str) -> None:
-        stale = self._slow("status_s")
+    def _declare_status(self, axis: MotorAxis) -> None:
         shape = self.shape
-        if shape.reports_drive:
-            axis.status = self.add_signal(
-                "status", owner=owner, stale_s=stale, doc="names of all bits that are set"
+        told: Mapping[str, str] = {}
+        if shape.status is not None and shape.reports_drive:
+            told = {**_DRIVE_STATUS, **(_HOME_STATUS if shape.has_home_flag else {})}
+        elif (
+            shape.status is not None
+            and axis.channel < (3 if self.dialect == "D08X" else 2)
+            and shape.channels < 5
+        ):
+            told = _SEARCH_STATUS
+        stale_s = max(0.1, 5 * self.settings.status_s)
+        for name, doc in told.items():
+            axis.signals[name] = self.add_signal(
+                name, owner=axis.name, stale_s=stale_s, doc=doc, is_read=True
             )
-            axis.errors = self.add_signal(
-                "errors", owner=owner, stale_s=stale, doc="names of the error bits that are set"
-            )
-            axis.enabled = self.add_signal(
-                "enabled", owner=owner, stale_s=stale, doc="driver and control are on"
-            )
-            self.readable.update(s.name for s in (axis.status, axis.errors, axis.enabled))
-            if shape.has_home_flag:
-                axis.home = self.add_signal(
-                    "home", owner=owner, stale_s=stale, doc="the home flag: 6 (homed), or a code"
-                )
-                axis.homed = self.add_signal("homed", owner=owner, stale_s=stale, doc="the home flag says so")
-                self.readable.update(s.name for s in (axis.home, axis.homed))
-        elif axis.channel < (3 if self.dialect == "D08X" else 2) and shape.channels < 5:
-            axis.status = self.add_signal(
-                "status", owner=owner, stale_s=stale, doc="home search: origin, limit switch, encoder"
-            )
-            axis.homed = self.add_signal(
-                "homed", owner=owner, stale_s=stale, doc="the home search ended well"
-            )
-            self.readable.update(s.name for s in (axis.status, axis.homed))
 
-    def _limits(self, axis: MotorAxis) -> tuple[float, float]:
+    def _limits(self, axis: MotorAxis, joint: Joint) -> tuple[float, float]:
         """Soft limits (rad): the file's, and never beyond what the reference's field holds."""
         most = 2 ** (self.shape.position_bits - 1) - 1
         if self.kind in (1, 2, "hand"):
             most = 2**23 - 1
-        ends = sorted((axis.to_rad(-most), axis.to_rad(most)))
-        if self.kind == "neck":
-            ends = sorted((axis.to_rad(0), axis.to_rad(4095)))
-        joint = axis.joint
-        assert joint is not None
+        span = (0, 4095) if self.kind == "neck" else (-most, most)
+        ends = sorted(map(axis.to_rad, span))
         lower = ends[0] if joint.lower is None else max(ends[0], joint.lower)
         upper = ends[1] if joint.upper is None else min(ends[1], joint.upper)
         return lower, upper
 
-    def _neck(self, axis: MotorAxis) -> Callable[[float], float]:
+    def neck_angle(self, axis: MotorAxis) -> Callable[[float], float]:
         """A neck's reference in the spec's rad: whole steps of 4096 a turn, or of hubo-ach's 4095."""
-        from math import pi, tau
-
-        per_turn = int(self.settings.known("neck_counts"))
+        per_turn = int(self.settings.neck_counts)
 
         def code(position: float) -> float:
             steps = int((axis.direction * position + axis.zero) / tau * per_turn)
@@ -263,53 +348,21 @@ class BoardCore(Device):
         shape, polls = self.shape, list[Poll]()
         for ask in shape.encoders:
             polls.append(Poll(ask.message, ask.reply, ask.fields))
-            axes = self.axes[ask.first :]
-            hear = self._neck_hearer(axes) if self.kind == "neck" else self._encoder_hearer(axes)
-            self._hearers.update(dict.fromkeys(ask.reply, hear))
+            self._hearers.update(dict.fromkeys(ask.reply, self._encoder_hearer(self.axes[ask.first :])))
+        for slow, every_s in (
+            (shape.status, self.settings.status_s),
+            (shape.current, self.settings.current_s),
+        ):
+            if slow is not None:
+                polls.append(Poll(slow.message, slow.reply, every_s=every_s))
         if shape.status is not None:
-            polls.append(
-                Poll(
-                    "SendStatus",
-                    shape.status.reply,
-                    every_s=self.settings.known("status_s"),
-                    timeout_s=0.05,
-                )
-            )
             hear = self._hear_status if shape.reports_drive else self._hear_search
             self._hearers.update(dict.fromkeys(shape.status.reply, hear))
-        if shape.current is not None:
-            polls.append(
-                Poll(
-                    "SendCurrent",
-                    shape.current.reply,
-                    every_s=self.settings.known("current_s"),
-                    timeout_s=0.05,
-                )
-            )
         self.polls = polls
 
     def start(self) -> None:
         """The start's hold-off begins."""
-        self.hold_off(self.settings.known("hold_start_s"))
-
-    def axis(self, joint: str | None) -> MotorAxis | None:
-        """The axis of a joint by name, alias or channel number; None for None. Raises `UnknownNameError`."""
-        if joint is None:
-            return None
-        for axis in self.axes:
-            own = axis.joint
-            if own is not None and (joint == own.name or joint in own.aliases):
-                return axis
-            if joint in (str(axis.channel), axis.name):
-                return axis
-        raise UnknownNameError(f"joint of {self.name}", joint, [axis.name for axis in self.axes])
-
-    def chosen(self, joint: str | None) -> list[MotorAxis]:
-        """The axes that an action is for: one, or all that have a joint (all, where none has one)."""
-        axis = self.axis(joint)
-        if axis is not None:
-            return [axis]
-        return [axis for axis in self.axes if axis.joint is not None] or self.axes
+        self.hold_off(self.settings.hold_start_s)
 
     # ------------------------------------------------------------------ up
 
@@ -320,21 +373,16 @@ class BoardCore(Device):
             hear(record, instant)
 
     def _encoder_hearer(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
+        is_neck = self.kind == "neck"
+
         def hear(record: Any, instant: int) -> None:
             homing = self.homing
             for axis, count in zip(axes, record.position, strict=False):
+                if is_neck:
+                    count = round((count + pi) * 4096 / tau)
                 axis.heard(count, instant, not homing or axis.channel not in homing)
-            if self.is_compliant:
+            if self.comply is not None:
                 self.comply(instant)
-
-        return hear
-
-    def _neck_hearer(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
-        from math import pi, tau
-
-        def hear(record: Any, instant: int) -> None:
-            for axis, angle in zip(axes, record.position, strict=False):
-                axis.heard(round((angle + pi) * 4096 / tau), instant, True)
 
         return hear
 
@@ -342,36 +390,26 @@ class BoardCore(Device):
         """Switches, home flags and errors of D12."""
         news: list[str] = []
         gone: list[str] = []
-        on = True
-        wrong = False
         lost: list[str] = []
+        on, wrong = True, False
         for axis, motor in zip(self.axes, record.motor, strict=False):
             if self.shape.has_home_flag:
-                drive, errors, home = motor.drive, motor.errors, motor.home
-                homed = home in HOMED
-                if axis.was_homed and not homed and axis.channel not in self.homing:
-                    lost.append(axis.name)
-                axis.was_homed = homed
-                names = (*drive, *errors)
-                if axis.home is not None and axis.homed is not None:
-                    axis.home.update(home, instant)
-                    axis.homed.update(homed, instant)
+                drive, names = motor.drive, (*motor.drive, *motor.errors)
+                lost += self._home_lost(axis, motor.home in HOMED)
+                axis.show("home", motor.home, instant)
+                axis.show("homed", axis.was_homed, instant)
             else:
                 drive, names = motor, tuple(motor)
             if axis.joint is None:
                 continue
             bad = tuple(name for name in names if name not in _SWITCHES)
             is_on = "driver_on" in drive and (not self.shape.has_switches or "control_on" in drive)
-            on = on and is_on
-            if axis.status is not None and axis.errors is not None and axis.enabled is not None:
-                before = axis.errors.last or ()
-                axis.status.update(names, instant)
-                axis.enabled.update(is_on, instant)
-                axis.errors.update(bad, instant)
-                if bad != before:
-                    news += [f"{axis.name}: {name}" for name in bad if name not in before]
-                    gone += [f"{axis.name}: {name}" for name in before if name not in bad]
-            wrong = wrong or bool(bad)
+            on, wrong = on and is_on, wrong or bool(bad)
+            before = axis.signals["errors"].last or ()
+            for name, value in (("status", names), ("enabled", is_on), ("errors", bad)):
+                axis.signals[name].update(value, instant)
+            news += [f"{axis.name}: {name}" for name in bad if name not in before]
+            gone += [f"{axis.name}: {name}" for name in before if name not in bad]
         if news:
             self.tell_event("alarm", ", ".join(news))
         if gone:
@@ -389,22 +427,19 @@ class BoardCore(Device):
         """Home searches of D08."""
         lost: list[str] = []
         for axis, motor in zip(self.axes, record.motor, strict=False):
-            homed = search_state(motor) == "done"
-            if axis.was_homed and not homed and axis.channel not in self.homing:
-                lost.append(axis.name)
-            axis.was_homed = homed
-            if axis.status is not None and axis.homed is not None:
-                names = (
-                    ("origin", motor.origin),
-                    ("limit_switch", motor.limit_switch),
-                    ("encoder", motor.encoder),
-                )
-                axis.status.update(
-                    tuple(f"{name}_{value}" for name, value in names if value != "none"), instant
-                )
-                axis.homed.update(homed, instant)
+            lost += self._home_lost(axis, search_state(motor) == "done")
+            parts = ("origin", "limit_switch", "encoder")
+            told = tuple(f"{part}_{getattr(motor, part)}" for part in parts if getattr(motor, part) != "none")
+            axis.show("status", told, instant)
+            axis.show("homed", axis.was_homed, instant)
         if lost:
             self.rebooted(f"{', '.join(lost)} lost its home")
+
+    def _home_lost(self, axis: MotorAxis, is_homed: bool) -> list[str]:
+        """Note whether a channel is homed; its name where it no longer is."""
+        is_lost = axis.was_homed and not is_homed and axis.channel not in self.homing
+        axis.was_homed = is_homed
+        return [axis.name] if is_lost else []
 
     def rebooted(self, detail: str) -> None:
         """The board has forgotten what it was told: nothing moves until it is enabled again."""
@@ -420,17 +455,16 @@ class BoardCore(Device):
         if not self.is_streaming:
             self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value}")
             return
-        axis = self._axis_at(path)
-        axis.reference = value
-        axis.goal = None
-        if self.is_compliant:
+        axis = self._by_path[path]
+        axis.reference, axis.goal = value, None
+        if self.comply is not None:
             return  # the set-point is what the duties are made from
         if self.filter_length > 1 and path.startswith("position"):
             axis.goal, axis.reference = float(value), self._given.get(message, {}).get(path, value)
             self._filtering = True
             return
         if axis.duty is not None and message == self.shape.pwm:
-            axis.duty.update(self._duty_of(axis, value), self.clock.now())
+            axis.duty.update(value * self._duty_sign(axis), self.clock.now())
         if self.is_triggered:
             self._awaited[path] = value
             if len(self._awaited) < len(self.joints):
@@ -445,21 +479,17 @@ class BoardCore(Device):
         """A field for the next tick, as it is."""
         super().want(message, path, value)
 
-    def _duty_of(self, axis: MotorAxis, value: float) -> float:
-        shape = self.shape
-        return value * shape.positive * (axis.direction if shape.reference is not None else 1)
-
-    def _axis_at(self, path: str) -> MotorAxis:
-        return self._by_path[path]
+    def _duty_sign(self, axis: MotorAxis) -> int:
+        """The sign on the wire of a duty that drives a joint upwards."""
+        return self.shape.positive * (axis.direction if self.shape.reference is not None else 1)
 
     def give(self, axis: MotorAxis, value: Any) -> None:
         """A set-point past filter, trigger and compliance."""
         message = self.set_message
         if message is None:
             return
-        path = f"duty.{axis.channel}" if message == self.shape.pwm else self.shape.references[axis.channel]
         axis.reference, axis.goal = value, None
-        super().want(message, path, value)
+        super().want(message, self.path_of(axis, message), value)
 
     def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick; filters move on."""
@@ -491,10 +521,8 @@ class BoardCore(Device):
             return 0
         if path.startswith("finger"):
             return 0.0
-        axis = self._axis_at(path)
-        if axis.joint is not None:
-            return None
-        return axis.count
+        axis = self._by_path[path]
+        return None if axis.joint is not None else axis.count
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
         """A one-channel board repeats its reference; duties without a sign get their direction; the mode."""
@@ -532,7 +560,8 @@ class BoardCore(Device):
 
     def quiet(self) -> None:
         """No set-points any more."""
-        self.is_streaming = self.is_enabled = self.is_compliant = self._filtering = False
+        self.is_streaming = self.is_enabled = self._filtering = False
+        self.comply = None
         for message in (self.set_message, self.shape.pwm):
             if message is not None:
                 self.drop(message)
@@ -545,10 +574,6 @@ class BoardCore(Device):
     def fail(self, text: str) -> DeviceError:
         """An error of this board."""
         return DeviceError(f"{self.host.name} {self.name}: {text}")
-
-    def comply(self, instant: int) -> None:
-        """One step of compliant motion; see `compliance`."""
-        raise NotImplementedError
 
 
 def search_state(motor: Any) -> str:

@@ -1,0 +1,92 @@
+"""A device that moves joints, each on an axis of its own.
+
+1. A joint is named by its name or an alias, a channel without a joint by its number; no name means all.
+2. Jobs that lead joints somewhere (`lead`: enabling, homing) are ended by what stops them (`end_led`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Generic, TypeVar
+from typing import Protocol as Interface
+
+from ..errors import DeviceError, UnknownNameError
+from .config import Joint
+from .device import Device
+from .ticket import Job, Steps, Ticket
+
+
+class MotorChannel(Interface):
+    """One channel of a motor board, as its driver knows it; `joint` None: nothing is connected, or it has no name."""
+
+    @property
+    def joint(self) -> Joint | None:
+        """What it moves."""
+        ...
+
+    @property
+    def channel(self) -> int:
+        """Its number, from 0."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """The joint's name, or what the channel is called."""
+        ...
+
+
+A = TypeVar("A", bound=MotorChannel)
+
+
+class MotorDevice(Device, Generic[A]):
+    """A device with `axes`, which `setup` makes."""
+
+    axes: list[A]
+
+    def __init__(self, *args: Any) -> None:
+        self._led: list[Job] = []
+        super().__init__(*args)
+
+    def axes_of(self, joint: str | None) -> list[A]:
+        """The axis of a joint by name, alias or channel number; None: all that have a joint (all, where none has one).
+
+        Raises `UnknownNameError`.
+        """
+        if joint is None:
+            return [axis for axis in self.axes if axis.joint is not None] or self.axes
+        for axis in self.axes:
+            names = () if axis.joint is None else (axis.joint.name, *axis.joint.aliases)
+            if joint in (*names, axis.name, str(axis.channel)):
+                return [axis]
+        raise UnknownNameError(f"joint of {self.name}", joint, [axis.name for axis in self.axes])
+
+    def lead(self, name: str, steps: Callable[[Job], Steps]) -> Job:
+        """Begin a job that leads joints somewhere, until `end_led`."""
+        made = self.job(name, steps)
+        self._led = [job for job in self._led if not job.is_over] + [made]
+        return made
+
+    def end_led(self, name: str = "") -> None:
+        """End the jobs of this name that lead joints somewhere, or all."""
+        for job in self._led:
+            if not name or job.name == f"{self.name} {name}":
+                job.cancel()
+
+    @staticmethod
+    def in_turn(job: Job, axes: Sequence[A]) -> Iterator[A]:
+        """The axes one by one: the job's text is the name, its progress how many are done."""
+        for number, axis in enumerate(axes):
+            job.text = axis.name
+            yield axis
+            job.progress = (number + 1) / len(axes)
+
+    def confirm_off(self, ask: Callable[[], Ticket], still_on: Callable[[], Sequence[str]]) -> Job:
+        """Ask the device; the job fails when a joint is `still_on` by what it answers."""
+
+        def steps(job: Job) -> Steps:
+            yield ask()
+            on = still_on()
+            if on:
+                raise DeviceError(f"its status says that {', '.join(on)} is still on")
+
+        return self.job("look whether it is off", steps)

@@ -1,0 +1,57 @@
+"""Protocols and drivers of all installed packages: found by entry point, imported on use.
+
+1. Lazy: listing imports nothing. Loud: an unknown name lists those that exist.
+2. Singular: two packages that claim one name raise, with both places.
+3. Ours are registered as others' are.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar
+
+from .errors import AcesError, SpecError, UnknownNameError
+
+T = TypeVar("T")
+
+
+class Plugins(Generic[T]):
+    """The installed objects of one `kind`, which have a `name`; `what` is what messages call them."""
+
+    def __init__(self, group: str, what: str, kind: type[T]) -> None:
+        self.group, self.what, self.kind = group, what, kind
+        #: What was loaded is kept: searching all that is installed takes milliseconds.
+        self._loaded: dict[str, T] = {}
+
+    def points(self) -> dict[str, EntryPoint]:
+        """The entry points in order of names, not imported. Raises `SpecError` when two packages claim a name."""
+        found: dict[str, EntryPoint] = {}
+        for point in sorted(entry_points(group=self.group), key=lambda one: one.name):
+            other = found.setdefault(point.name, point)
+            if other.value != point.value:
+                raise SpecError(
+                    f"two packages claim the {self.what} name {point.name!r}: {other.value} and {point.value}"
+                )
+        return found
+
+    def load(self, name: str) -> T:
+        """The object named `name`. Raises `UnknownNameError` with the names that exist, `SpecError` for a wrong entry."""
+        if name in self._loaded:
+            return self._loaded[name]
+        known = self.points()
+        if name not in known:
+            raise UnknownNameError(self.what, name, known)
+        place = known[name].value
+        try:
+            found: Any = known[name].load()
+        except AcesError:
+            raise
+        except Exception as error:  # whatever another package's import may raise
+            raise SpecError(f"{self.what} {name!r} ({place}) cannot be imported: {error}") from error
+        if not isinstance(found, self.kind):
+            raise SpecError(f"{place} is not a {self.kind.__name__} but {type(found).__name__}")
+        own = getattr(found, "name", name)
+        if own != name:
+            raise SpecError(f"{place} calls itself {own!r} and is registered as {name!r}")
+        self._loaded[name] = found
+        return found
