@@ -170,12 +170,12 @@ class Export(ABC):
         if self._is_closed:
             return
         try:
-            if self.options.only is not None and not self._datasets:
-                for variant in self.variants:
-                    if self.options.only in variant.messages:
-                        self._dataset(empty_table(variant, self.options.only), {})
-                        break
             with telling(self.path):
+                if self.options.only is not None and not self._datasets:
+                    for variant in self.variants:
+                        if self.options.only in variant.messages:
+                            self._dataset(empty_table(variant, self.options.only), {})
+                            break
                 self._finish()
             self._is_closed = True
             self._staging.commit()

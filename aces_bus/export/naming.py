@@ -34,19 +34,21 @@ class Naming:
     def name(self, protocol: str, message: str) -> str:
         """The name for a new dataset."""
         if not message:
-            return self._free(LOST)
+            return unique_name(LOST, self._taken)
         owners = self._owners.setdefault(message.casefold(), set())
         owners.add(protocol)
         wanted = safe_name(f"{protocol}.{message}" if len(owners) > 1 else message)
-        return self._free(f"{wanted}_" if wanted.casefold() == LOST else wanted)
+        return unique_name(f"{wanted}_" if wanted.casefold() == LOST else wanted, self._taken)
 
-    def _free(self, wanted: str) -> str:
-        name, number = wanted, 2
-        while name.casefold() in self._taken:
-            name = f"{wanted}.{number}"
-            number += 1
-        self._taken.add(name.casefold())
-        return name
+
+def unique_name(wanted: str, taken: set[str]) -> str:
+    """The name, with a number behind it where it is taken already (case does not count); it is taken then."""
+    name, number = wanted, 2
+    while name.casefold() in taken:
+        name = f"{wanted}.{number}"
+        number += 1
+    taken.add(name.casefold())
+    return name
 
 
 def safe_name(name: str) -> str:

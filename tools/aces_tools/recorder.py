@@ -21,8 +21,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.controller.log.base import AppendFile
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.export.files import AppendFile
 from aces_bus.frame_table import FrameTable
 from aces_bus.recordings import CanRecording, Chunk, open_recording
 from aces_bus.recordings.base import Direction, Link

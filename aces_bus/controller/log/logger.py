@@ -20,13 +20,14 @@ from typing import Any, Self
 import msgspec
 
 from ...errors import CallerError, UnknownNameError
+from ...export.files import telling
 from ...runtime import Clock, RealClock, VirtualClock
 from ...state import TimeSeries
 from ..base import checked_rate
 from ..events import ControlEvent, Listeners
 from .base import About, LogSink, Row
 from .columns import LogColumn, Read, attribute_reader, check_log_columns, parse_column
-from .sinks import log_format, open_sink
+from .formats import log_format, open_sink
 
 #: Rows are kept back so long at most (s).
 KEPT_S = 0.25
@@ -157,10 +158,8 @@ class Logger:
         about = About(self.columns, self.rate_hz, self.robot, clock.name, now, wall)
         if not self.replace and os.path.exists(self.path):
             raise CallerError(f"{self.path}: there is a file already; name another, or say replace=True")
-        try:
+        with telling(self.path):
             self._sink = open_sink(self.path, self.format, about, self.digits)
-        except OSError as error:
-            raise CallerError(f"{self.path}: cannot be written: {error.strerror or error}") from error
         self._began = self._synced = now
         self._queue.clear()
         self._stopping.clear()
@@ -200,17 +199,14 @@ class Logger:
                 return
         self._write()
         sink, self._sink = self._sink, None
-        try:
-            if not self._is_direct and not self._is_failing:
-                sink.sync()
-        except OSError as error:
-            self._spoil(_why(error))
-            self._tell("log-failed", f"{self.path}: {_why(error)}; {self._total()}")
-        try:
-            sink.close()
-        except Exception as error:  # the format's library has errors of its own
-            self._spoil(f"could not be closed: {_why(error)}")
-            self._tell("log-failed", f"{self.path}: could not be closed: {_why(error)}; {self._total()}")
+        for what, act in (("", sink.sync), ("could not be closed: ", sink.close)):
+            if act == sink.sync and (self._is_direct or self._is_failing):
+                continue
+            try:
+                act()
+            except Exception as error:  # the format's library has errors of its own
+                self._spoil(f"{what}{_why(error)}")
+                self._tell("log-failed", f"{self.path}: {what}{_why(error)}; {self._total()}")
         if self.dropped:
             self._tell("log-dropped", self._total())
 
@@ -237,7 +233,7 @@ class Logger:
                 self._synced = now
                 try:
                     sink.sync()
-                except OSError as error:
+                except Exception as error:  # SQLite has errors of its own
                     self._fail(error, 0)
 
     def _write(self) -> None:
