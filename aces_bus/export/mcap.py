@@ -30,8 +30,8 @@ from .files import telling
 from .mcap_file import McapWriter
 
 Tree = dict[str, Any]
-#: Messages of a chunk: some hundred kilobytes, as other programs write them.
-CHUNK_MESSAGES = 2048
+#: Messages of a chunk: about a megabyte.
+CHUNK_MESSAGES = 8192
 
 
 class McapExport(Export):

@@ -23,6 +23,7 @@ from ...errors import CallerError, UnknownNameError
 from ...export.files import telling
 from ...runtime import Clock, RealClock, VirtualClock
 from ...state import TimeSeries
+from ...state.errors import raise_first
 from ..base import checked_rate
 from ..events import ControlEvent, Listeners
 from .base import About, LogSink, Row
@@ -80,12 +81,18 @@ class Logger:
         self.name = name or f"log {os.path.basename(self.path)}"
         self.rate_hz = checked_rate(rate_hz, self.name)
         self.format = log_format(self.path, format)
-        if digits is not None and (self.format != "text" or not 1 <= digits <= 17):
-            raise CallerError(f"{self.path}: digits = {digits!r} is for text, and from 1 to 17")
-        if not 0 < queue_s <= 3600:
-            raise CallerError(f"{self.path}: queue_s = {queue_s!r} is no number of seconds up to 3600")
-        if isinstance(states, str):
-            raise CallerError(f"{self.path}: states are a list of columns, not the text {states!r}")
+        raise_first(
+            CallerError,
+            (
+                digits is not None and (self.format != "text" or not 1 <= digits <= 17),
+                f"{self.path}: digits = {digits!r} is for text, and from 1 to 17",
+            ),
+            (
+                not 0 < queue_s <= 3600,
+                f"{self.path}: queue_s = {queue_s!r} is no number of seconds up to 3600",
+            ),
+            (isinstance(states, str), f"{self.path}: states are a list of columns, not the text {states!r}"),
+        )
         self.robot, self.digits, self.replace = robot, digits, replace
         self._given: dict[str, TimeSeries] = {}
         columns: list[LogColumn] = []
