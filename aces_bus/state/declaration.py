@@ -1,10 +1,14 @@
-"""What a state's declaration may say; what cannot be is said when the state is made, with its name."""
+"""What a state is made with: its declaration, whose faults are found when it is made, and what feeds it."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
 
+import msgspec
+
+from ..runtime import Clock
 from .errors import StateError
 
 #: Samples kept when nobody says otherwise: five seconds at 200 Hz.
@@ -60,3 +64,40 @@ def checked_order(name: str, interpolation: Interpolation | None, *, is_real: bo
             f"and orders 0 … {MOST_ORDER}"
         )
     return order
+
+
+class SignalSource(Protocol):
+    """What feeds a state: a device's `Signal`, or whatever looks like one."""
+
+    name: str
+    unit: str
+    clock: Clock
+    stale_after_ns: int | None
+    listeners: list[Callable[[Any, int], None]]
+    last: Any
+    instant: int | None
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether it takes set-points."""
+        ...
+
+    def set(self, value: Any) -> None:
+        """Take a set-point."""
+        ...
+
+
+class SampleCounts(msgspec.Struct):
+    """What became of samples: kept + repeated + late is all that was pushed; `unknown` are among those kept or repeated.
+
+    The others are a running quantity's: samples that a filter refused as uneven, restarts after gaps, and times that a
+    filter of the user's own raised.
+    """
+
+    kept: int = 0
+    repeated: int = 0
+    late: int = 0
+    unknown: int = 0
+    uneven: int = 0
+    restarts: int = 0
+    failed: int = 0
