@@ -24,11 +24,10 @@ from urllib.parse import quote
 import numpy as np
 
 from ..errors import CallerError, CaptureError
-from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable
+from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable, ns_of
 from ..frames import FD_LENGTHS, Frame
 from .base import REMOTE_AND_ERROR, CanRecording
-from .spool import on_disk
-from .text.seconds import ns_of
+from .source import on_disk
 
 MAGIC = b"SQLite format 3\x00"
 COLUMNS = ("ts", "arbitration_id", "extended", "remote", "error", "dlc", "data")

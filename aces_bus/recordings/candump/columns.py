@@ -33,7 +33,7 @@ import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, Channels, FrameTable, Ints
 from ...frames import FD_LENGTHS
-from ..heap import keep_freed_memory
+from ..base import keep_freed_memory
 from .line import NAME
 
 #: Fewer lines of one layout cost more here than line by line.

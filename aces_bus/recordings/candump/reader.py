@@ -27,7 +27,7 @@ from ...errors import CaptureError
 from ...frame_table import FrameTable
 from ...frames import Frame
 from ..base import CanRecording
-from ..in_order import merge_in_order
+from ..merge import merge_in_order
 from ..source import BLOCK, MAX_LINE, ByteSource
 from .columns import CandumpColumns, ParsedLines
 from .line import COLOUR, NAME, RECEIVED, ChannelNames, UnreadableLine, line_time_ns, read_line

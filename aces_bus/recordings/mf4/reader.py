@@ -30,8 +30,7 @@ import numpy as np
 from ...errors import CaptureError
 from ...frame_table import FrameTable
 from ..base import PROBLEMS_KEPT, CanRecording, UnreadableEntry, printable_start
-from ..source import ByteSource
-from ..spool import on_disk
+from ..source import ByteSource, on_disk
 from . import child as child
 from .arrays import BusLog
 from .tree import MAGIC, Damaged, UnusualFile
