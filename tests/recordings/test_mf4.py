@@ -67,12 +67,10 @@ def read_all(contents: Sequence[bytes]) -> Iterator[Result]:
                 capture = Mf4Capture(ByteSource(str(path)))
                 frames: list[Frame] = []
                 try:
-                    for table in capture._read(process):
+                    for table in capture._read(process, str(path), folder):
                         frames += table.frames()
                 except CaptureError as error:
-                    try:
-                        assert capture._message(process)[0] == child.END  # it lives on
-                    except CaptureError:
+                    if process.poll() is not None:  # otherwise it lives on
                         mf4._stop(process)
                         process = mf4._start(folder, [str(rest) for rest in paths[number + 1 :]])
                     yield error

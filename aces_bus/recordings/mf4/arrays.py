@@ -36,7 +36,6 @@ from .tree import (
     MdfTree,
     Segment,
     UnusualFile,
-    tree_of,
 )
 
 _ROWS = 1 << 15
@@ -59,15 +58,14 @@ class FrameGroup(NamedTuple):
 
 
 class BusLog:
-    """An ordinary bus log, of which nothing but the tree was read.
+    """A bus log, of which nothing but the tree was read.
 
-    `file` is that of the capture, of `size` bytes. Raises `UnusualFile` and `Damaged` when it is not ordinary or not one.
+    `file` has the records, as `tree` says; the capture has `size` bytes. Raises `UnusualFile` and `Damaged` when it is not ordinary or not one.
     """
 
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file, self._size = file, size
-        tree = self._tree = tree_of(file, size)
-        self._is_ours = tree.program == PROGRAM
+    def __init__(self, file: BinaryIO, size: int, tree: MdfTree) -> None:
+        self._file, self._size, self._tree = file, size, tree
+        self._is_ours = tree.program.rstrip(b"\0 ") == PROGRAM
         if tree.start_ns >= 1 << 63:
             raise Damaged("it begins at no instant")
         self._frames: list[FrameGroup | None] = []  # of each group in the file

@@ -15,12 +15,11 @@ counts as marked invalid with all of its record. Times are seconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 import numpy as np
 
 from ...frame_table import Ints
-from ..base import PROBLEMS_KEPT
+from ..base import PROBLEMS_KEPT, CanRecording
 from .blocks import ORDER
 from .conversions import IDENTITY, LINEAR, conversion_meaning, convert_values
 from .data import values_at
@@ -299,14 +298,6 @@ class GroupReader:
         return instants_of_seconds(time.reals(rows, first), self._start_ns)
 
 
-class EntryTally(Protocol):
-    """What counts records."""
-
-    lines: int
-    frames: int
-    lines_unreadable: int
-
-
 #: Count so many records as unreadable; the number of the first in its group, and why, may be kept.
 Lose = Callable[[int, str, int], None]
 
@@ -316,7 +307,7 @@ def frames_of(
     place: int,
     announced: int | None,
     batches: Iterator[Ints],
-    tally: EntryTally,
+    tally: CanRecording,
     lose: Lose,
 ) -> Iterator[FramePiece]:
     """The frames of the group that has number `place` in the file; where it breaks off, the rest is one unreadable record.
