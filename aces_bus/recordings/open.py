@@ -26,14 +26,14 @@ from .serial.slog import OPENING as SERIAL_LOG
 from .serial.slog import SerialLogCapture, looks_like_serial_log
 from .source import BLOCK, ByteSource, PathSource, split_lines
 from .sqlite import SqliteCapture, looks_like_sqlite
-from .text.asc import AscCapture, looks_like_asc
-from .text.busmaster import BusmasterCapture, looks_like_busmaster
-from .text.canlog_csv import CanlogCsvCapture, looks_like_canlog_csv
-from .text.crtd import CrtdCapture, looks_like_crtd
-from .text.gvret import GvretCapture, looks_like_gvret
+from .text.asc import AscCapture
+from .text.busmaster import BusmasterCapture
+from .text.canlog_csv import CanlogCsvCapture
+from .text.crtd import CrtdCapture
+from .text.gvret import GvretCapture
 from .text.id_csv import IdCsvCapture, looks_like_id_csv
-from .text.microchip import MicrochipCapture, looks_like_microchip
-from .text.trc import TrcCapture, looks_like_trc
+from .text.microchip import MicrochipCapture
+from .text.trc import TrcCapture
 
 
 class RecordingFormat(NamedTuple):
@@ -64,13 +64,13 @@ FORMATS: tuple[RecordingFormat, ...] = (
     RecordingFormat(
         "dxconf", "hex dump of the vendor's serial monitor", _begins_after_blanks(OPENING), DxconfCapture
     ),
-    RecordingFormat("trc", "PEAK trace", looks_like_trc, TrcCapture),
-    RecordingFormat("asc", "Vector ASC log", looks_like_asc, AscCapture),
-    RecordingFormat("busmaster", "BUSMASTER log", looks_like_busmaster, BusmasterCapture),
-    RecordingFormat("crtd", "CRTD log", looks_like_crtd, CrtdCapture),
-    RecordingFormat("gvret", "SavvyCAN GVRET CSV", looks_like_gvret, GvretCapture),
-    RecordingFormat("csv", "python-can CSV", looks_like_canlog_csv, CanlogCsvCapture),
-    RecordingFormat("microchip", "Microchip CAN analyser log", looks_like_microchip, MicrochipCapture),
+    RecordingFormat("trc", "PEAK trace", TrcCapture.is_like, TrcCapture),
+    RecordingFormat("asc", "Vector ASC log", AscCapture.is_like, AscCapture),
+    RecordingFormat("busmaster", "BUSMASTER log", BusmasterCapture.is_like, BusmasterCapture),
+    RecordingFormat("crtd", "CRTD log", CrtdCapture.is_like, CrtdCapture),
+    RecordingFormat("gvret", "SavvyCAN GVRET CSV", GvretCapture.is_like, GvretCapture),
+    RecordingFormat("csv", "python-can CSV", CanlogCsvCapture.is_like, CanlogCsvCapture),
+    RecordingFormat("microchip", "Microchip CAN analyser log", MicrochipCapture.is_like, MicrochipCapture),
     RecordingFormat("id-csv", "CSV with named columns (time, id, data …)", looks_like_id_csv, IdCsvCapture),
     RecordingFormat("candump", "candump log", looks_like_candump, CandumpCapture),
     RecordingFormat("raw", "raw serial bytes", _by_name_only, RawCapture),

@@ -25,8 +25,8 @@ import numpy.typing as npt
 from ...errors import CallerError, CaptureError
 from ...frame_table import NO_TIME, FrameTable
 from ...frames import Frame
-from ..base import CanRecording, printable_start
-from ..source import MAX_LINE, ByteSource
+from ..base import REMOTE_AND_ERROR, CanRecording, printable_start
+from ..source import MAX_LINE
 
 #: Without a line of its format among this many unreadable ones, a file is not of the format.
 PATIENCE = 200
@@ -60,12 +60,17 @@ class LineCapture(CanRecording):
     Reading raises `CaptureError` when the source holds no line of the format at all.
     """
 
+    #: What the first lines of a file have, where that tells the format.
+    _LIKE: ClassVar[re.Pattern[bytes]]
     _TURN: ClassVar[re.Pattern[bytes] | None] = None
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._likely = False  # something of the format was seen
-        self._is_last = False  # what comes is a line without its end
+    _likely = False  # something of the format was seen
+    _is_last = False  # what comes is a line without its end
+
+    @classmethod
+    def is_like(cls, head: bytes) -> bool:
+        """Whether a file that begins so is of the format."""
+        return cls._LIKE.search(head[: 1 << 14]) is not None
 
     @abstractmethod
     def _line(self, text: bytes) -> FrameRow | None:
@@ -271,6 +276,24 @@ def hex_data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
             raise UnreadableRow(f"byte {printable_start(cell)} is more than 255")
         out.append(value)
     return bytes(out)
+
+
+_WAYS = {b"rx": True, b"tx": False}
+
+
+def is_received(text: bytes) -> bool:
+    """Which way Rx and Tx are, in whatever case. Raises `UnreadableRow`."""
+    if (found := _WAYS.get(text.lower())) is None:
+        raise UnreadableRow(f"direction {printable_start(text)!r} is neither Rx nor Tx")
+    return found
+
+
+def check_remote(is_remote: bool, is_error: bool, size: int) -> None:
+    """Raises `UnreadableRow` for a remote frame that cannot be."""
+    if is_remote and is_error:
+        raise UnreadableRow(REMOTE_AND_ERROR)
+    if is_remote and size > 8:
+        raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
 
 
 def one_less(number: int) -> str | None:
