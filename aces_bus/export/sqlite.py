@@ -23,9 +23,8 @@ from ..errors import CallerError
 from ..protocol.columns.arrow import GrowingDictionary, field_metadata, schema_metadata
 from ..protocol.columns.layout import Block, DatasetColumn
 from ..protocol.declare.protocol import Variant
-from .base import Buffered, Dataset, Options
+from .base import Buffered, Dataset, Options, unique_name
 from .files import telling
-from .naming import unique_name
 
 #: Columns of a table and of a statement, as SQLite is usually built.
 MOST = 2000

@@ -17,8 +17,8 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.export import Export, export_format, open_export
 from aces_bus.export import base as export_base
 from aces_bus.export import files as export_files
+from aces_bus.export.base import Naming
 from aces_bus.export.files import ExportFile, FilePool
-from aces_bus.export.naming import Naming
 from aces_bus.export.open import FORMATS
 from aces_bus.export.sqlite import SqliteExport
 from aces_bus.frame_table import Channels, FrameTable
