@@ -21,6 +21,7 @@ from typing import IO, Literal
 import numpy as np
 
 from ..errors import CallerError
+from ..state.errors import raise_first
 from .motion import Interpolation, Trajectory
 from .number_text import NumberText
 
@@ -84,11 +85,15 @@ def _names(text: NumberText, number: int, tokens: list[bytes]) -> list[str]:
         shown = b" ".join(tokens[:6]).decode("ascii", "replace")
         raise text.fault(number, f"names and numbers in one line: {shown!r}")
     names = [token.decode("utf-8", "replace") for token in tokens]
-    if not all(name.isprintable() and "\N{REPLACEMENT CHARACTER}" not in name for name in names):
-        raise text.fault(number, "neither numbers nor names: is this a text file?")
     double = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-    if double:
-        raise text.fault(number, f"{', '.join(double)} named twice")
+    text.check(
+        number,
+        (
+            not all(name.isprintable() and "\N{REPLACEMENT CHARACTER}" not in name for name in names),
+            "neither numbers nor names: is this a text file?",
+        ),
+        (bool(double), f"{', '.join(double)} named twice"),
+    )
     return names
 
 
@@ -149,8 +154,9 @@ def _given_names(where: str, columns: Columns | None, count: int) -> Sequence[st
     if columns is None:
         raise TrajectoryError(f"{where}: {count} columns without names: give columns=[…]")
     names = list(columns(count) if callable(columns) else columns)
-    if len(names) > count:
-        raise TrajectoryError(f"{where}: {len(names)} names for {count} columns")
-    if not any(names):
-        raise TrajectoryError(f"{where}: none of its {count} columns has a name")
+    raise_first(
+        TrajectoryError,
+        (len(names) > count, f"{where}: {len(names)} names for {count} columns"),
+        (not any(names), f"{where}: none of its {count} columns has a name"),
+    )
     return [*names, *[""] * (count - len(names))]

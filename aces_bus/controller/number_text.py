@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import IO
 
 from ..errors import CallerError
+from ..state.errors import raise_first
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,10 @@ class NumberText:
     def fault(self, line: int, said: str) -> CallerError:
         """The error about a line."""
         return self.error(f"{self.where}:{line}: {said}")
+
+    def check(self, line: int, *faults: tuple[bool, str]) -> None:
+        """Raise the first fault of a line that is there, of pairs (whether it is there, text)."""
+        raise_first(self.error, *((is_there, f"{self.where}:{line}: {said}") for is_there, said in faults))
 
     def lines(self, stream: IO[bytes]) -> Iterator[tuple[int, bytes, bool]]:
         """Number, text without blanks around, and whether it ends with LF, of each line that is not blank."""

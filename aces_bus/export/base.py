@@ -17,12 +17,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from ..errors import CallerError
 from ..protocol.columns.dataframes import is_absolute
 from ..protocol.columns.layout import (
     Block,
+    DatasetColumn,
     DatasetLayout,
     Labels,
     Objects,
@@ -166,6 +167,16 @@ class Export(ABC):
             for dataset in self._all()
             for name, number in dataset.layout.too_wide.items()
         ]
+
+    def _plain(self, slot: DatasetColumn, values: Any, absent: Any) -> list[Any]:
+        """The values of a column of a block: labels as texts, None where there is none."""
+        plain: list[Any] = values.tolist()
+        if slot.holds == "label":
+            names = self.sources.names if slot.role == "source" else self.labels.names
+            return [None if code < 0 else names[code] for code in plain]
+        if absent is not None:
+            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+        return plain
 
     def _all(self) -> list[Dataset]:
         return [dataset for some in self._datasets.values() for dataset in some]

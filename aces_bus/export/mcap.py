@@ -106,36 +106,25 @@ class McapExport(Export):
         tree: Tree = {}
         for slot in layout.slots:
             if slot.kind is not None:
-                _plant(tree, slot.kind.name, self._plain(table[slot.kind.name]))
+                _plant(tree, slot.kind.name, self._values(slot, table[slot.kind.name]))
         fields = _joined(tree, len(table))
         meta = self._meta(table, layout, source)
         return [{**one, "meta": other} for one, other in zip(fields, meta, strict=True)]
 
-    def _plain(self, column: Column) -> list[Any]:
+    def _values(self, slot: DatasetColumn, column: Column) -> list[Any]:
         if column.kind.is_object:
             return [plain_json(value) for value in column.to_list()]
         if column.kind.names is not None and self.options.names:
             return [value if value is None else str(value) for value in column.to_list()]
-        values: list[Any] = column.values.tolist()
-        if column.absent is not None:
-            values = [
-                None if gone else value for value, gone in zip(values, column.absent.tolist(), strict=True)
-            ]
-        return values
+        return self._plain(slot, column.values, column.absent)
 
     def _meta(self, table: MessageTable, layout: DatasetLayout, source: str | None) -> list[dict[str, Any]]:
-        parts: dict[str, list[Any]] = {}
         block = layout.block(table, self.labels, self.sources, source)
-        for slot, (values, absent) in zip(layout.slots, block, strict=True):
-            if slot.kind is not None or slot.role == "time":
-                continue
-            found: list[Any] = values.tolist()
-            if slot.holds == "label":
-                names = self.sources.names if slot.role == "source" else self.labels.names
-                found = [None if code < 0 else names[code] for code in found]
-            elif absent is not None:
-                found = [None if gone else one for one, gone in zip(found, absent.tolist(), strict=True)]
-            parts[slot.name] = found
+        parts = {
+            slot.name: self._plain(slot, values, absent)
+            for slot, (values, absent) in zip(layout.slots, block, strict=True)
+            if slot.kind is None and slot.role != "time"
+        }
         return [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
 
     def _finish(self) -> None:

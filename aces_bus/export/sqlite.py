@@ -19,6 +19,8 @@ from collections.abc import Collection, Generator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import numpy as np
+
 from ..errors import CallerError
 from ..protocol.columns.arrow import GrowingDictionary, field_metadata, schema_metadata
 from ..protocol.columns.layout import Block, DatasetColumn
@@ -101,7 +103,7 @@ class SqliteExport(Buffered):
     def _emit(self, dataset: Dataset, block: Block) -> None:
         known = self._enumerations.get(dataset.name, {})
         columns = [
-            self._plain(slot, values, absent, known.get(slot.name))
+            self._cells(slot, values, absent, known.get(slot.name))
             for slot, (values, absent) in zip(dataset.layout.slots, block, strict=True)
         ]
         self._base.executemany(self._inserts[dataset.name], zip(*columns, strict=True))
@@ -111,22 +113,14 @@ class SqliteExport(Buffered):
             self._base.execute("BEGIN")
             self._pending = 0
 
-    def _plain(
+    def _cells(
         self, slot: DatasetColumn, values: Any, absent: Any, names: GrowingDictionary | None
     ) -> list[Any]:
-        plain: list[Any]
-        if slot.holds == "label":
-            labels = self.sources.names if slot.role == "source" else self.labels.names
-            return [None if code < 0 else labels[code] for code in values.tolist()]
         if names is not None:
-            codes = names.codes(values).tolist()
-            plain = [names.labels.names[code] for code in codes]
-        else:
-            plain = values.tolist()
-            if values.dtype.kind == "u" and values.dtype.itemsize == 8:
-                plain = [one if one < 1 << 63 else str(one) for one in plain]
-        if absent is not None:
-            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+            values = np.array(names.labels.names, object)[names.codes(values)]
+        plain = self._plain(slot, values, absent)
+        if names is None and values.dtype.kind == "u" and values.dtype.itemsize == 8:
+            plain = [str(one) if one is not None and one >= 1 << 63 else one for one in plain]
         return plain
 
     def _end(self, dataset: Dataset) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 import msgspec
 
 from ..runtime import Clock
-from .errors import StateError
+from .errors import StateError, raise_first
 
 #: Samples kept when nobody says otherwise: five seconds at 200 Hz.
 HISTORY = 1_000
@@ -24,11 +24,15 @@ ORDERS = {"hold": 0, "linear": 1, "cubic": 3}
 
 def checked_name(name: Any, unit: Any) -> str:
     """The name, if it is one, and the unit is a text."""
-    if not isinstance(name, str) or not name:
-        raise StateError(f"a state needs a name, not {name!r}")
-    if not (unit is None or isinstance(unit, str)):
-        raise StateError(f'state {name!r}: a unit is a text like "rad/s", "" or None, not {unit!r}')
-    return name
+    raise_first(
+        StateError,
+        (not isinstance(name, str) or not name, f"a state needs a name, not {name!r}"),
+        (
+            not (unit is None or isinstance(unit, str)),
+            f'state {name!r}: a unit is a text like "rad/s", "" or None, not {unit!r}',
+        ),
+    )
+    return str(name)
 
 
 def checked_seconds(name: str, what: str, seconds: float | None) -> float | None:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from .errors import StateError
+from .errors import StateError, raise_first
 
 Step = Callable[[float, int], float]
 Initial = Literal["steady", "zero"]
@@ -209,12 +209,15 @@ class Sos:
 
     def __post_init__(self) -> None:
         rows = tuple(tuple(float(one) for one in row) for row in self.sections)
-        if not rows or any(len(row) != 6 or row[3] == 0 or not all(map(math.isfinite, row)) for row in rows):
-            raise StateError(
-                "Sos: sections are rows of six finite numbers b0, b1, b2, a0, a1, a2, a0 not zero"
-            )
-        if not 0 < self.rate_hz < math.inf:
-            raise StateError(f"Sos: rate_hz = {self.rate_hz!r} is not a rate")
+        raise_first(
+            StateError,
+            (
+                not rows
+                or any(len(row) != 6 or row[3] == 0 or not all(map(math.isfinite, row)) for row in rows),
+                "Sos: sections are rows of six finite numbers b0, b1, b2, a0, a1, a2, a0 not zero",
+            ),
+            (not 0 < self.rate_hz < math.inf, f"Sos: rate_hz = {self.rate_hz!r} is not a rate"),
+        )
         object.__setattr__(self, "sections", rows)
 
     def start_filter(self, first: float) -> Step:

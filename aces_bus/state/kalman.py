@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..device.signals import UNKNOWN
-from .errors import StateError
+from .errors import StateError, raise_first
 from .estimators import Estimation
 from .filters import AnyRate
 from .units import multiplied
@@ -43,12 +43,21 @@ class Kalman(AnyRate):
     derivative: int = 0
 
     def __post_init__(self) -> None:
-        if not (0 < self.measurement_std < math.inf and 0 <= self.process_density < math.inf):
-            raise StateError(f"{self}: measurement_std must be > 0 and process_density ≥ 0, both finite")
-        if self.model not in ("velocity", "acceleration"):
-            raise StateError(f"{self}: the models are 'velocity' and 'acceleration'")
-        if self.derivative not in ((0, 1) if self.model == "velocity" else (0, 1, 2)):
-            raise StateError(f"{self}: the {self.model} model does not have that derivative")
+        raise_first(
+            StateError,
+            (
+                not (0 < self.measurement_std < math.inf and 0 <= self.process_density < math.inf),
+                f"{self}: measurement_std must be > 0 and process_density ≥ 0, both finite",
+            ),
+            (
+                self.model not in ("velocity", "acceleration"),
+                f"{self}: the models are 'velocity' and 'acceleration'",
+            ),
+            (
+                self.derivative not in ((0, 1) if self.model == "velocity" else (0, 1, 2)),
+                f"{self}: the {self.model} model does not have that derivative",
+            ),
+        )
 
     def track(self) -> Track:
         """What runs."""

@@ -178,7 +178,7 @@ class TimeSeries(ABC):
 
     # ---- quantities made from it ----------------------------------------------------------------------------------
 
-    def _make(self, kind: str, *arguments: Hashable) -> Any:
+    def _make(self, kind: str, *arguments: Any) -> Any:
         """The integral, filter or derivative of these arguments: the same object when asked the same again."""
         made = self._made.get((kind, *arguments))
         if made is None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..device.signals import UNKNOWN
 from . import units
 from .declaration import checked_seconds
-from .errors import StateError
+from .errors import StateError, raise_first
 from .quantity import TimeSeries
 from .state import State
 
@@ -137,14 +137,17 @@ class Filtered(Running):
     def __init__(
         self, source: TimeSeries, kind: Filter | Callable[[float], float], uneven: Uneven = "resample"
     ) -> None:
-        if uneven not in ("resample", "refuse", "accept"):
-            raise StateError(
-                f"state {source.name!r}: uneven={uneven!r}; there are 'resample', 'refuse', 'accept'"
-            )
-        if isinstance(kind, type) or not (callable(kind) or hasattr(kind, "start_filter")):
-            raise StateError(
-                f"state {source.name!r}: {kind!r} is not a filter; give one like LowPass(0.1), or a function of a value"
-            )
+        raise_first(
+            StateError,
+            (
+                uneven not in ("resample", "refuse", "accept"),
+                f"state {source.name!r}: uneven={uneven!r}; there are 'resample', 'refuse', 'accept'",
+            ),
+            (
+                isinstance(kind, type) or not (callable(kind) or hasattr(kind, "start_filter")),
+                f"state {source.name!r}: {kind!r} is not a filter; give one like LowPass(0.1), or a function of a value",
+            ),
+        )
         label = getattr(kind, "__name__", None) or type(kind).__name__
         rate = getattr(kind, "rate_hz", None)
         unit_of = getattr(kind, "unit_of", None)

@@ -26,7 +26,7 @@ from ...export.files import AppendFile
 from ...plain_text import cell_text, text_of_cell
 from ..number_text import NumberText
 from .base import About, Log, LogError, LogSink, Row, made_log, named_columns, seconds_text
-from .columns import MOST_COLUMNS
+from .columns import MOST_COLUMNS, LogColumn
 
 #: 2,000 names, at their longest; a row of as many numbers is a tenth of it.
 LONGEST_LINE = 1 << 19
@@ -93,15 +93,20 @@ def _names(text: NumberText, number: int, line: bytes, is_csv: bool) -> list[str
     except csv.Error as error:
         raise text.fault(number, f"no line of names: {error}") from None
     first, *names = names
-    if first.strip() not in ("0", "time", "time_s"):
-        wanted = "'time'" if is_csv else "'0'"
-        raise text.fault(number, f"a log's line of names begins with {wanted}, not {first[:24]!r}")
-    if not names:
-        raise text.fault(number, "no column beside the time")
-    if len(names) > MOST_COLUMNS:
-        raise text.fault(number, f"more than {MOST_COLUMNS} columns")
-    if not is_csv and all(NUMBER.fullmatch(name.encode()) for name in names):
-        raise text.fault(number, "numbers where a log has its names")
+    wanted = "'time'" if is_csv else "'0'"
+    text.check(
+        number,
+        (
+            first.strip() not in ("0", "time", "time_s"),
+            f"a log's line of names begins with {wanted}, not {first[:24]!r}",
+        ),
+        (not names, "no column beside the time"),
+        (len(names) > MOST_COLUMNS, f"more than {MOST_COLUMNS} columns"),
+        (
+            not is_csv and all(NUMBER.fullmatch(name.encode()) for name in names),
+            "numbers where a log has its names",
+        ),
+    )
     return names
 
 
@@ -111,7 +116,7 @@ def read_text_log(path: str, most_numbers: int) -> Log:
     numbers = array("d")
     notes: list[str] = []
     width, is_csv = 0, False
-    columns = ()
+    columns: tuple[LogColumn, ...] = ()
     with open(path, "rb") as stream:
         for number, line, is_ended in text.lines(stream):
             if not width:

@@ -80,18 +80,9 @@ class CandumpCapture(LineCapture):
     def _one(self, line: bytes) -> FrameRow | None:
         if common := _COMMON.fullmatch(line):
             whole, fraction, name, digits, data, suffix = common.groups()
+            seconds, way = float(b"%b.%b" % (whole, fraction)), RECEIVED.get(suffix)
             frame = Frame(
-                *(int(digits, 16), unhexlify(data), float(b"%b.%b" % (whole, fraction))),
-                *(
-                    self._names[name],
-                    len(digits) == 8,
-                    False,
-                    False,
-                    False,
-                    False,
-                    False,
-                    RECEIVED.get(suffix),
-                ),
+                int(digits, 16), unhexlify(data), seconds, self._names[name], len(digits) == 8, is_rx=way
             )
             time = int(whole + fraction.ljust(9, b"0"))
             return FrameRow(frame, time if time < -NO_TIME else NO_TIME)

@@ -132,8 +132,8 @@ def described_tree(said: dict[str, Any], blocks: Blocks) -> MdfTree:
             at_conversion = one["conversion"]
             conversion = blocks.conversion(at_conversion) if at_conversion else ChannelConversion()
             segments = (Segment(at, size, size),) if size else ()
-            channels.append(MdfChannel(*one["channel"], conversion, 0, segments, fault))
-        group = ChannelGroup(0, 0, *each["group"], *each["bus"], channels)
+            channels.append(MdfChannel._make((*one["channel"], conversion, 0, segments, fault)))
+        group = ChannelGroup._make((0, 0, *each["group"], *each["bus"], channels))
         at, size, fault = each.get("records", (0, 0, ""))
         streams.append(DataGroup(0, [group], [Segment(at, size, size)], fault))
     program = bytes.fromhex(said["program"])
