@@ -38,12 +38,13 @@ FLOORS: dict[str, set[str]] = {
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
     "recordings": {"protocol"},
-    "export": {"protocol"},  # decoded tables on disk
+    "export": {"protocol"},  # tables on disk, whole or kill-safe
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},
     "kinematics": set(),  # bodies as chains; numbers only
-    "controller": {"runtime", "device", "state", "recordings", "kinematics"},  # touches no frame and no byte
+    # touches no frame and no byte; its logs are written by export's durable writers
+    "controller": {"runtime", "device", "state", "recordings", "export", "kinematics"},
     "access": {"runtime", "device", "state"},  # states for other programs
     "robot": {
         "runtime",

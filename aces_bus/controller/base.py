@@ -13,8 +13,9 @@ and `state.integral()`: the State floor's, or a test's own.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Protocol
+from collections.abc import Callable, Iterable, Mapping
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 from ..errors import AcesError, CallerError, UnknownNameError
 from .events import EventLike, Listeners
@@ -116,7 +117,6 @@ class Controller:
         self.started_ns: int | None = None
         self.listeners = Listeners()
         self.waiting = ""
-        self._has_given = False
 
     def bind(self, states: Mapping[str, StateLike]) -> None:
         """Take the states it reads; `UnknownNameError` lists those that exist when one is missing."""
@@ -129,24 +129,10 @@ class Controller:
         """Those of its states that have no value yet."""
         return [name for name in self.states if known_value(self.bound.get(name)) is None]
 
-    def excuses(self, error: Exception) -> bool:
-        """Whether what a law raised only says that something is not known: `waiting` then has it.
-
-        A number that is unknown cannot be computed with (TypeError); a history that is still too short is an error of the
-        state, and excused until the first set-points. All else is the law's own fault.
-        """
-        if isinstance(error, TypeError) and "Unknown" in str(error):
-            self.waiting = ", ".join(self.unknown_states()) or "a value is unknown"
-            return True
-        if isinstance(error, AcesError) and not self._has_given:
-            self.waiting = str(error)
-            return True
-        return False
-
     def start(self, now: int) -> None:
         """It will be stepped from `now` (ns) on."""
         self.started_ns = now
-        self.waiting, self._has_given = "", False
+        self.waiting = ""
 
     def stop(self, now: int) -> None:
         """It will not be stepped any more."""
@@ -164,3 +150,82 @@ class Controller:
         if self.started_ns is None:
             self.started_ns = now_ns
         return (now_ns - self.started_ns) / 1e9
+
+
+class LawController(Controller):
+    """A controller that computes a law from `t`, seconds since the start, and `dt`, seconds since the last step.
+
+    The law is not computed before every state that it reads has a value: unknown is not zero. A subclass sets `_law`.
+    `values` are the law's parameters, which `set` changes, and its memory, which begins anew with `start`.
+    """
+
+    _law: Callable[[float, float], Any]
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        rate_hz: float,
+        states: Iterable[str],
+        writes: Iterable[str],
+        parameters: Mapping[str, float],
+        memory: Mapping[str, float],
+    ) -> None:
+        super().__init__(name, rate_hz=rate_hz, states=states, writes=writes)
+        self.values = SimpleNamespace(**parameters, **memory)
+        self._parameters, self._memory = parameters, memory
+        self._last: int | None = None
+        self._ready = self._has_given = False
+
+    def set(self, **parameters: float) -> None:
+        """Change parameters, from the next step on."""
+        for parameter, value in parameters.items():
+            if parameter not in self._parameters:
+                raise UnknownNameError(f"parameter of {self.name!r}", parameter, self._parameters)
+            setattr(self.values, parameter, float(value))
+
+    def bind(self, states: Mapping[str, StateLike]) -> None:
+        """Take the states it reads."""
+        super().bind(states)
+        self._ready = False
+
+    def start(self, now: int) -> None:
+        """A run begins: memory has its first values."""
+        super().start(now)
+        self.values.__dict__.update(self._memory)
+        self._last, self._ready, self._has_given = None, False, False
+
+    def step(self, now_ns: int) -> Mapping[str, float]:
+        """The set-points of the law; nothing while a state that it reads is unknown."""
+        if not self._ready:
+            self.waiting = ", ".join(self.unknown_states())
+            if self.waiting:
+                return NOTHING
+            self._ready = True
+        if self.started_ns is None:
+            self.started_ns = now_ns
+        dt = 1.0 / self.rate_hz if self._last is None else (now_ns - self._last) / 1e9
+        self._last = now_ns
+        try:
+            setpoints: Mapping[str, float] | None = self._law((now_ns - self.started_ns) / 1e9, dt)
+        except (TypeError, AcesError) as error:
+            if not self._excuses(error):
+                raise
+            self._ready = False
+            return NOTHING
+        self._has_given = True
+        return setpoints or NOTHING
+
+    def _excuses(self, error: Exception) -> bool:
+        """Whether what a law raised only says that something is not known: `waiting` then has it.
+
+        A number that is unknown cannot be computed with (TypeError); a history that is still too short is an error of the
+        state, and excused until the first set-points. All else is the law's own fault.
+        """
+        if isinstance(error, TypeError) and "Unknown" in str(error):
+            self.waiting = ", ".join(self.unknown_states()) or "a value is unknown"
+            return True
+        if isinstance(error, AcesError) and not self._has_given:
+            self.waiting = str(error)
+            return True
+        return False

@@ -11,18 +11,17 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
-from types import SimpleNamespace
 from typing import Any
 
-from ..errors import AcesError, CallerError, UnknownNameError
-from .base import NOTHING, Controller, StateLike
+from ..errors import CallerError, UnknownNameError
+from .base import LawController, StateLike
 
 #: Parameters that are not states.
 SPECIAL = ("t", "dt", "states", "memory")
 Law = Callable[..., Mapping[str, float] | None]
 
 
-class FunctionController(Controller):
+class FunctionController(LawController):
     """What `@controller` makes of a function; calling it calls the function."""
 
     def __init__(
@@ -57,13 +56,18 @@ class FunctionController(Controller):
                     )
                 self._names.append(parameter.name)
         inferred = tuple(one for one in self._names if one not in SPECIAL)
-        super().__init__(name, rate_hz=rate_hz, states=inferred if given is None else given, writes=writes)
+        super().__init__(
+            name,
+            rate_hz=rate_hz,
+            states=inferred if given is None else given,
+            writes=writes,
+            parameters={},
+            memory={},
+        )
         self.law = law
-        self.memory = SimpleNamespace()
+        self.memory = self.values
         self._arguments: list[Any] = []
         self._timed = [(i, one) for i, one in enumerate(self._names) if one in ("t", "dt")]
-        self._last: int | None = None
-        self._ready = False
         self.__doc__ = law.__doc__
 
     def __call__(self, *arguments: Any, **gains: Any) -> Mapping[str, float] | None:
@@ -80,45 +84,18 @@ class FunctionController(Controller):
     def bind(self, states: Mapping[str, StateLike]) -> None:
         """Take the states it reads."""
         super().bind(states)
-        self._arguments = [self._argument(one) for one in self._names]
-        self._ready = False
-
-    def _argument(self, name: str) -> Any:
-        if name == "states":
-            return self.bound
-        if name == "memory":
-            return self.memory
-        return 0.0 if name in SPECIAL else self.bound[name]
+        special = {"states": self.bound, "memory": self.memory, "t": 0.0, "dt": 0.0}
+        self._arguments = [special[one] if one in special else self.bound[one] for one in self._names]
 
     def start(self, now: int) -> None:
         """A run begins: its memory is empty."""
-        super().start(now)
         self.memory.__dict__.clear()
-        self._last = None
-        self._ready = False
+        super().start(now)
 
-    def step(self, now_ns: int) -> Mapping[str, float]:
-        """What the function gives; nothing while one of its states is unknown."""
-        if not self._ready:
-            self.waiting = ", ".join(self.unknown_states())
-            if self.waiting:
-                return NOTHING
-            self._ready = True
-        if self._timed:
-            t = self.seconds(now_ns)
-            dt = 1.0 / self.rate_hz if self._last is None else (now_ns - self._last) / 1e9
-            self._last = now_ns
-            for index, name in self._timed:
-                self._arguments[index] = t if name == "t" else dt
-        try:
-            setpoints = self.law(*self._arguments, **self.gains)
-        except (TypeError, AcesError) as error:
-            if not self.excuses(error):
-                raise
-            self._ready = False
-            return NOTHING
-        self._has_given = True
-        return setpoints or NOTHING
+    def _law(self, t: float, dt: float) -> Mapping[str, float] | None:
+        for index, name in self._timed:
+            self._arguments[index] = t if name == "t" else dt
+        return self.law(*self._arguments, **self.gains)
 
 
 def controller(

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Literal
 import msgspec
 
 from ..errors import CallerError
+from ..state.errors import raise_first
 from .base import NOTHING, StateLike, known_value
 from .events import ControlEvent, Listeners
 
@@ -235,14 +236,15 @@ class Guard:
         unlisted: Literal["refuse", "pass"] = "refuse",
         name: str = "guard",
     ) -> None:
-        if not (math.isfinite(period_s) and period_s > 0):
-            raise CallerError(f"{name}: period_s = {period_s!r} is not a period")
-        if dead_man_s is not None and not dead_man_s > period_s:
-            raise CallerError(
-                f"{name}: dead_man_s = {dead_man_s!r} must be more than the period, {period_s} s"
-            )
-        if action not in ACTIONS:
-            raise CallerError(f"{name}: the action is one of {', '.join(ACTIONS)}, not {action!r}")
+        raise_first(
+            CallerError,
+            (not 0 < period_s < math.inf, f"{name}: period_s = {period_s!r} is not a period"),
+            (
+                dead_man_s is not None and not dead_man_s > period_s,
+                f"{name}: dead_man_s = {dead_man_s!r} must be more than the period, {period_s} s",
+            ),
+            (action not in ACTIONS, f"{name}: the action is one of {', '.join(ACTIONS)}, not {action!r}"),
+        )
         self.name, self.period_s = name, period_s
         self.action: Action = action
         self.unlisted = unlisted

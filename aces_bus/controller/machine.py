@@ -14,15 +14,14 @@ must hold.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Literal
 
-from ..errors import AcesError, CallerError, UnknownNameError
-from .base import NOTHING, Controller, StateLike
-from .diagram import dot, mermaid
+from ..errors import CallerError
+from .base import NOTHING, LawController, StateLike
 from .events import EventLike
 from .language import Compiled, EquationBlock, Program, Scope, as_states, condition, equations
 
@@ -91,7 +90,7 @@ class _Room:
 Mode = Literal["ready", "running", "paused", "stopped", "done"]
 
 
-class StateMachine(Controller):
+class StateMachine(LawController):
     """A controller that is a table.
 
     >>> crouch = StateMachine(
@@ -136,21 +135,26 @@ class StateMachine(Controller):
         faults = table_faults(self.phases, self.table)
         if faults:
             raise MachineError(f"state machine {name!r}: " + "; ".join(faults))
-        self._scope = Scope(name, as_states(states), dict(parameters or {}), dict(memory or {}))
+        scope = Scope(name, as_states(states), dict(parameters or {}), dict(memory or {}))
         blocks: dict[str, EquationBlock] = {}
         for i, phase in enumerate(self.phases):
             for part, text in (("each", phase.each), ("entry", phase.entry), ("exit", phase.exit)):
                 if isinstance(text, str) and text.strip():
-                    blocks[f"{part}_{i}"] = equations(self._scope, f"phase {phase.name!r}, {part}", text)
+                    blocks[f"{part}_{i}"] = equations(scope, f"phase {phase.name!r}, {part}", text)
         for i, row in enumerate(self.table):
             if isinstance(row.when, str) and row.when.strip():
                 place = f"transition {row.source!r} → {row.target!r}"
-                blocks[f"guard_{i}"] = condition(self._scope, place, row.when)
-        self._program = Program(self._scope, blocks)
-        reads = dict.fromkeys([*(states or ()), *self._scope.used])
-        writes = [state for block in blocks.values() for state in block.setpoints]
-        super().__init__(name, rate_hz=rate_hz, states=reads, writes=writes)
-        self.values = SimpleNamespace(**self._scope.parameters, **self._scope.memory)
+                blocks[f"guard_{i}"] = condition(scope, place, row.when)
+        self._program = Program(scope, blocks)
+        super().__init__(
+            name,
+            rate_hz=rate_hz,
+            states=[*(states or ()), *scope.used],
+            writes=[state for block in blocks.values() for state in block.setpoints],
+            parameters=scope.parameters,
+            memory=scope.memory,
+        )
+        self._law = self._cycle
         self.mode: Mode = "ready"
         self.transitions = 0
         self.trail: deque[tuple[int, str, str]] = deque(maxlen=64)
@@ -161,8 +165,6 @@ class StateMachine(Controller):
         self._room: _Room | None = None
         self._since = 0  # ns of entry
         self._now = 0
-        self._last: int | None = None
-        self._ready = False
 
     # ---- the table as a picture ------------------------------------------------------------------------------------
 
@@ -185,13 +187,6 @@ class StateMachine(Controller):
     def phase_s(self) -> float:
         """Seconds in the present phase, as of the last step."""
         return (self._now - self._since) / 1e9
-
-    def set(self, **parameters: float) -> None:
-        """Change parameters, from the next step on."""
-        for parameter, value in parameters.items():
-            if parameter not in self._scope.parameters:
-                raise UnknownNameError(f"parameter of {self.name!r}", parameter, self._scope.parameters)
-            setattr(self.values, parameter, float(value))
 
     def pause(self) -> None:
         """Give no set-points until `resume`; time in the phase goes on."""
@@ -237,7 +232,6 @@ class StateMachine(Controller):
                 arrow = _Arrow(by_name[row.target], row, test, after)
                 (room.by_event.setdefault(row.on, []) if row.on else timed).append(arrow)
             room.arrows = tuple(timed)
-        self._ready = False
 
     def _part(
         self, text: str | Callable[[StateMachine], object], printed: Compiled | None
@@ -252,10 +246,9 @@ class StateMachine(Controller):
         super().start(now)
         if not self._rooms:
             self.bind({})
-        self.values.__dict__.update(self._scope.memory)
         self._events.clear()
-        self._room, self._last, self._singles = None, None, 0
-        self.mode, self._ready, self.transitions = "running", False, 0
+        self._room, self._singles = None, 0
+        self.mode, self.transitions = "running", 0
         self.trail.clear()
 
     def stop(self, now: int) -> None:
@@ -271,39 +264,23 @@ class StateMachine(Controller):
                 self._singles -= 1
             else:
                 return NOTHING
-        if not self._ready:
-            self.waiting = ", ".join(self.unknown_states())
-            if self.waiting:
-                return NOTHING
-            self._ready = True
-        t = self.seconds(now_ns)
-        dt = 1.0 / self.rate_hz if self._last is None else (now_ns - self._last) / 1e9
-        self._now = self._last = now_ns
-        try:
-            given = self._cycle(now_ns, t, dt)
-        except (TypeError, AcesError) as error:
-            if not self.excuses(error):
-                raise
-            self._ready = False
-            return NOTHING
-        self._has_given = True
-        return given or NOTHING
+        self._now = now_ns
+        return super().step(now_ns)
 
-    def _cycle(self, now_ns: int, t: float, dt: float) -> Mapping[str, float] | None:
+    def _cycle(self, t: float, dt: float) -> Mapping[str, float] | None:
         given: Mapping[str, float] | None = None
         room = self._room
         if room is None:
             room = self._rooms[0]
             given = self._enter(room, t, dt)
         else:
-            arrow = self._open(room, now_ns - self._since, t, dt)
+            arrow = self._open(room, self._now - self._since, t, dt)
             if arrow is not None:
                 given = room.exit(t, dt) if room.exit is not None else None
                 room = arrow.target
                 given = self._enter(room, t, dt, given)
         if room.each is not None and self.mode != "done":
-            more: Mapping[str, float] | None = room.each(t, dt)
-            given = {**given, **more} if given and more else more or given
+            given = _joined(given, room.each(t, dt))
         return given
 
     def _open(self, room: _Room, lasted: int, t: float, dt: float) -> _Arrow | None:
@@ -325,10 +302,13 @@ class StateMachine(Controller):
         self._room, self._since = room, self._now
         if room.phase.final:
             self.mode = "done"
-        if room.entry is None:
-            return given
-        more: Mapping[str, float] | None = room.entry(t, dt)
-        return {**given, **more} if given and more else more or given
+        return given if room.entry is None else _joined(given, room.entry(t, dt))
+
+
+def _joined(
+    given: Mapping[str, float] | None, more: Mapping[str, float] | None
+) -> Mapping[str, float] | None:
+    return {**given, **more} if given and more else more or given
 
 
 def table_faults(phases: Sequence[Phase], table: Sequence[Transition]) -> list[str]:
@@ -370,3 +350,49 @@ def table_faults(phases: Sequence[Phase], table: Sequence[Transition]) -> list[s
     if stuck and len(names) > 1:
         faults.append(f"no way leads out of {', '.join(map(repr, stuck))}; say final=True if that is meant")
     return faults
+
+
+# ---- the table as a picture: names that a diagram language cannot write get an alias; none is left out
+
+
+def _expanded(phases: Sequence[Phase], table: Sequence[Transition]) -> list[tuple[str, str, str]]:
+    """Rows with "*" written out."""
+    rows: list[tuple[str, str, str]] = []
+    for row in table:
+        sources = [one.name for one in phases if not one.final and one.name != row.target]
+        rows += [(one, row.target, row.label) for one in (sources if row.source == "*" else [row.source])]
+    return rows
+
+
+def mermaid(phases: Sequence[Phase], table: Sequence[Transition]) -> str:
+    """A Mermaid state diagram."""
+    lines = ["stateDiagram-v2"]
+    ids: dict[str, str] = {}
+    for phase in phases:
+        plain = re.fullmatch(r"[A-Za-z]\w*", phase.name) and phase.name not in ("state", "note", "end")
+        ids[phase.name] = phase.name if plain else f"phase_{len(ids)}"
+        if not plain:
+            lines.append(f'    state "{_quoted(phase.name)}" as {ids[phase.name]}')
+    lines.append(f"    [*] --> {ids[phases[0].name]}")
+    for source, target, label in _expanded(phases, table):
+        # A colon or a semicolon would end the label.
+        text = label.replace(";", ",").replace(":", "").replace("\n", " ")
+        lines.append(f"    {ids[source]} --> {ids[target]}" + (f": {text}" if text else ""))
+    lines += [f"    {ids[phase.name]} --> [*]" for phase in phases if phase.final]
+    return "\n".join(lines)
+
+
+def dot(name: str, phases: Sequence[Phase], table: Sequence[Transition]) -> str:
+    """A Graphviz graph."""
+    lines = [f'digraph "{_quoted(name)}" {{', "    start [shape=point];"]
+    for phase in phases:
+        shape = "doublecircle" if phase.final else "ellipse"
+        lines.append(f'    "{_quoted(phase.name)}" [shape={shape}];')
+    lines.append(f'    start -> "{_quoted(phases[0].name)}";')
+    for source, target, label in _expanded(phases, table):
+        lines.append(f'    "{_quoted(source)}" -> "{_quoted(target)}" [label="{_quoted(label)}"];')
+    return "\n".join([*lines, "}"])
+
+
+def _quoted(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CallerError, UnknownNameError
+from ..state.errors import raise_first
 
 Interpolation = Literal["hold", "linear", "cubic"]
 Floats = npt.NDArray[np.float64]
@@ -80,15 +81,16 @@ class Trajectory:
         self.interpolation = interpolation
         self.source = source
         where = source or "trajectory"
-        if not (math.isfinite(self.rate_hz) and 0 < self.rate_hz <= 1e6):
-            raise CallerError(f"{where}: rate_hz = {rate_hz!r} is not a rate")
-        if self.rows.ndim != 2 or self.rows.shape[1] != len(self.names) or not len(self.rows):
-            raise CallerError(
-                f"{where}: {len(self.names)} names need rows of as many numbers, not {self.rows.shape}"
-            )
         double = [one for one in dict.fromkeys(self.names) if self.names.count(one) > 1]
-        if double:
-            raise CallerError(f"{where}: {', '.join(double)} named twice")
+        raise_first(
+            CallerError,
+            (not 0 < self.rate_hz <= 1e6, f"{where}: rate_hz = {rate_hz!r} is not a rate"),
+            (
+                self.rows.ndim != 2 or self.rows.shape[1] != len(self.names) or not len(self.rows),
+                f"{where}: {len(self.names)} names need rows of as many numbers, not {self.rows.shape}",
+            ),
+            (bool(double), f"{where}: {', '.join(double)} named twice"),
+        )
         if not np.isfinite(self.rows).all():
             row, column = (int(one) for one in np.argwhere(~np.isfinite(self.rows))[0])
             raise CallerError(f"{where}: row {row + 1} of {self.names[column]} is not finite")
@@ -140,8 +142,7 @@ class Trajectory:
         part = position - index
         if not part:
             return self.rows[index].tolist()  # type: ignore[no-any-return]
-        low, high = self.rows[index].tolist(), self.rows[index + 1].tolist()
-        return [a + (b - a) * part for a, b in zip(low, high, strict=True)]
+        return interpolate(self.rows[index].tolist(), self.rows[index + 1].tolist(), part)
 
     def _cubic(self, position: float) -> list[float]:
         index = int(position)
@@ -186,11 +187,16 @@ class Trajectory:
 
     def only(self, names: Iterable[str]) -> Trajectory:
         """Some of its columns, in the order asked for."""
+        wanted = self._known(names)
+        return self._with(names=wanted, rows=self.rows[:, [self.names.index(one) for one in wanted]])
+
+    def _known(self, names: Iterable[str]) -> list[str]:
+        """The names as a list; raises `UnknownNameError` for one that is no column."""
         wanted = list(names)
         for one in wanted:
             if one not in self.names:
                 raise UnknownNameError("column", one, self.names)
-        return self._with(names=wanted, rows=self.rows[:, [self.names.index(one) for one in wanted]])
+        return wanted
 
     def without(self, names: Iterable[str]) -> Trajectory:
         """All columns but these."""
@@ -199,16 +205,12 @@ class Trajectory:
 
     def scaled(self, factors: Mapping[str, float]) -> Trajectory:
         """Columns times a factor; -1 for a joint that turns the other way."""
-        for one in factors:
-            if one not in self.names:
-                raise UnknownNameError("column", one, self.names)
+        self._known(factors)
         return self._with(rows=self.rows * [factors.get(one, 1.0) for one in self.names])
 
     def shifted(self, offsets: Mapping[str, float]) -> Trajectory:
         """Columns plus an offset."""
-        for one in offsets:
-            if one not in self.names:
-                raise UnknownNameError("column", one, self.names)
+        self._known(offsets)
         return self._with(rows=self.rows + [offsets.get(one, 0.0) for one in self.names])
 
     def mirrored(self, pairs: Mapping[str, str], flipped: Iterable[str] = ()) -> Trajectory:

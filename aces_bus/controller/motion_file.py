@@ -14,14 +14,16 @@ import math
 import os
 import re
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Literal
 
 import numpy as np
 
 from ..errors import CallerError
+from ..state.errors import raise_first
 from .motion import Interpolation, Trajectory
+from .number_text import NumberText
 
 #: A row of 1000 numbers, at most.
 LONGEST_LINE = 32_768
@@ -77,36 +79,21 @@ def read_trajectory(
         raise TrajectoryError(f"{path}: {error.strerror or error}") from None
 
 
-def _lines(stream: IO[bytes], where: str) -> Iterator[tuple[int, bytes]]:
-    """Line numbers and lines, without blank ones."""
-    number = 0
-    while line := stream.readline(LONGEST_LINE + 1):
-        number += 1
-        if len(line) > LONGEST_LINE:
-            raise TrajectoryError(
-                f"{where}:{number}: more than {LONGEST_LINE} characters in a line: no trajectory"
-            )
-        text = line.strip()
-        if number == 1:
-            text = text.removeprefix(b"\xef\xbb\xbf")
-        if text:
-            yield number, text
-
-
-def _names(where: str, number: int, tokens: list[bytes]) -> list[str]:
+def _names(text: NumberText, number: int, tokens: list[bytes]) -> list[str]:
     """The line of names."""
-    if sum(1 for token in tokens if NUMBER.fullmatch(token)):
+    if any(NUMBER.fullmatch(token) for token in tokens):
         shown = b" ".join(tokens[:6]).decode("ascii", "replace")
-        raise TrajectoryError(f"{where}:{number}: names and numbers in one line: {shown!r}")
-    try:
-        names = [token.decode("utf-8") for token in tokens]
-    except UnicodeDecodeError:
-        raise TrajectoryError(f"{where}:{number}: neither numbers nor names: is this a text file?") from None
-    if not all(name.isprintable() for name in names):
-        raise TrajectoryError(f"{where}:{number}: neither numbers nor names: is this a text file?")
+        raise text.fault(number, f"names and numbers in one line: {shown!r}")
+    names = [token.decode("utf-8", "replace") for token in tokens]
     double = [name for name in dict.fromkeys(names) if names.count(name) > 1]
-    if double:
-        raise TrajectoryError(f"{where}:{number}: {', '.join(double)} named twice")
+    text.check(
+        number,
+        (
+            not all(name.isprintable() and "\N{REPLACEMENT CHARACTER}" not in name for name in names),
+            "neither numbers nor names: is this a text file?",
+        ),
+        (bool(double), f"{', '.join(double)} named twice"),
+    )
     return names
 
 
@@ -121,33 +108,31 @@ def _read(
 ) -> Trajectory:
     if unit not in ("rad", "deg"):
         raise CallerError(f"unit is 'rad' or 'deg', not {unit!r}")
-    lines = _lines(stream, where)
-    first = next(lines, None)
-    if first is None:
+    text = NumberText(where, TrajectoryError, "trajectory", NUMBER, b"0123456789+-.eE", LONGEST_LINE, True)
+    lines = text.lines(stream)
+    number, line, _ = next(lines, (0, b"", True))
+    if not line:
         raise TrajectoryError(f"{where}: empty")
-    number, text = first
-    tokens = text.split()
+    tokens = line.split()
     if len(tokens) > MOST_COLUMNS:
-        raise TrajectoryError(f"{where}:{number}: more than {MOST_COLUMNS} columns")
+        raise text.fault(number, f"more than {MOST_COLUMNS} columns")
     names: Sequence[str]
     numbers = array("d")
     if all(NUMBER.fullmatch(token) for token in tokens):
         names = _given_names(where, columns, len(tokens))
-        numbers.extend(_numbers(where, number, tokens))
+        numbers.extend(text.values(number, tokens))
     else:
-        names = _names(where, number, tokens)
+        names = _names(text, number, tokens)
         if columns is not None and not callable(columns):
             names = _given_names(where, columns, len(tokens))
     width = len(tokens)
-    for number, text in lines:
-        tokens = text.split()
+    for number, line, _ in lines:
+        tokens = line.split()
         if len(tokens) != width:
-            raise TrajectoryError(
-                f"{where}:{number}: {len(tokens)} numbers where the lines before have {width}"
-            )
-        numbers.extend(_numbers(where, number, tokens))
+            raise text.fault(number, f"{len(tokens)} numbers where the lines before have {width}")
+        numbers.extend(text.values(number, tokens))
         if len(numbers) > most_numbers:
-            raise TrajectoryError(f"{where}:{number}: more than {most_numbers} numbers")
+            raise text.fault(number, f"more than {most_numbers} numbers")
     if not numbers:
         raise TrajectoryError(f"{where}: names, but no row of numbers")
     rate = rate_hz if rate_hz is not None else rate_in_name(Path(where).name)
@@ -169,22 +154,9 @@ def _given_names(where: str, columns: Columns | None, count: int) -> Sequence[st
     if columns is None:
         raise TrajectoryError(f"{where}: {count} columns without names: give columns=[…]")
     names = list(columns(count) if callable(columns) else columns)
-    if len(names) > count:
-        raise TrajectoryError(f"{where}: {len(names)} names for {count} columns")
-    if not any(names):
-        raise TrajectoryError(f"{where}: none of its {count} columns has a name")
+    raise_first(
+        TrajectoryError,
+        (len(names) > count, f"{where}: {len(names)} names for {count} columns"),
+        (not any(names), f"{where}: none of its {count} columns has a name"),
+    )
     return [*names, *[""] * (count - len(names))]
-
-
-def _numbers(where: str, number: int, tokens: list[bytes]) -> list[float]:
-    """A row. What `float` takes beyond rule 3 is told apart only where it could be."""
-    try:
-        values = [float(token) for token in tokens]
-    except ValueError:
-        values = []
-    if not values or not math.isfinite(sum(values)) or b"_" in b"".join(tokens):
-        for column, token in enumerate(tokens, 1):
-            if not NUMBER.fullmatch(token) or math.isinf(float(token)):
-                shown = token[:24].decode("ascii", "replace")
-                raise TrajectoryError(f"{where}:{number}: column {column}: {shown!r} is no number")
-    return values

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from ..errors import CallerError
+from ..state.errors import raise_first
 from .base import NOTHING, Controller, StateLike, known_value
 
 AntiWindup = Literal["clamp", "back-calculation"]
@@ -70,16 +71,26 @@ class PID:
         derivative_filter_s: float = 0.0,
         setpoint_weight: float = 1.0,
     ) -> None:
-        if not all(math.isfinite(one) for one in (kp, ki, kd, setpoint, setpoint_weight)):
-            raise CallerError(f"PID: gains and set-point must be finite, not {(kp, ki, kd, setpoint)}")
-        if not limits[0] < limits[1]:
-            raise CallerError(f"PID: limits = {limits} leave nothing between them")
-        if not (math.isfinite(derivative_filter_s) and derivative_filter_s >= 0):
-            raise CallerError(f"PID: derivative_filter_s = {derivative_filter_s!r} s is no time constant")
-        if tracking_s is not None and not tracking_s > 0:
-            raise CallerError(f"PID: tracking_s = {tracking_s!r} s is no time constant")
-        if anti_windup not in ("clamp", "back-calculation"):
-            raise CallerError(f"PID: anti_windup is 'clamp' or 'back-calculation', not {anti_windup!r}")
+        raise_first(
+            CallerError,
+            (
+                not all(map(math.isfinite, (kp, ki, kd, setpoint, setpoint_weight))),
+                f"PID: gains and set-point must be finite, not {(kp, ki, kd, setpoint)}",
+            ),
+            (not limits[0] < limits[1], f"PID: limits = {limits} leave nothing between them"),
+            (
+                not (math.isfinite(derivative_filter_s) and derivative_filter_s >= 0),
+                f"PID: derivative_filter_s = {derivative_filter_s!r} s is no time constant",
+            ),
+            (
+                tracking_s is not None and not tracking_s > 0,
+                f"PID: tracking_s = {tracking_s!r} s is no time constant",
+            ),
+            (
+                anti_windup not in ("clamp", "back-calculation"),
+                f"PID: anti_windup is 'clamp' or 'back-calculation', not {anti_windup!r}",
+            ),
+        )
         self.kp, self.ki, self.kd = kp, ki, kd
         self.setpoint, self.setpoint_weight = setpoint, setpoint_weight
         self.low, self.high = limits

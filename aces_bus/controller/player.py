@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 from ..errors import CallerError
+from ..state.errors import raise_first
 from .base import NOTHING, Controller, StateLike, known_value
 from .events import ControlEvent
 from .motion import Motion, interpolate, smooth_step
@@ -66,12 +67,19 @@ class Player(Controller):
         largest_gap_s: float = 0.25,
         autorun: bool = True,
     ) -> None:
-        if not (math.isfinite(speed) and speed > 0):
-            raise CallerError(f"player {name!r}: speed = {speed!r} must be above 0")
-        if approach not in ("first", "blend", None):
-            raise CallerError(f"player {name!r}: approach is 'first', 'blend' or None, not {approach!r}")
-        if rounds is not None and rounds < 1:
-            raise CallerError(f"player {name!r}: rounds = {rounds!r} must be 1 or more, or None for no end")
+        who = f"player {name!r}"
+        raise_first(
+            CallerError,
+            (not (math.isfinite(speed) and speed > 0), f"{who}: speed = {speed!r} must be above 0"),
+            (
+                approach not in ("first", "blend", None),
+                f"{who}: approach is 'first', 'blend' or None, not {approach!r}",
+            ),
+            (
+                rounds is not None and rounds < 1,
+                f"{who}: rounds = {rounds!r} must be 1 or more, or None for no end",
+            ),
+        )
         self._rename, self._largest = dict(rename or {}), largest
         self.motion, self.names = motion, self._checked(name, motion)
         super().__init__(name, rate_hz=rate_hz, states=self.names if approach else (), writes=self.names)

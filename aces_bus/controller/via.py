@@ -22,7 +22,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ..errors import CallerError
-from .motion import Floats, smooth_step
+from ..state.errors import raise_first
+from .motion import Floats, interpolate, smooth_step
 
 Shape = Literal["trapezoidal", "quintic", "through"]
 #: Largest velocity, acceleration and jerk of the quintic from 0 to 1 in unit time.
@@ -67,27 +68,41 @@ class ViaPath:
         self.points: Floats = np.array(points, dtype=np.float64, ndmin=2)
         self.shape = shape
         self.row_s = row_s
-        if len(self.points) < 2 or self.points.shape[1] != len(self.names):
-            raise CallerError(
-                f"a path through {len(self.names)} names needs two points of as many numbers, not {self.points.shape}"
-            )
-        if not np.isfinite(self.points).all():
-            raise CallerError("a path's points must be finite")
-        if shape not in ("trapezoidal", "quintic", "through"):
-            raise CallerError(f"shape is 'trapezoidal', 'quintic' or 'through', not {shape!r}")
         self.limits = [limits if isinstance(limits, Limits) else _limit(limits, name) for name in self.names]
-        if shape == "trapezoidal" and any(math.isfinite(one.jerk) for one in self.limits):
-            raise CallerError(
-                "a trapezoid has unlimited jerk: use shape='quintic' (or 'through') to limit it"
-            )
-        if any(not math.isfinite(one.acceleration) for one in self.limits) and shape == "trapezoidal":
-            raise CallerError("a trapezoid needs a limit of acceleration")
+        is_trapezoid = shape == "trapezoidal"
+        raise_first(
+            CallerError,
+            (
+                len(self.points) < 2 or self.points.shape[1] != len(self.names),
+                f"a path through {len(self.names)} names needs two points of as many numbers, not {self.points.shape}",
+            ),
+            (not np.isfinite(self.points).all(), "a path's points must be finite"),
+            (
+                shape not in ("trapezoidal", "quintic", "through"),
+                f"shape is 'trapezoidal', 'quintic' or 'through', not {shape!r}",
+            ),
+            (
+                is_trapezoid and any(math.isfinite(one.jerk) for one in self.limits),
+                "a trapezoid has unlimited jerk: use shape='quintic' (or 'through') to limit it",
+            ),
+            (
+                is_trapezoid and not all(math.isfinite(one.acceleration) for one in self.limits),
+                "a trapezoid needs a limit of acceleration",
+            ),
+        )
         if times is not None:
             self.times = [float(one) for one in times]
-            if len(self.times) != len(self.points) or self.times[0] != 0.0:
-                raise CallerError(f"{len(self.points)} points need as many times, the first of them 0")
-            if any(not b > a for a, b in zip(self.times, self.times[1:], strict=False)):
-                raise CallerError("the times of a path must increase")
+            raise_first(
+                CallerError,
+                (
+                    len(self.times) != len(self.points) or self.times[0] != 0.0,
+                    f"{len(self.points)} points need as many times, the first of them 0",
+                ),
+                (
+                    any(not b > a for a, b in zip(self.times, self.times[1:], strict=False)),
+                    "the times of a path must increase",
+                ),
+            )
         else:
             durations = [self._segment(i) for i in range(len(self.points) - 1)]
             self.times = [0.0, *np.cumsum(durations).tolist()]
@@ -220,8 +235,7 @@ class ViaPath:
             c0, c1, c2, c3, c4, c5 = self._polynomials[i]
             return (c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))).tolist()  # type: ignore[no-any-return]
         s = self._straight(i, u, self.times[i + 1] - self.times[i])
-        low, high = self.points[i].tolist(), self.points[i + 1].tolist()
-        return [a + (b - a) * s for a, b in zip(low, high, strict=True)]
+        return interpolate(self.points[i].tolist(), self.points[i + 1].tolist(), s)
 
 
 def _limit(limits: Mapping[str, Limits], name: str) -> Limits:

@@ -3,20 +3,27 @@
 1. `write` keeps copies of values and no table. All pieces that wait together are at most about `BUDGET` bytes.
 2. A message's schema is the same in every piece; see `aces_bus.protocol.columns.layout`.
 3. `close` puts the export in its place; leaving the `with` block by an exception, or `abandon`, leaves nothing behind.
+4. No two datasets have names that differ in case alone: file systems and SQLite may not tell them apart. A name is a file
+   name on every system: letters, digits, `_`, `-` and dots, not too long.
+
+A dataset is named like its message; where several protocols have a message of that name, `protocol.Message`. What was
+not decoded is `_lost`, and of a second kind of link `_lost.2`.
 """
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from ..errors import CallerError
 from ..protocol.columns.arrow import is_absolute
 from ..protocol.columns.layout import (
     Block,
+    DatasetColumn,
     DatasetLayout,
     Labels,
     Objects,
@@ -28,12 +35,54 @@ from ..protocol.columns.layout import (
 from ..protocol.columns.table import MessageTable
 from ..protocol.declare.protocol import Variant
 from .files import Staging, telling
-from .naming import Naming
 
 #: Rows of one message that are written at once: row groups of Parquet are read one at a time.
 ROWS = 131_072
 #: Bytes of values that wait to be written, over all messages.
 BUDGET = 64 << 20
+
+
+LOST = "_lost"
+LONGEST = 120
+_ODD = re.compile(r"[^\w.-]", re.ASCII)
+#: What Windows takes for devices, whatever the suffix.
+_DEVICES = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
+
+
+class Naming:
+    """Names of datasets, each given once."""
+
+    def __init__(self, variants: Sequence[Variant] = (), *, reserved: Collection[str] = ()) -> None:
+        self._owners: dict[str, set[str]] = {}
+        for variant in variants:
+            for name in variant.messages:
+                self._owners.setdefault(name.casefold(), set()).add(variant.name)
+        self._taken = {name.casefold() for name in reserved}
+
+    def name(self, protocol: str, message: str) -> str:
+        """The name for a new dataset."""
+        if not message:
+            return unique_name(LOST, self._taken)
+        owners = self._owners.setdefault(message.casefold(), set())
+        owners.add(protocol)
+        wanted = safe_name(f"{protocol}.{message}" if len(owners) > 1 else message)
+        return unique_name(f"{wanted}_" if wanted.casefold() == LOST else wanted, self._taken)
+
+
+def unique_name(wanted: str, taken: set[str]) -> str:
+    """The name, with a number behind it where it is taken already (case does not count); it is taken then."""
+    name, number = wanted, 2
+    while name.casefold() in taken:
+        name = f"{wanted}.{number}"
+        number += 1
+    taken.add(name.casefold())
+    return name
+
+
+def safe_name(name: str) -> str:
+    """A name that every file system takes."""
+    name = _ODD.sub("_", name)[:LONGEST].strip(".") or "_"
+    return f"_{name}" if _DEVICES.fullmatch(name) else name
 
 
 @dataclass(frozen=True)
@@ -119,6 +168,16 @@ class Export(ABC):
             for name, number in dataset.layout.too_wide.items()
         ]
 
+    def _plain(self, slot: DatasetColumn, values: Any, absent: Any) -> list[Any]:
+        """The values of a column of a block: labels as texts, None where there is none."""
+        plain: list[Any] = values.tolist()
+        if slot.holds == "label":
+            names = self.sources.names if slot.role == "source" else self.labels.names
+            return [None if code < 0 else names[code] for code in plain]
+        if absent is not None:
+            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+        return plain
+
     def _all(self) -> list[Dataset]:
         return [dataset for some in self._datasets.values() for dataset in some]
 
@@ -170,12 +229,12 @@ class Export(ABC):
         if self._is_closed:
             return
         try:
-            if self.options.only is not None and not self._datasets:
-                for variant in self.variants:
-                    if self.options.only in variant.messages:
-                        self._dataset(empty_table(variant, self.options.only), {})
-                        break
             with telling(self.path):
+                if self.options.only is not None and not self._datasets:
+                    for variant in self.variants:
+                        if self.options.only in variant.messages:
+                            self._dataset(empty_table(variant, self.options.only), {})
+                            break
                 self._finish()
             self._is_closed = True
             self._staging.commit()

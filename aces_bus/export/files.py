@@ -1,7 +1,9 @@
-"""Where an export is written before it stands: temporary files beside their place, and few open handles for many files.
+"""Files that are written: beside their place until they are whole, by whole pieces, or many with few open handles.
 
-1. Under the final name there is the whole export or what was there before, never a part.
-2. However many files are being written, at most `OPEN` of them are open.
+1. Under the name of a `Staging` there is the whole export or what was there before, never a part.
+2. When `AppendFile.write` returns, the piece is with the operating system, and a process that is killed does not lose it;
+   when it raises, nothing of the piece is in the file.
+3. However many files a `FilePool` writes, at most `OPEN` of them are open.
 """
 
 from __future__ import annotations
@@ -10,9 +12,10 @@ import io
 import os
 import secrets
 import shutil
+import sqlite3
 from collections import OrderedDict
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import IO
 
 from ..errors import CallerError
@@ -23,11 +26,46 @@ OPEN = 64
 
 @contextmanager
 def telling(path: str) -> Generator[None, None, None]:
-    """What the system refuses is a `CallerError` that names the file."""
+    """Raise what the system or SQLite refuses as a `CallerError` that names the file."""
     try:
         yield
-    except OSError as error:
-        raise CallerError(f"{path}: cannot be written: {error.strerror or error}") from error
+    except (OSError, sqlite3.Error) as error:
+        raise CallerError(
+            f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}"
+        ) from error
+
+
+class AppendFile:
+    """A file that grows by pieces, each of which is in it as a whole or not at all."""
+
+    def __init__(self, path: str) -> None:
+        flags = os.O_CREAT | os.O_TRUNC | os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
+        self._file = os.open(path, flags, 0o666)
+        self.path = path
+        #: Bytes so far.
+        self.size = 0
+
+    def write(self, data: bytes) -> None:
+        """Append all of `data`, or raise `OSError` and append nothing."""
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[os.write(self._file, left) :]
+        except OSError:
+            with suppress(OSError):  # a pipe or a device keeps nothing
+                os.ftruncate(self._file, self.size)
+            raise
+        self.size += len(data)
+
+    def sync(self) -> None:
+        """Wait until the disk has it."""
+        os.fsync(self._file)
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
 
 
 class Staging:
@@ -103,10 +141,8 @@ def _remove(path: str) -> None:
     if os.path.isdir(path) and not os.path.islink(path):
         shutil.rmtree(path, ignore_errors=True)
     else:
-        try:
+        with suppress(OSError):
             os.unlink(path)
-        except OSError:
-            pass
 
 
 class FilePool:
@@ -149,10 +185,8 @@ class FilePool:
     def abandon(self) -> None:
         """Close all files, whatever becomes of their bytes."""
         while self._open:
-            try:
+            with suppress(OSError):
                 self._open.popitem()[1].close()
-            except OSError:
-                pass
 
 
 class ExportFile(io.RawIOBase):

@@ -1,7 +1,8 @@
-"""One file a message: what Parquet, Arrow and CSV have in common.
+"""One file a message: what Parquet, Arrow and CSV have in common, and Arrow's own file format (also known as Feather 2).
 
 1. A single wanted message is a file; otherwise the export is a folder of them.
 2. Pieces become record batches here; a format only writes them.
+3. Arrow's dictionaries grow at their end only, and are written as what has come to them: readers join the pieces.
 """
 
 from __future__ import annotations
@@ -80,3 +81,28 @@ class Folder(Buffered):
     @abstractmethod
     def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
         """Write rows."""
+
+
+class ArrowExport(Folder):
+    """`walk.arrow/Encoder.arrow`, or of a single message `walk.arrow`."""
+
+    format = "Arrow"
+    suffix = ".arrow"
+
+    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
+        import pyarrow as pa
+
+        options = pa.ipc.IpcWriteOptions(compression="lz4", emit_dictionary_deltas=True)
+        return pa.ipc.new_file(sink, arrow.schema, options=options)
+
+    def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
+        if not arrow.labels.names:
+            arrow.labels.number("")  # Arrow takes what comes to an empty dictionary for another one
+        writer.write_batch(arrow.batch(block))
+
+
+class FeatherExport(ArrowExport):
+    """The same under its other suffix."""
+
+    format = "Feather"
+    suffix = ".feather"

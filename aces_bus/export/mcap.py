@@ -8,12 +8,12 @@ Topic `/protocol/Message`; the fields are nested as in a record, and under `meta
 with `names` names; bytes are hexadecimal. `log_time` is ns since 1970, or as the recording counts; a message without time
 stands where the latest one with a time did.
 
-Needs the extra `[mcap]` (foxglove-sdk).
+Chunks are packed where zstandard is installed (extra `[mcap]`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -26,8 +26,12 @@ from ..protocol.columns.layout import DatasetColumn, DatasetLayout, plain_json
 from ..protocol.columns.table import Column, MessageTable
 from ..protocol.declare.protocol import Variant
 from .base import Dataset, Export, Options
+from .files import telling
+from .mcap_file import McapWriter
 
 Tree = dict[str, Any]
+#: Messages of a chunk: about a megabyte.
+CHUNK_MESSAGES = 8192
 
 
 class McapExport(Export):
@@ -37,23 +41,16 @@ class McapExport(Export):
     suffix = ".mcap"
 
     def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
-        try:
-            import foxglove
-        except ImportError as missing:
-            raise CallerError(
-                f"MCAP needs foxglove-sdk: pip install 'aces-bus[mcap]' ({missing})"
-            ) from missing
         super().__init__(path, options, variants)
-        self._channels: dict[str, Any] = {}
+        self._channels: dict[str, int] = {}
         self._latest = 0
         self._untimed = 0
-        self._context = foxglove.Context()
         try:
-            self._file = _File(self.place)
-            self._writer = foxglove.open_mcap(self._file, context=self._context)  # type: ignore[arg-type]
-        except BaseException as error:
+            with telling(path):
+                self._file = McapWriter(self.place)
+        except CallerError:
             self.abandon()
-            raise CallerError(f"{path}: cannot be written: {error}") from error
+            raise
 
     @property
     def notes(self) -> list[str]:
@@ -65,23 +62,16 @@ class McapExport(Export):
         ]
 
     def _begin(self, dataset: Dataset) -> None:
-        import foxglove
-
         layout = dataset.layout
         topic = f"/{layout.protocol or '_lost'}" + (f"/{layout.message}" if layout.message else "")
         if dataset.name not in ("_lost", layout.message, f"{layout.protocol}.{layout.message}"):
             topic = f"/{layout.protocol}/{dataset.name}"
-        schema = json_text(_schema(layout, names=self.options.names, has_source=self.options.sources))
-        self._channels[dataset.name] = foxglove.Channel(
+        schema = json_text(_schema(layout, names=self.options.names))
+        self._channels[dataset.name] = self._file.channel(
             topic,
-            schema=foxglove.Schema(
-                name=f"{layout.protocol}.{layout.message}" if layout.message else "lost",
-                encoding="jsonschema",
-                data=schema.encode(),
-            ),
-            message_encoding="json",
-            context=self._context,
-            metadata=schema_metadata(layout, absolute=bool(self.absolute)),
+            f"{layout.protocol}.{layout.message}" if layout.message else "lost",
+            schema.encode(),
+            schema_metadata(layout, absolute=bool(self.absolute)),
         )
 
     def _write(
@@ -90,30 +80,25 @@ class McapExport(Export):
         texts: list[bytes] = []
         times: list[int] = []
         rows: list[int] = []
-        channels: list[Any] = []
+        channels: list[int] = []
         encode = msgspec.json.Encoder().encode
         for table in tables:
             dataset = self._dataset(table, columns)
             dataset.rows += len(table)
-            channel = self._channels[dataset.name]
             texts += map(encode, self._objects_of(table, dataset.layout, source))
             times += table.time.tolist()
             rows += table.row.tolist()
-            channels += [channel] * len(table)
+            channels += [self._channels[dataset.name]] * len(table)
+        messages: list[tuple[int, int, bytes]] = []
         for index in np.argsort(np.array(rows, np.int64), kind="stable").tolist():
             time = times[index]
             if time == NO_TIME:
                 self._untimed += 1
                 time = self._latest
             self._latest = max(time, 0)
-            channels[index].log(texts[index], log_time=self._latest)
-        self._check()
-
-    def _check(self) -> None:
-        if self._file.refused is not None:
-            raise CallerError(
-                f"{self.path}: cannot be written: {self._file.refused.strerror or self._file.refused}"
-            )
+            messages.append((channels[index], self._latest, texts[index]))
+        for start in range(0, len(messages), CHUNK_MESSAGES):
+            self._file.chunk(messages[start : start + CHUNK_MESSAGES])
 
     def _objects_of(
         self, table: MessageTable, layout: DatasetLayout, source: str | None
@@ -121,96 +106,33 @@ class McapExport(Export):
         tree: Tree = {}
         for slot in layout.slots:
             if slot.kind is not None:
-                _plant(tree, slot.kind.name, self._plain(table[slot.kind.name]))
+                _plant(tree, slot.kind.name, self._values(slot, table[slot.kind.name]))
         fields = _joined(tree, len(table))
         meta = self._meta(table, layout, source)
         return [{**one, "meta": other} for one, other in zip(fields, meta, strict=True)]
 
-    def _plain(self, column: Column) -> list[Any]:
+    def _values(self, slot: DatasetColumn, column: Column) -> list[Any]:
         if column.kind.is_object:
             return [plain_json(value) for value in column.to_list()]
         if column.kind.names is not None and self.options.names:
             return [value if value is None else str(value) for value in column.to_list()]
-        values: list[Any] = column.values.tolist()
-        if column.absent is not None:
-            values = [
-                None if gone else value for value, gone in zip(values, column.absent.tolist(), strict=True)
-            ]
-        return values
+        return self._plain(slot, column.values, column.absent)
 
     def _meta(self, table: MessageTable, layout: DatasetLayout, source: str | None) -> list[dict[str, Any]]:
-        parts: dict[str, list[Any]] = {}
         block = layout.block(table, self.labels, self.sources, source)
-        for slot, (values, absent) in zip(layout.slots, block, strict=True):
-            if slot.kind is not None or slot.role == "time":
-                continue
-            found: list[Any] = values.tolist()
-            if slot.holds == "label":
-                names = self.sources.names if slot.role == "source" else self.labels.names
-                found = [None if code < 0 else names[code] for code in found]
-            elif absent is not None:
-                found = [None if gone else one for one, gone in zip(found, absent.tolist(), strict=True)]
-            parts[slot.name] = found
+        parts = {
+            slot.name: self._plain(slot, values, absent)
+            for slot, (values, absent) in zip(layout.slots, block, strict=True)
+            if slot.kind is None and slot.role != "time"
+        }
         return [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
 
     def _finish(self) -> None:
-        for dataset in self._all():
-            self._channels[dataset.name].close()
-        try:
-            self._writer.close()
-        except Exception as error:  # the library's own kinds
-            raise CallerError(f"{self.path}: cannot be written: {error}") from error
         self._file.close()
-        self._check()
 
     def _drop(self) -> None:
-        for one in (getattr(self, "_writer", None), getattr(self, "_file", None)):
-            try:
-                if one is not None:
-                    one.close()
-            except Exception:  # whatever the library raises for a file that is given up
-                pass
-
-
-class _File:
-    """The file as the library writes to it, which must not see it fail: it would print each message that follows, and
-    panic. So what the system refuses is kept here, and from then on only places are counted."""
-
-    def __init__(self, path: str) -> None:
-        self._file = open(path, "wb")  # noqa: SIM115 - `close` closes it
-        self._place = self._end = 0
-        self.refused: OSError | None = None
-
-    def write(self, data: bytes) -> int:
-        """Write all of it."""
-        self._try(self._file.write, data)
-        self._place += len(data)
-        self._end = max(self._end, self._place)
-        return len(data)
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a place; returns it."""
-        self._place = (0, self._place, self._end)[whence] + offset
-        self._try(self._file.seek, self._place)
-        return self._place
-
-    def flush(self) -> None:
-        """Hand over to the system."""
-        self._try(self._file.flush)
-
-    def close(self) -> None:
-        """Write what waits, and close."""
-        try:
-            self._file.close()
-        except OSError as error:
-            self.refused = self.refused or error
-
-    def _try(self, act: Callable[..., Any], *values: Any) -> None:
-        if self.refused is None:
-            try:
-                act(*values)
-            except OSError as error:
-                self.refused = error
+        if (file := getattr(self, "_file", None)) is not None:
+            file.abandon()
 
 
 def _plant(tree: Tree, path: str, values: Any) -> None:
@@ -234,7 +156,7 @@ def _joined(tree: Tree, n: int) -> list[Any]:
     return [dict(zip(tree, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _schema(layout: DatasetLayout, *, names: bool, has_source: bool) -> dict[str, Any]:
+def _schema(layout: DatasetLayout, *, names: bool) -> dict[str, Any]:
     tree: Tree = {}
     for slot in layout.slots:
         if slot.kind is not None:

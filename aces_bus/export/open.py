@@ -16,8 +16,8 @@ from .base import Export, Options
 #: Format → its module here and its class.
 FORMATS: Mapping[str, tuple[str, str]] = {
     "parquet": ("parquet", "ParquetExport"),
-    "arrow": ("ipc", "ArrowExport"),
-    "feather": ("ipc", "FeatherExport"),
+    "arrow": ("folder", "ArrowExport"),
+    "feather": ("folder", "FeatherExport"),
     "csv": ("csv", "CsvExport"),
     "npz": ("npz", "NpzExport"),
     "sqlite": ("sqlite", "SqliteExport"),

@@ -1,6 +1,8 @@
-"""Parquet: one file a message, units and enumerations in the schema's metadata.
+"""Parquet: one file a message, units and enumerations in the schema's metadata; and files that survive a kill.
 
 1. Physical values have no dictionary: it costs as much as it saves, and is given up half-way.
+2. A `ParquetJournal` has its rows beside the file, in Arrow record batches that are whole each. The Parquet file, which
+   has its index at its end, appears when the journal is closed, and the journal goes.
 
 *Measured* (403,216 rows of 12 messages of a car's DBC, 13 columns each, CPU time of one core, best of 5): dictionaries
 everywhere 207 ns and 14.1 bytes a row; dictionaries for channel, identifier and narrow integers, time as differences 207 ns
@@ -10,12 +12,20 @@ All with zstd; with snappy 153 ns and 17.2 bytes. Without statistics 6 % less ti
 
 from __future__ import annotations
 
+import contextlib
+import os
+from collections.abc import Generator, Iterator
+from importlib import import_module
 from typing import Any
 
-from ..protocol.columns.arrow import ArrowLayout
+from ..errors import CallerError
+from ..protocol.columns.arrow import ArrowLayout, load_pyarrow
 from ..protocol.columns.layout import Block, DatasetColumn
-from .files import ExportFile
+from .files import AppendFile, ExportFile
 from .folder import Folder
+
+#: Rows of a group of a file made of a journal: what readers take at once.
+GROUP_ROWS = 131_072
 
 
 def _is_repetitive(slot: DatasetColumn) -> bool:
@@ -57,3 +67,103 @@ class ParquetExport(Folder):
 
     def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
         writer.write_batch(arrow.batch(block), row_group_size=self.rows_at_once)
+
+
+def load_parquet() -> Any:
+    """pyarrow with the parts that journals need; raises `CallerError` with how to install it."""
+    pa = load_pyarrow()
+    for part in ("ipc", "parquet"):
+        import_module(f"pyarrow.{part}")
+    return pa
+
+
+def journal_of(path: str) -> str:
+    """The path of the journal of a Parquet file that is not closed."""
+    return path + ".journal"
+
+
+class ParquetJournal:
+    """A Parquet file that is being written, of record batches of one schema."""
+
+    def __init__(self, path: str, schema: Any) -> None:
+        if os.path.isdir(path):
+            raise IsADirectoryError(21, "is a folder", path)
+        self.path = path
+        self._file = AppendFile(journal_of(path))
+        self._file.write(schema.serialize().to_pybytes())
+        if os.path.exists(path):
+            os.remove(path)
+
+    def append(self, batch: Any) -> None:
+        """Write a record batch."""
+        self._file.write(batch.serialize().to_pybytes())
+
+    def sync(self) -> None:
+        """Wait until the disk has it."""
+        self._file.sync()
+
+    def close(self) -> None:
+        """Make the Parquet file of the journal."""
+        self._file.close()
+        close_journal(self.path)
+
+
+@contextlib.contextmanager
+def opened_journal(path: str) -> Generator[Any]:
+    """A reader of record batches; raises `CallerError` for what is no journal."""
+    pa = load_parquet()
+    try:
+        with open(path, "rb") as file:
+            yield pa.ipc.open_stream(file)
+    except pa.ArrowException as error:
+        raise CallerError(f"{path}: no journal of a log: {error}") from None
+
+
+def journal_batches(reader: Any) -> Iterator[Any]:
+    """The batches of a journal, up to where it was cut."""
+    pa = load_parquet()
+    with contextlib.suppress(StopIteration, EOFError, pa.ArrowException, OSError):
+        while True:
+            yield reader.read_next_batch()
+
+
+def close_journal(path: str) -> int:
+    """Make the Parquet file `path` of its journal, which then goes; returns the number of rows.
+
+    Raises `CallerError` for what is no journal and `OSError` when the file cannot be written; the journal stays then.
+    """
+    pa = load_parquet()
+    journal, made = journal_of(path), path + ".part"
+    rows = 0
+    try:
+        with opened_journal(journal) as reader:
+            schema = reader.schema
+            encodings = dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT")
+            with pa.parquet.ParquetWriter(
+                made, schema, compression="zstd", use_dictionary=False, column_encoding=encodings
+            ) as writer:
+                for batches in _grouped(journal_batches(reader)):
+                    table = pa.Table.from_batches(batches, schema=schema).combine_chunks()
+                    writer.write_table(table, row_group_size=GROUP_ROWS)
+                    rows += table.num_rows
+        os.replace(made, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.remove(made)
+        raise
+    os.remove(journal)
+    return rows
+
+
+def _grouped(batches: Iterator[Any]) -> Iterator[list[Any]]:
+    """Lists of batches with at least `GROUP_ROWS` rows together, but for the last."""
+    kept: list[Any] = []
+    waiting = 0
+    for batch in batches:
+        kept.append(batch)
+        waiting += batch.num_rows
+        if waiting >= GROUP_ROWS:
+            yield kept
+            kept, waiting = [], 0
+    if kept:
+        yield kept

@@ -1,7 +1,8 @@
 """SQLite: one table a message, and the tables `_messages` and `_columns` that say what is in them.
 
 1. Every foreign name is quoted; no value is ever part of a statement.
-2. The file is written without a journal: it has another name until it is whole.
+2. An export is written without a journal: it has another name until it is whole. What must survive a kill is written with
+   one: `JournaledDatabase`.
 
     time_ns    INTEGER: ns since 1970, or as the recording counts (`_messages.time` says which); NULL unknown.
                `datetime(time_ns / 1000000000, 'unixepoch')` is a date
@@ -12,15 +13,20 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Generator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
+
+import numpy as np
 
 from ..errors import CallerError
 from ..protocol.columns.arrow import GrowingDictionary, field_metadata, schema_metadata
 from ..protocol.columns.layout import Block, DatasetColumn
 from ..protocol.declare.protocol import Variant
-from .base import Buffered, Dataset, Options
+from .base import Buffered, Dataset, Options, unique_name
+from .files import telling
 
 #: Columns of a table and of a statement, as SQLite is usually built.
 MOST = 2000
@@ -47,14 +53,16 @@ class SqliteExport(Buffered):
         self._inserts: dict[str, str] = {}
         self._enumerations: dict[str, dict[str, GrowingDictionary]] = {}
         try:
-            self._base = sqlite3.connect(self.place, isolation_level=None)
-            self._base.executescript(
-                "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA locking_mode=EXCLUSIVE;" + _TABLES
-            )
-            self._base.execute("BEGIN")
-        except sqlite3.Error as error:
+            with telling(path):
+                self._base = sqlite3.connect(self.place, isolation_level=None)
+                self._base.executescript(
+                    "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA locking_mode=EXCLUSIVE;"
+                    + _TABLES
+                )
+                self._base.execute("BEGIN")
+        except CallerError:
             self.abandon()
-            raise CallerError(f"{path}: cannot be written: {error}") from error
+            raise
 
     def _reserved(self) -> Collection[str]:
         return ("_messages", "_columns")
@@ -74,17 +82,16 @@ class SqliteExport(Buffered):
             }
         known = self._enumerations.get(dataset.name, {})
         columns = ", ".join(
-            f"{_quoted(name)} {'TEXT' if slot.name in known else _type(slot)}"
+            f"{sql_name(name)} {'TEXT' if slot.name in known else _type(slot)}"
             for name, slot in zip(names, slots, strict=True)
         )
-        with _Telling(self.path):
-            self._base.execute(f"CREATE TABLE {_quoted(_table(dataset))} ({columns})")
-            self._base.executemany(
-                'INSERT INTO "_columns" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
-                [self._about(dataset, name, slot) for name, slot in zip(names, slots, strict=True)],
-            )
+        self._base.execute(f"CREATE TABLE {sql_name(_table(dataset))} ({columns})")
+        self._base.executemany(
+            'INSERT INTO "_columns" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+            [self._about(dataset, name, slot) for name, slot in zip(names, slots, strict=True)],
+        )
         self._inserts[dataset.name] = (
-            f"INSERT INTO {_quoted(_table(dataset))} VALUES ({', '.join('?' * len(slots))})"
+            f"INSERT INTO {sql_name(_table(dataset))} VALUES ({', '.join('?' * len(slots))})"
         )
 
     @staticmethod
@@ -96,71 +103,83 @@ class SqliteExport(Buffered):
     def _emit(self, dataset: Dataset, block: Block) -> None:
         known = self._enumerations.get(dataset.name, {})
         columns = [
-            self._plain(slot, values, absent, known.get(slot.name))
+            self._cells(slot, values, absent, known.get(slot.name))
             for slot, (values, absent) in zip(dataset.layout.slots, block, strict=True)
         ]
-        with _Telling(self.path):
-            self._base.executemany(self._inserts[dataset.name], zip(*columns, strict=True))
-            self._pending += len(block[0].values)
-            if self._pending >= TRANSACTION:
-                self._base.execute("COMMIT")
-                self._base.execute("BEGIN")
-                self._pending = 0
+        self._base.executemany(self._inserts[dataset.name], zip(*columns, strict=True))
+        self._pending += len(block[0].values)
+        if self._pending >= TRANSACTION:
+            self._base.execute("COMMIT")
+            self._base.execute("BEGIN")
+            self._pending = 0
 
-    def _plain(
+    def _cells(
         self, slot: DatasetColumn, values: Any, absent: Any, names: GrowingDictionary | None
     ) -> list[Any]:
-        plain: list[Any]
-        if slot.holds == "label":
-            labels = self.sources.names if slot.role == "source" else self.labels.names
-            return [None if code < 0 else labels[code] for code in values.tolist()]
         if names is not None:
-            codes = names.codes(values).tolist()
-            plain = [names.labels.names[code] for code in codes]
-        else:
-            plain = values.tolist()
-            if values.dtype.kind == "u" and values.dtype.itemsize == 8:
-                plain = [one if one < 1 << 63 else str(one) for one in plain]
-        if absent is not None:
-            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+            values = np.array(names.labels.names, object)[names.codes(values)]
+        plain = self._plain(slot, values, absent)
+        if names is None and values.dtype.kind == "u" and values.dtype.itemsize == 8:
+            plain = [str(one) if one is not None and one >= 1 << 63 else one for one in plain]
         return plain
 
     def _end(self, dataset: Dataset) -> None:
         known = schema_metadata(dataset.layout, absolute=bool(self.absolute))
         about = [known.get(name) for name in ("protocol", "message", "direction", "doc", "time", "aces_bus")]
-        with _Telling(self.path):
-            self._base.execute(
-                'INSERT INTO "_messages" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
-                (_table(dataset), *about, dataset.rows),
-            )
+        self._base.execute(
+            'INSERT INTO "_messages" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+            (_table(dataset), *about, dataset.rows),
+        )
 
     def _finish(self) -> None:
         super()._finish()
-        with _Telling(self.path):
-            self._base.execute("COMMIT")
-            self._base.close()
+        self._base.execute("COMMIT")
+        self._base.close()
 
     def _drop(self) -> None:
-        base = getattr(self, "_base", None)
-        if base is not None:
-            try:
+        if (base := getattr(self, "_base", None)) is not None:
+            with suppress(sqlite3.Error):
                 base.close()
-            except sqlite3.Error:
-                pass
 
 
-class _Telling:
-    """What SQLite refuses is a `CallerError` that names the file."""
+class JournaledDatabase:
+    """A database with a write-ahead log: what a transaction wrote survives a kill. After `close` there is one file.
+
+    Raises `sqlite3.Error` and `OSError`. Replaces what is at `path`.
+    """
 
     def __init__(self, path: str) -> None:
-        self.path = path
+        for end in ("", "-wal", "-shm", "-journal"):
+            if os.path.isfile(path + end):
+                os.remove(path + end)
+        self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        self._database.execute("PRAGMA journal_mode = WAL")
+        # In WAL mode a commit then waits for no disk; `sync` does.
+        self._database.execute("PRAGMA synchronous = NORMAL")
 
-    def __enter__(self) -> None:
-        pass
+    @contextmanager
+    def transaction(self) -> Generator[sqlite3.Connection]:
+        """What is done within is in the file as a whole or not at all."""
+        self._database.execute("BEGIN IMMEDIATE")
+        try:
+            yield self._database
+            self._database.execute("COMMIT")
+        except BaseException:
+            if self._database.in_transaction:
+                with suppress(sqlite3.Error):  # SQLite may have rolled back by itself
+                    self._database.execute("ROLLBACK")
+            raise
 
-    def __exit__(self, kind: object, value: BaseException | None, trace: object) -> None:
-        if isinstance(value, sqlite3.Error):
-            raise CallerError(f"{self.path}: cannot be written: {value}") from value
+    def sync(self) -> None:
+        """Bring it to the disk, as far as readers allow."""
+        self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
+
+    def close(self) -> None:
+        """Put everything into one file."""
+        try:
+            self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
+        finally:
+            self._database.close()
 
 
 def _table(dataset: Dataset) -> str:
@@ -172,19 +191,11 @@ def _table(dataset: Dataset) -> str:
 def _column_names(slots: Sequence[DatasetColumn]) -> list[str]:
     """Names of columns, which SQLite compares without case."""
     taken: set[str] = set()
-    names: list[str] = []
-    for slot in slots:
-        wanted = "time_ns" if slot.role == "time" else slot.name
-        name, number = wanted, 2
-        while name.casefold() in taken:
-            name = f"{wanted}.{number}"
-            number += 1
-        taken.add(name.casefold())
-        names.append(name)
-    return names
+    return [unique_name("time_ns" if slot.role == "time" else slot.name, taken) for slot in slots]
 
 
-def _quoted(name: str) -> str:
+def sql_name(name: str) -> str:
+    """A name as SQL has it."""
     return '"' + name.replace('"', '""').replace("\0", "") + '"'
 
 

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import ClassVar, Literal, NamedTuple, Self
 
+import numpy as np
+
 from ..errors import CaptureError
 from ..frame_table import Channels, FrameTable
 from ..frames import Frame
@@ -178,3 +180,15 @@ class SerialRecording(Recording):
         if self._stream is None:
             self._stream = self._chunks()
         return self._stream
+
+
+# Reading in blocks makes and drops the same few arrays again and again. glibc gives the top of its heap back when more
+# than twice its threshold is free, and asks for zeroed pages again with the next block; those page faults took up to half of
+# the time. The threshold follows the largest block that was ever mapped and freed, so one is: it is never touched, and
+# costs nothing. What is kept is bounded by it. *Fact*: mallopt(3), M_MMAP_THRESHOLD, "dynamic mmap threshold".
+_KEPT = 1 << 24
+
+
+def keep_freed_memory() -> None:
+    """Ask the C library to keep some freed memory for the next block; where it works otherwise, nothing changes."""
+    np.empty(_KEPT, np.uint8)

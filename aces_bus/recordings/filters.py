@@ -21,7 +21,13 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from ..errors import CallerError
+from ..frame_table import ERROR, EXTENDED, REMOTE, FrameTable
+
+Mask = npt.NDArray[np.bool_]
 
 EFF, RTR, ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _SFF_MASK = 0x7FF
@@ -145,3 +151,34 @@ def _rule(digits: str, sign: str, mask_digits: str) -> _Rule:
     if mask & EFF and not wanted & EFF:  # only standard frames: the kernel clears bits that they do not have
         mask &= _SFF_MASK | EFF | RTR
     return _Rule(wanted & mask, mask, sign == "~")
+
+
+def passing(wanted: CanFilter, table: FrameTable) -> Mask:
+    """Which of the frames of a table pass, as a boolean array: those for which `CanFilter.matches` is true.
+
+    >>> from aces_bus.frames import Frame
+    >>> from aces_bus.recordings import parse_filter
+    >>> frames = FrameTable.from_frames([Frame(id) for id in (0x05F, 0x060, 0x06F, 0x070)])
+    >>> passing(parse_filter("060:7F0"), frames).tolist()
+    [False, True, True, False]
+    """
+    is_error = table.flags & ERROR != 0
+    word = table.id.astype(np.uint32)
+    word |= (table.flags & EXTENDED != 0) * np.uint32(EFF)
+    word |= (table.flags & REMOTE != 0) * np.uint32(RTR)
+    passed = np.zeros(len(table), np.bool_)
+    for one in wanted.sets:
+        data = np.full(len(table), not one.rules or one.join)
+        for rule_id, mask, inverted in one.rules:
+            hit = (word & np.uint32(mask) == np.uint32(rule_id)) != inverted
+            data = data & hit if one.join else data | hit
+        if one.error_mask is None:
+            errors = np.full(len(table), not one.rules)
+        else:
+            errors = (table.id | np.uint32(ERR)) & np.uint32(one.error_mask) != 0
+        found = np.where(is_error, errors, data)
+        if one.interface is not None:
+            is_there = np.array([str(name) == one.interface for name in table.channels.names], np.bool_)
+            found &= is_there[table.channel]
+        passed |= found
+    return passed

@@ -1,4 +1,4 @@
-"""Captures put together: one after the other, or by time; channels under new names.
+"""Tables put together: those of several captures, by time, with channels under new names; parts of one, by their places.
 
 1. All tables that come out share one `Channels`; equal names are one channel, whichever file they are from.
 2. Frames of one capture keep their order, also by time: a frame that is earlier than one before it comes right behind that.
@@ -7,11 +7,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..frame_table import Channels, FrameTable, Ints
+from ..frame_table import Channels, FrameTable, Ints, widened
 
 
 class Relabel:
@@ -42,43 +42,8 @@ class Relabel:
         return FrameTable(table.time, channel, table.id, table.flags, table.length, table.data, self.channels)
 
 
-class _Buffer:
-    """The tables of one capture, of which some frames were taken."""
-
-    def __init__(self, tables: Iterator[FrameTable], relabel: Relabel) -> None:
-        self._tables, self._relabel = tables, relabel
-        self._table: FrameTable | None = None
-        self._key: Ints = np.empty(0, np.int64)
-        self._place = 0
-        self._latest = -(1 << 63)
-        self.fill()
-
-    def fill(self) -> bool:
-        """Whether there are frames; takes the next table when this one is used up."""
-        while self._table is None or self._place == len(self._table):
-            table = next(self._tables, None)
-            if table is None:
-                self._table = None
-                return False
-            if not len(table):
-                continue
-            self._table, self._place = self._relabel(table), 0
-            # Never going back: an earlier frame comes right behind the one before, as does one without a time.
-            self._key = np.maximum(np.maximum.accumulate(table.time), self._latest)
-            self._latest = int(self._key[-1])
-        return True
-
-    @property
-    def last(self) -> int:
-        return self._latest
-
-    def until(self, bound: int, inclusive: bool) -> tuple[FrameTable, Ints]:
-        """The frames up to an instant, with it or without, and what to sort them by."""
-        assert self._table is not None
-        end = int(np.searchsorted(self._key, bound, "right" if inclusive else "left"))
-        rows = slice(self._place, end)
-        self._place = max(end, self._place)
-        return self._table.take(rows), self._key[rows]
+#: Rows, and what to sort them by, which never goes down.
+KeyedTable = tuple[Ints, FrameTable]
 
 
 def merge_by_time(
@@ -93,14 +58,79 @@ def merge_by_time(
     [1, 2, 1, 2]
     """
     shared = relabel or Relabel({})
-    buffers = [_Buffer(iter(tables), shared) for tables in captures]
-    while buffers := [buffer for buffer in buffers if buffer.fill()]:
-        # The capture whose table ends first may have more of that instant to come, which are before those of the captures
-        # behind it.
-        bound = min(buffer.last for buffer in buffers)
-        ending = next(place for place, buffer in enumerate(buffers) if buffer.last == bound)
-        parts = [buffer.until(bound, place <= ending) for place, buffer in enumerate(buffers)]
-        table = FrameTable.concat([part for part, _ in parts])
-        if len(parts) > 1:
-            table = table.take(np.argsort(np.concatenate([key for _, key in parts]), kind="stable"))
+    return merge_by_key([_keyed(tables, shared) for tables in captures])
+
+
+def _keyed(tables: Iterable[FrameTable], relabel: Relabel) -> Iterator[KeyedTable]:
+    """The tables by time, which never goes back: an earlier frame comes right behind the one before, as does one without."""
+    latest = -(1 << 63)
+    for table in tables:
+        if len(table):
+            key = np.maximum(np.maximum.accumulate(table.time), latest)
+            latest = int(key[-1])
+            yield key, relabel(table)
+
+
+def merge_by_key(sources: Iterable[Iterator[KeyedTable]]) -> Iterator[FrameTable]:
+    """The tables of several sources as those of one, in the order of their keys; of equal keys the first source's first.
+
+    None of the tables is empty, and all share their `channels`.
+    """
+    live = [(source, piece) for source in sources if (piece := next(source, None)) is not None]
+    while len(live) > 1:
+        ends = [int(key[-1]) for _, (key, _) in live]
+        edge = min(ends)
+        # Behind the piece that ends first there may be more with its key, and they come before those of the next sources.
+        first = ends.index(edge)
+        parts: list[KeyedTable] = []
+        rest: list[tuple[Iterator[KeyedTable], KeyedTable]] = []
+        for place, (source, (key, table)) in enumerate(live):
+            end = int(np.searchsorted(key, edge, "right" if place <= first else "left"))
+            if end:
+                parts.append((key[:end], table.take(slice(0, end))))
+            after = (key[end:], table.take(slice(end, None))) if end < len(key) else next(source, None)
+            if after is not None:
+                rest.append((source, after))
+        live = rest
+        order = np.argsort(np.concatenate([key for key, _ in parts]), kind="stable")
+        places = np.empty(len(order), np.int64)
+        places[order] = np.arange(len(order))
+        bounds = np.cumsum([len(key) for key, _ in parts])[:-1]
+        yield merge_in_order(len(order), np.split(places, bounds), [table for _, table in parts])
+    for source, (_, table) in live:
         yield table
+        yield from (more for _, more in source)
+
+
+def merge_in_order(total: int, places: Sequence[Ints], parts: Sequence[FrameTable]) -> FrameTable:
+    """The rows of `parts`, which stand at `places` (each going up, none twice) among `total`, as one table.
+
+    Places without a row are closed up.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    count = sum(map(len, parts))
+    if count < total:
+        taken = np.zeros(total, np.int64)
+        for here in places:
+            taken[here] = 1
+        row = np.cumsum(taken) - 1
+        places = [row[here] for here in places]
+    width = max(part.data.shape[1] for part in parts)
+
+    def column(of: Callable[[FrameTable], Ints]) -> Ints:
+        out: Ints = np.empty(count, of(parts[0]).dtype)
+        for here, part in zip(places, parts, strict=True):
+            out[here] = of(part)
+        return out
+
+    item = np.dtype("<u8" if width == 8 else (np.void, width))  # whole rows are moved faster than their bytes
+    return FrameTable(
+        column(lambda part: part.time),
+        column(lambda part: part.channel),
+        column(lambda part: part.id),
+        column(lambda part: part.flags),
+        column(lambda part: part.length),
+        column(lambda part: widened(part.data, width).view(item)[:, 0]).view(np.uint8).reshape(count, width),
+        parts[0].channels,
+    )

@@ -21,20 +21,19 @@ from .candump.reader import EXAMPLE, CandumpCapture, looks_like_candump, only_re
 from .mf4.reader import Mf4Capture, looks_like_mf4
 from .pcap.pcapng import PcapngCapture, looks_like_pcapng
 from .pcap.reader import PcapCapture, looks_like_pcap
-from .serial.dxconf import OPENING, DxconfCapture
-from .serial.raw import RawCapture
+from .serial.raw import OPENING, DxconfCapture, RawCapture
 from .serial.slog import OPENING as SERIAL_LOG
 from .serial.slog import SerialLogCapture, looks_like_serial_log
-from .source import BLOCK, ByteSource, PathSource
+from .source import BLOCK, ByteSource, PathSource, split_lines
 from .sqlite import SqliteCapture, looks_like_sqlite
-from .text.asc import AscCapture, looks_like_asc
-from .text.busmaster import BusmasterCapture, looks_like_busmaster
-from .text.canlog_csv import CanlogCsvCapture, looks_like_canlog_csv
-from .text.crtd import CrtdCapture, looks_like_crtd
-from .text.gvret import GvretCapture, looks_like_gvret
+from .text.asc import AscCapture
+from .text.busmaster import BusmasterCapture
+from .text.canlog_csv import CanlogCsvCapture
+from .text.crtd import CrtdCapture
+from .text.gvret import GvretCapture
 from .text.id_csv import IdCsvCapture, looks_like_id_csv
-from .text.microchip import MicrochipCapture, looks_like_microchip
-from .text.trc import TrcCapture, looks_like_trc
+from .text.microchip import MicrochipCapture
+from .text.trc import TrcCapture
 
 
 class RecordingFormat(NamedTuple):
@@ -65,13 +64,13 @@ FORMATS: tuple[RecordingFormat, ...] = (
     RecordingFormat(
         "dxconf", "hex dump of the vendor's serial monitor", _begins_after_blanks(OPENING), DxconfCapture
     ),
-    RecordingFormat("trc", "PEAK trace", looks_like_trc, TrcCapture),
-    RecordingFormat("asc", "Vector ASC log", looks_like_asc, AscCapture),
-    RecordingFormat("busmaster", "BUSMASTER log", looks_like_busmaster, BusmasterCapture),
-    RecordingFormat("crtd", "CRTD log", looks_like_crtd, CrtdCapture),
-    RecordingFormat("gvret", "SavvyCAN GVRET CSV", looks_like_gvret, GvretCapture),
-    RecordingFormat("csv", "python-can CSV", looks_like_canlog_csv, CanlogCsvCapture),
-    RecordingFormat("microchip", "Microchip CAN analyser log", looks_like_microchip, MicrochipCapture),
+    RecordingFormat("trc", "PEAK trace", TrcCapture.is_like, TrcCapture),
+    RecordingFormat("asc", "Vector ASC log", AscCapture.is_like, AscCapture),
+    RecordingFormat("busmaster", "BUSMASTER log", BusmasterCapture.is_like, BusmasterCapture),
+    RecordingFormat("crtd", "CRTD log", CrtdCapture.is_like, CrtdCapture),
+    RecordingFormat("gvret", "SavvyCAN GVRET CSV", GvretCapture.is_like, GvretCapture),
+    RecordingFormat("csv", "python-can CSV", CanlogCsvCapture.is_like, CanlogCsvCapture),
+    RecordingFormat("microchip", "Microchip CAN analyser log", MicrochipCapture.is_like, MicrochipCapture),
     RecordingFormat("id-csv", "CSV with named columns (time, id, data …)", looks_like_id_csv, IdCsvCapture),
     RecordingFormat("candump", "candump log", looks_like_candump, CandumpCapture),
     RecordingFormat("raw", "raw serial bytes", _by_name_only, RawCapture),
@@ -236,3 +235,32 @@ def _refusal(source: ByteSource, head: bytes, link: Link | None) -> CaptureError
         f"{source.name}: not a CAN capture: {what}; known are: {known}; a line of a candump log reads {EXAMPLE} "
         "(candump -L can0 > walk.log), and a serial capture needs a serial protocol"
     )
+
+
+# ---- one large log in parts, for several processes: in order, without gaps and of whole lines each, they are the file
+
+#: Bytes of a part that are worth another process.
+LEAST = 1 << 16
+#: First byte, and the one behind the last.
+Span = tuple[int, int]
+
+
+def split_capture(path: str, pieces: int) -> list[Span] | None:
+    """That many parts of about the same size, none smaller than `LEAST`.
+
+    None for what can only be read from its start: packed files, pipes, other formats.
+
+    Raises `CaptureError` when the file cannot be opened or is no CAN capture.
+    """
+    with open_recording(path, link="can") as capture:
+        if capture.live or not isinstance(capture, CandumpCapture):
+            return None
+    spans = split_lines(path, pieces, LEAST)
+    return spans if len(spans) > 1 else None
+
+
+def open_part(path: str, span: Span) -> CanRecording:
+    """The frames of a part; lines are counted from its start."""
+    capture = CandumpCapture(ByteSource(path, span=span))
+    capture.is_known = True  # by the file's start: a part may well begin with what nobody can read
+    return capture

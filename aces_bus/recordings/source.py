@@ -3,19 +3,23 @@
 1. A live source (pipe, terminal, socket, device) hands over what is there; it never waits to fill a block.
 2. A line is never longer than `MAX_LINE` for those who ask for lines: memory stays bounded whatever arrives.
 3. Whatever the system refuses is a `CaptureError` that names the source.
-4. What is packed (gzip, zstandard; told by content) is unpacked here, and nobody behind this knows.
+4. What is packed (gzip, zstandard; told by content) is unpacked here, and nothing behind this knows.
+5. `on_disk` uses a plain file where it is; what comes from a pipe, from memory or unpacked goes into a temporary file,
+   which is bounded, and gone when reading ends.
 """
 
 from __future__ import annotations
 
 import contextlib
 import difflib
+import io
 import os
 import re
 import select
 import stat
 import sys
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Generator, Iterator
 from typing import Any, BinaryIO
 
 from ..errors import CallerError, CaptureError
@@ -229,6 +233,57 @@ class ByteSource:
         self._ended = True
         if self._owned:
             self._file.close()
+
+
+# ---- as a file on disk, for formats that are read from here and there and not from front to back
+
+#: A hostile archive may unpack to any size.
+LIMIT = 16 << 30
+
+
+@contextlib.contextmanager
+def on_disk(source: ByteSource) -> Generator[tuple[str, str]]:
+    """The path of the capture, and that of a folder for temporary files, which is empty or holds just the capture.
+
+    Raises `CaptureError` when the source is longer than `LIMIT` or cannot be written to disk.
+    """
+    with tempfile.TemporaryDirectory(prefix="aces-", ignore_cleanup_errors=True) as folder:
+        path = _path_of(source)
+        if path is None:
+            path = os.path.join(folder, "capture")
+            size = 0
+            try:
+                with open(path, "wb") as file:
+                    for block in source.blocks():
+                        size += len(block)
+                        if size > LIMIT:
+                            raise CaptureError(
+                                f"{source.name}: more than {LIMIT >> 30} GiB that would have to be kept on disk while"
+                                " they are read; unpack it to a file and name that"
+                            )
+                        file.write(block)
+            except OSError as error:
+                raise CaptureError(
+                    f"{source.name}: cannot be kept in {folder} while it is read: {error.strerror or error};"
+                    " set TMPDIR to a folder with more room, or name a plain file"
+                ) from error
+        yield path, folder
+
+
+def _path_of(source: ByteSource) -> str | None:
+    """Where the very bytes of the source are, if that is a plain file."""
+    name = getattr(source._file, "name", None)
+    if source.live or not isinstance(source._file, io.FileIO) or not isinstance(name, str):
+        return None
+    try:
+        with open(name, "rb") as file:
+            head = source.head()
+            return os.path.abspath(name) if file.read(len(head)) == head else None
+    except OSError:
+        return None
+
+
+# ---- in parts
 
 
 def split_lines(path: PathSource, pieces: int, at_least: int = 1 << 20) -> list[tuple[int, int]]:

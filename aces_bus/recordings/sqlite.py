@@ -24,12 +24,10 @@ from urllib.parse import quote
 import numpy as np
 
 from ..errors import CallerError, CaptureError
-from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable
+from ..frame_table import ERROR, EXTENDED, FD, REMOTE, FrameTable, ns_of
 from ..frames import FD_LENGTHS, Frame
 from .base import REMOTE_AND_ERROR, CanRecording
-from .source import ByteSource
-from .spool import on_disk
-from .text.seconds import ns_of
+from .source import on_disk
 
 MAGIC = b"SQLite format 3\x00"
 COLUMNS = ("ts", "arbitration_id", "extended", "remote", "error", "dlc", "data")
@@ -56,6 +54,62 @@ def looks_like_sqlite(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
+class UntrustedDatabase:
+    """An SQLite file that is read; raises `sqlite3.Error`. Between two batches SQLite takes at most `most_steps` steps.
+
+    `protect` takes the pragmas that keep SQLite from running what is in the file. Texts come as `text_factory` makes them.
+    """
+
+    def __init__(self, path: str, most_steps: int, value_bytes: int, text_factory: Any = str) -> None:
+        # A journal means that a writer was interrupted, or is writing: then SQLite must look at it, if it may. Without one
+        # the file need not be locked, and its folder may be read-only.
+        is_quiet = not any(os.path.exists(path + end) for end in ("-wal", "-journal"))
+        where = f"file:{quote(os.path.abspath(path))}?mode=ro{'&immutable=1' if is_quiet else ''}"
+        self._steps, self._most_steps = 0, most_steps
+        self.database = sqlite3.connect(where, uri=True, isolation_level=None, check_same_thread=False)
+        self.database.text_factory = text_factory
+        for limit, value in (
+            (sqlite3.SQLITE_LIMIT_LENGTH, value_bytes),
+            (sqlite3.SQLITE_LIMIT_ATTACHED, 0),
+            (sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH, 1),
+            (sqlite3.SQLITE_LIMIT_WORKER_THREADS, 0),
+        ):
+            self.database.setlimit(limit, value)
+        self.database.set_progress_handler(self._is_stuck, _STEPS_A_CALL)
+
+    def protect(self, *pragmas: str) -> None:
+        """Set pragmas."""
+        for pragma in pragmas:
+            self.database.execute(f"PRAGMA {pragma}")
+
+    def _is_stuck(self) -> bool:
+        self._steps += _STEPS_A_CALL
+        return self._steps > self._most_steps
+
+    def rows(self, query: str, most: int) -> list[_Row]:
+        """The first rows of a query, at most so many."""
+        self._steps = 0
+        return self.database.execute(query).fetchmany(most)
+
+    def batches(self, query: str, size: int) -> Iterator[list[_Row]]:
+        """All rows of a query, so many at a time. Where SQLite fails, those before come first."""
+        self._steps = 0
+        cursor = self.database.execute(query)
+        while True:
+            rows: list[_Row] = []
+            try:
+                rows.extend(islice(cursor, size))  # keeps those before an error
+            except sqlite3.Error:
+                if rows:
+                    yield rows
+                raise
+            if rows:
+                yield rows
+            if len(rows) < size:
+                return
+            self._steps = 0
+
+
 class SqliteCapture(CanRecording):
     """Frames of python-can's SQLite logs.
 
@@ -65,89 +119,58 @@ class SqliteCapture(CanRecording):
 
     format: ClassVar[str] = "SQLite log of python-can"
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._steps = 0
-
     def _tables(self) -> Iterator[FrameTable]:
-        with (
-            on_disk(self._source) as (path, folder),
-            closing(self._connect(_whole_pages(path, folder))) as database,
-        ):
-            room = os.path.getsize(path) // _ROW_BYTES
+        with on_disk(self._source) as (path, folder):
             try:
-                cursor = self._select(database)
+                source = UntrustedDatabase(_whole_pages(path, folder), _STEPS, _VALUE_BYTES, bytearray)
             except sqlite3.Error as error:
-                raise CaptureError(
-                    f"{self.name}: an SQLite file that cannot be read: {error}; `sqlite3 FILE .recover` may help"
-                ) from error
-            kept = _Columns()
-            while True:
-                rows: list[_Row] = []
-                broken: sqlite3.Error | None = None
-                try:
-                    self._steps = 0
-                    rows.extend(islice(cursor, _BATCH))  # keeps those before an error
-                except sqlite3.Error as error:
-                    broken = error
-                is_last = len(rows) < _BATCH
+                raise CaptureError(f"{self.name}: an SQLite file that cannot be opened: {error}") from error
+            with closing(source.database):
+                yield from self._rows(source, os.path.getsize(path) // _ROW_BYTES)
+        self.close()
+
+    def _rows(self, source: UntrustedDatabase, room: int) -> Iterator[FrameTable]:
+        try:
+            query = self._query(source)
+        except sqlite3.Error as error:
+            raise CaptureError(
+                f"{self.name}: an SQLite file that cannot be read: {error}; `sqlite3 FILE .recover` may help"
+            ) from error
+        kept = _Columns()
+        try:
+            for rows in source.batches(query, _BATCH):
                 is_odd = not kept.take(rows)
-                if (is_odd or is_last or len(kept) >= _ROWS) and (table := self._plain(kept)) is not None:
+                if (is_odd or len(kept) >= _ROWS) and (table := self._plain(kept)) is not None:
                     yield table
                 if is_odd and (table := self._one_by_one(rows)) is not None:
                     yield table
-                if broken is not None:
-                    self._break_off(f"the database is damaged: {broken}")
-                elif self.lines > room:
-                    self._break_off("more rows than the file has room for")
-                    is_last = True
-                if is_last:
-                    break
-        self.close()
-
-    def _break_off(self, reason: str) -> None:
-        self.lines += 1
-        self._unreadable(self.lines, f"{reason}; rows behind this one are lost", b"")
-
-    def _connect(self, path: str) -> sqlite3.Connection:
-        # A journal means that a writer was interrupted, or is writing: then SQLite must look at it, if it may.
-        is_quiet = not any(os.path.exists(path + end) for end in ("-wal", "-journal"))
-        where = f"file:{quote(path)}?mode=ro{'&immutable=1' if is_quiet else ''}"
-        try:
-            database = sqlite3.connect(where, uri=True, isolation_level=None, check_same_thread=False)
+                if self.lines + len(kept) > room:
+                    raise sqlite3.DatabaseError("more rows than the file has room for")
         except sqlite3.Error as error:
-            raise CaptureError(f"{self.name}: an SQLite file that cannot be opened: {error}") from error
-        database.text_factory = bytearray  # texts, which need not be UTF-8; a blob is bytes
-        for limit, value in (
-            (sqlite3.SQLITE_LIMIT_LENGTH, _VALUE_BYTES),
-            (sqlite3.SQLITE_LIMIT_ATTACHED, 0),
-            (sqlite3.SQLITE_LIMIT_COLUMN, 100),
-            (sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH, 1),
-            (sqlite3.SQLITE_LIMIT_WORKER_THREADS, 0),
-        ):
-            database.setlimit(limit, value)
-        database.set_progress_handler(self._is_stuck, _STEPS_A_CALL)
-        return database
+            broken = str(error)
+        else:
+            broken = ""
+        if (table := self._plain(kept)) is not None:
+            yield table
+        if broken:
+            self.lines += 1
+            reason = broken if broken.startswith("more rows") else f"the database is damaged: {broken}"
+            self._unreadable(self.lines, f"{reason}; rows behind this one are lost", b"")
 
-    def _is_stuck(self) -> bool:
-        self._steps += _STEPS_A_CALL
-        return self._steps > _STEPS
-
-    def _select(self, database: sqlite3.Connection) -> sqlite3.Cursor:
+    def _query(self, source: UntrustedDatabase) -> str:
         # A writable schema is one that may be broken: a file that was cut is read as far as it goes. Nothing is written.
-        for pragma in (
+        source.protect(
             "writable_schema = ON",
             "trusted_schema = OFF",
             "cell_size_check = ON",
             "mmap_size = 0",
             "query_only = ON",
-        ):
-            database.execute(f"PRAGMA {pragma}")
-        found = database.execute("SELECT type, sql FROM sqlite_master WHERE name = 'messages'").fetchall()
+        )
+        found = source.rows("SELECT type, sql FROM sqlite_master WHERE name = 'messages'", 10)
         if [kind for kind, sql in found if kind == b"table" and b"VIRTUAL" not in (sql or b"").upper()[:40]]:
-            names = {bytes(row[1]) for row in database.execute("PRAGMA table_info(messages)")}
+            names = {bytes(row[1]) for row in source.rows("PRAGMA table_info(messages)", 100)}
             if names.issuperset(name.encode() for name in COLUMNS):
-                return database.execute(f"SELECT {', '.join(COLUMNS)} FROM messages ORDER BY rowid")
+                return f"SELECT {', '.join(COLUMNS)} FROM messages ORDER BY rowid"
         raise CaptureError(
             f"{self.name}: an SQLite file without python-can's table messages({', '.join(COLUMNS)}); it is no CAN log"
         )

@@ -1,7 +1,7 @@
 """Packed sources: gzip and zstandard, told by their first bytes and unpacked as they are read.
 
-1. Memory is bounded whatever the packed bytes claim: at once is unpacked what is asked for (gzip), or what one small
-   piece of input can hold (zstandard: 16 MiB of `_PIECE`), and no window is larger than `_WINDOW` (128 MiB).
+1. Memory is bounded whatever the packed bytes claim: at once is unpacked what one small piece of input can hold (some
+   16 MiB of `_PIECES`), and no window is larger than `_WINDOW` (128 MiB).
 2. What could be read is given first; then damage is one `CaptureError` that says after how many packed bytes it stands.
 3. A file of several members or frames is read as one, as `gzip -dc` and `zstd -dc` do. What is packed twice is refused.
 
@@ -27,7 +27,8 @@ _ZSTD_SKIPPABLE = b"\x2a\x4d\x18"  # behind 0x50 to 0x5F
 MAGIC = 4
 
 _INPUT = 1 << 16
-_PIECE = 512
+#: Packed bytes that are unpacked at once.
+_PIECES = {GZIP: 1 << 13, ZSTANDARD: 512}
 _WINDOW = 1 << 27
 
 
@@ -71,11 +72,11 @@ class Unpacker:
     def read(self, size: int) -> bytes:
         """At least one byte and at most `size`; none at the end."""
         if not self._ready:
-            self._ready = memoryview(self._more_unpacked(size))
+            self._ready = memoryview(self._more_unpacked())
         given, self._ready = bytes(self._ready[:size]), self._ready[size:]
         return given
 
-    def _more_unpacked(self, size: int) -> bytes:
+    def _more_unpacked(self) -> bytes:
         while True:
             if self._damage:
                 raise CaptureError(f"{self._name}: {self._damage}")
@@ -88,7 +89,7 @@ class Unpacker:
                 continue
             if self._member is None and not self._next_member():
                 continue
-            if out := self._unpack(size):
+            if out := self._unpack():
                 return out
 
     def _next_member(self) -> bool:
@@ -108,30 +109,16 @@ class Unpacker:
             self._damage = f"damaged {self.kind} data after {self._taken:,} bytes: something else follows"
         return False
 
-    def _unpack(self, size: int) -> bytes:
+    def _unpack(self) -> bytes:
+        piece = self._waiting[: _PIECES[self.kind]]
+        before = self._member.copy() if self.kind == GZIP else None
         try:
-            if self.kind == GZIP:
-                return self._inflate(size)
-            piece = self._waiting[:_PIECE]
             out: bytes = self._member.decompress(piece)
-            self._took(len(piece) - len(self._member.unused_data))
         except Exception as error:  # zlib.error, ZstdError: the latter's module may not be there to name it
-            self._damage = f"damaged {self.kind} data after {self._taken:,} bytes: {error}"
-            return b""
-        if self._member.eof:
-            self._member = None
-        return out
-
-    def _inflate(self, size: int) -> bytes:
-        before = self._member.copy()
-        try:
-            out: bytes = self._member.decompress(self._waiting, size)
-        except zlib.error:
-            out, place, error = up_to_damage(before, self._waiting)
-            self._damage = f"damaged gzip data after {self._taken + place:,} bytes: {error}"
+            out, place, said = (b"", 0, str(error)) if before is None else up_to_damage(before, piece)
+            self._damage = f"damaged {self.kind} data after {self._taken + place:,} bytes: {said}"
             return out
-        left = self._member.unused_data if self._member.eof else self._member.unconsumed_tail
-        self._took(len(self._waiting) - len(left))
+        self._took(len(piece) - len(self._member.unused_data))
         if self._member.eof:
             self._member = None
         return out

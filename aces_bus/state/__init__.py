@@ -7,6 +7,7 @@ a second before; `power = torque * omega` is a quantity like any other. See docs
 from __future__ import annotations
 
 from ..device.signals import UNKNOWN, Reading
+from .declaration import SampleCounts, SignalSource
 from .derived import Derived, derived
 from .design import butterworth, iir, notch
 from .errors import StateError
@@ -14,7 +15,6 @@ from .estimators import ConstantAcceleration, ConstantVelocity, Estimation, Esti
 from .filters import Filter, LowPass, Median, MovingAverage, RateLimit, Sos
 from .kalman import Kalman
 from .quantity import TimeSeries
-from .source import SampleCounts, SignalSource
 from .spectrum import Spectrum
 from .state import State
 from .window import SampleWindow

@@ -1,11 +1,15 @@
-"""What a state's declaration may say; what cannot be is said when the state is made, with its name."""
+"""What a state is made with: its declaration, whose faults are found when it is made, and what feeds it."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
 
-from .errors import StateError
+import msgspec
+
+from ..runtime import Clock
+from .errors import StateError, raise_first
 
 #: Samples kept when nobody says otherwise: five seconds at 200 Hz.
 HISTORY = 1_000
@@ -20,11 +24,15 @@ ORDERS = {"hold": 0, "linear": 1, "cubic": 3}
 
 def checked_name(name: Any, unit: Any) -> str:
     """The name, if it is one, and the unit is a text."""
-    if not isinstance(name, str) or not name:
-        raise StateError(f"a state needs a name, not {name!r}")
-    if not (unit is None or isinstance(unit, str)):
-        raise StateError(f'state {name!r}: a unit is a text like "rad/s", "" or None, not {unit!r}')
-    return name
+    raise_first(
+        StateError,
+        (not isinstance(name, str) or not name, f"a state needs a name, not {name!r}"),
+        (
+            not (unit is None or isinstance(unit, str)),
+            f'state {name!r}: a unit is a text like "rad/s", "" or None, not {unit!r}',
+        ),
+    )
+    return str(name)
 
 
 def checked_seconds(name: str, what: str, seconds: float | None) -> float | None:
@@ -60,3 +68,40 @@ def checked_order(name: str, interpolation: Interpolation | None, *, is_real: bo
             f"and orders 0 … {MOST_ORDER}"
         )
     return order
+
+
+class SignalSource(Protocol):
+    """What feeds a state: a device's `Signal`, or whatever looks like one."""
+
+    name: str
+    unit: str
+    clock: Clock
+    stale_after_ns: int | None
+    listeners: list[Callable[[Any, int], None]]
+    last: Any
+    instant: int | None
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether it takes set-points."""
+        ...
+
+    def set(self, value: Any) -> None:
+        """Take a set-point."""
+        ...
+
+
+class SampleCounts(msgspec.Struct):
+    """What became of samples: kept + repeated + late is all that was pushed; `unknown` are among those kept or repeated.
+
+    The others are a running quantity's: samples that a filter refused as uneven, restarts after gaps, and times that a
+    filter of the user's own raised.
+    """
+
+    kept: int = 0
+    repeated: int = 0
+    late: int = 0
+    unknown: int = 0
+    uneven: int = 0
+    restarts: int = 0
+    failed: int = 0

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import numbers
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from ..device.signals import UNKNOWN
@@ -24,6 +24,12 @@ from .quantity import Listener, TimeSeries
 
 _INFINITY = math.inf
 _NEVER = -(1 << 63)
+
+
+def _oldest(instants: Iterable[int | None]) -> int | None:
+    """The earliest of instants; None where one is not known."""
+    found = list(instants)
+    return None if None in found else min(found)  # type: ignore[type-var]
 
 
 class Derived(TimeSeries):
@@ -88,26 +94,12 @@ class Derived(TimeSeries):
     @property
     def instant(self) -> int | None:
         """The oldest of the inputs' newest instants (ns)."""
-        oldest: int | None = None
-        for one in self._sources:
-            instant = one.instant
-            if instant is None:
-                return None
-            if oldest is None or instant < oldest:
-                oldest = instant
-        return oldest
+        return _oldest(one.instant for one in self._sources)
 
     @property
     def origin(self) -> int | None:
         """What `[0]` stands for when the past is counted from it: the oldest of the inputs' origins."""
-        oldest: int | None = None
-        for one in self._sources:
-            instant = one.origin
-            if instant is None:
-                return None
-            if oldest is None or instant < oldest:
-                oldest = instant
-        return oldest
+        return _oldest(one.origin for one in self._sources)
 
     @property
     def is_stale(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a state cannot answer."""
+"""What a state cannot answer, and checks of what is given."""
 
 from __future__ import annotations
 
@@ -7,3 +7,16 @@ from ..errors import CallerError
 
 class StateError(CallerError):
     """A state was asked for what it cannot know or do: says which state, what was asked, what there is, what next."""
+
+
+def raise_first(error: type[CallerError], *faults: tuple[bool, str]) -> None:
+    """Raise `error` with the text of the first fault that is there, of pairs (whether it is there, text).
+
+    >>> raise_first(StateError, (False, "no"), (True, "a rate is above 0"))
+    Traceback (most recent call last):
+      ...
+    aces_bus.state.errors.StateError: a rate is above 0
+    """
+    for is_there, text in faults:
+        if is_there:
+            raise error(text)

@@ -14,11 +14,11 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, insort
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from .errors import StateError
+from .errors import StateError, raise_first
 
 Step = Callable[[float, int], float]
 Initial = Literal["steady", "zero"]
@@ -71,14 +71,19 @@ class MovingAverage(AnyRate):
     def start_filter(self, first: float) -> Step:
         """A running filter, whose first value will be `first`."""
         lengths = self.lengths if isinstance(self.lengths, tuple) else (self.lengths,)
-        stages = [_average(length, first if self.initial == "steady" else 0.0) for length in lengths]
+        level = first if self.initial == "steady" else 0.0
+        return _cascade([_average(length, level) for length in lengths])
 
-        def step(value: float, _instant: int) -> float:
-            for stage in stages:
-                value = stage(value)
-            return value
 
-        return step
+def _cascade(stages: Sequence[Callable[[float], float]]) -> Step:
+    """A running filter that gives each stage's output to the next."""
+
+    def step(value: float, _instant: int) -> float:
+        for stage in stages:
+            value = stage(value)
+        return value
+
+    return step
 
 
 def _average(length: int, filled: float) -> Callable[[float], float]:
@@ -204,12 +209,15 @@ class Sos:
 
     def __post_init__(self) -> None:
         rows = tuple(tuple(float(one) for one in row) for row in self.sections)
-        if not rows or any(len(row) != 6 or row[3] == 0 or not all(map(math.isfinite, row)) for row in rows):
-            raise StateError(
-                "Sos: sections are rows of six finite numbers b0, b1, b2, a0, a1, a2, a0 not zero"
-            )
-        if not 0 < self.rate_hz < math.inf:
-            raise StateError(f"Sos: rate_hz = {self.rate_hz!r} is not a rate")
+        raise_first(
+            StateError,
+            (
+                not rows
+                or any(len(row) != 6 or row[3] == 0 or not all(map(math.isfinite, row)) for row in rows),
+                "Sos: sections are rows of six finite numbers b0, b1, b2, a0, a1, a2, a0 not zero",
+            ),
+            (not 0 < self.rate_hz < math.inf, f"Sos: rate_hz = {self.rate_hz!r} is not a rate"),
+        )
         object.__setattr__(self, "sections", rows)
 
     def start_filter(self, first: float) -> Step:
@@ -219,13 +227,7 @@ class Sos:
         for b0, b1, b2, a0, a1, a2 in self.sections:
             stage, level = _section(b0 / a0, b1 / a0, b2 / a0, a1 / a0, a2 / a0, level)
             stages.append(stage)
-
-        def step(value: float, _instant: int) -> float:
-            for stage in stages:
-                value = stage(value)
-            return value
-
-        return step
+        return _cascade(stages)
 
 
 def _section(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..device.signals import UNKNOWN
-from .errors import StateError
+from .errors import StateError, raise_first
 from .estimators import Estimation
 from .filters import AnyRate
 from .units import multiplied
@@ -43,12 +43,21 @@ class Kalman(AnyRate):
     derivative: int = 0
 
     def __post_init__(self) -> None:
-        if not (0 < self.measurement_std < math.inf and 0 <= self.process_density < math.inf):
-            raise StateError(f"{self}: measurement_std must be > 0 and process_density ≥ 0, both finite")
-        if self.model not in ("velocity", "acceleration"):
-            raise StateError(f"{self}: the models are 'velocity' and 'acceleration'")
-        if self.derivative not in ((0, 1) if self.model == "velocity" else (0, 1, 2)):
-            raise StateError(f"{self}: the {self.model} model does not have that derivative")
+        raise_first(
+            StateError,
+            (
+                not (0 < self.measurement_std < math.inf and 0 <= self.process_density < math.inf),
+                f"{self}: measurement_std must be > 0 and process_density ≥ 0, both finite",
+            ),
+            (
+                self.model not in ("velocity", "acceleration"),
+                f"{self}: the models are 'velocity' and 'acceleration'",
+            ),
+            (
+                self.derivative not in ((0, 1) if self.model == "velocity" else (0, 1, 2)),
+                f"{self}: the {self.model} model does not have that derivative",
+            ),
+        )
 
     def track(self) -> Track:
         """What runs."""
@@ -98,7 +107,22 @@ class Track:
         self._seen = 0
 
     def observe(self, value: float, instant: int) -> None:
-        """A sample, newer than all before."""
+        """Take a sample, newer than all before. The first two start the filter; one that runs away begins anew."""
+        if self._seen == 2:
+            state = self._updated(value, instant)
+            if -math.inf < state[1] < math.inf:
+                self.state = state
+                return
+            self._seen = 0
+        self._seen += 1
+        self.state = self._begun(value, instant, (instant - self.state[0]) * 1e-9 if self._seen == 2 else 0.0)
+
+    def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
+        """The state behind the first sample (dt = 0), or behind the second."""
+        raise NotImplementedError
+
+    def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
+        """The state behind one more sample."""
         raise NotImplementedError
 
     def at(self, instant: int) -> tuple[Any, Any, Any]:
@@ -113,17 +137,14 @@ class Track:
 class VelocityTrack(Track):
     """Nearly constant velocity; behind value and velocity stand the covariances xx, xv, vv."""
 
-    def observe(self, value: float, instant: int) -> None:
-        """A sample, newer than all before."""
+    def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
         r = self.variance
-        if self._seen < 2:
-            self._seen += 1
-            if self._seen == 1:
-                self.state = (instant, value, 0.0, 0.0, r, 0.0, 0.0)
-            else:
-                dt = (instant - self.state[0]) * 1e-9
-                self.state = (instant, value, (value - self.state[1]) / dt, 0.0, r, r / dt, 2 * r / (dt * dt))
-            return
+        if not dt:
+            return (instant, value, 0.0, 0.0, r, 0.0, 0.0)
+        return (instant, value, (value - self.state[1]) / dt, 0.0, r, r / dt, 2 * r / (dt * dt))
+
+    def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
+        r = self.variance
         since, x, v, _, xx, xv, vv = self.state
         dt = (instant - since) * 1e-9
         x += dt * v
@@ -134,40 +155,24 @@ class VelocityTrack(Track):
         scale = 1 / (xx + r)
         k, l = xx * scale, xv * scale  # noqa: E741 - gains of value and velocity
         error = value - x
-        if not -math.inf < x + k * error < math.inf:  # it has run away, as no float holds this
-            self._seen, self.state = 0, ()
-            return self.observe(value, instant)
-        self.state = (instant, x + k * error, v + l * error, 0.0, r * k, r * l, vv - l * xv)
+        return (instant, x + k * error, v + l * error, 0.0, r * k, r * l, vv - l * xv)
 
 
 class AccelerationTrack(Track):
     """Nearly constant acceleration; behind the three stand the covariances xx, xv, xa, vv, va, aa."""
 
-    def observe(self, value: float, instant: int) -> None:
-        """A sample, newer than all before."""
+    def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
         r = self.variance
-        if self._seen < 2:
-            self._seen += 1
-            if self._seen == 1:
-                self.state = (instant, value, 0.0, 0.0, r, 0.0, 0.0, 0.0, 0.0, 0.0)
-            else:
-                dt = (instant - self.state[0]) * 1e-9
-                # The acceleration is open: as uncertain as ten times what three samples would leave of it.
-                v = (value - self.state[1]) / dt
-                aa = 600 * r / dt**4 + (10 * v / dt) * (10 * v / dt)
-                self.state = (
-                    instant,
-                    value,
-                    v,
-                    0.0,
-                    r,
-                    r / dt,
-                    0.0,
-                    2 * r / dt**2 + aa * dt**2 / 4,
-                    aa * dt / 2,
-                    aa,
-                )
-            return
+        if not dt:
+            return (instant, value, 0.0, 0.0, r, 0.0, 0.0, 0.0, 0.0, 0.0)
+        # The acceleration is open: as uncertain as ten times what three samples would leave of it.
+        v = (value - self.state[1]) / dt
+        aa = 600 * r / dt**4 + (10 * v / dt) * (10 * v / dt)
+        vv = 2 * r / dt**2 + aa * dt**2 / 4
+        return (instant, value, v, 0.0, r, r / dt, 0.0, vv, aa * dt / 2, aa)
+
+    def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
+        r = self.variance
         since, x, v, a, xx, xv, xa, vv, va, aa = self.state
         dt = (instant - since) * 1e-9
         half = 0.5 * dt
@@ -186,10 +191,7 @@ class AccelerationTrack(Track):
         scale = 1 / (xx + r)
         k, l, m = xx * scale, xv * scale, xa * scale  # noqa: E741 - gains of value, velocity, acceleration
         error = value - x
-        if not -math.inf < x + k * error < math.inf:  # it has run away, as no float holds this
-            self._seen, self.state = 0, ()
-            return self.observe(value, instant)
-        self.state = (
+        return (
             instant, x + k * error, v + l * error, a + m * error,
             r * k, r * l, r * m, vv - l * xv, va - l * xa, aa - m * xa,
         )  # fmt: skip

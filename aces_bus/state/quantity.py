@@ -178,15 +178,23 @@ class TimeSeries(ABC):
 
     # ---- quantities made from it ----------------------------------------------------------------------------------
 
-    def _make(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        made = self._made.get(key)
+    def _make(self, kind: str, *arguments: Any) -> Any:
+        """The integral, filter or derivative of these arguments: the same object when asked the same again."""
+        made = self._made.get((kind, *arguments))
         if made is None:
             if len(self._made) >= MOST_MADE:
                 raise StateError(
                     f"state {self.name!r} has {MOST_MADE} integrals, filters and derivatives already; "
                     "are their parameters changed each cycle? Make them once"
                 )
-            made = self._made[key] = make()
+            from . import rate, running
+
+            kinds: dict[str, Any] = {
+                "rate": rate.Rate,
+                "integral": running.Integral,
+                "filtered": running.Filtered,
+            }
+            made = self._made[kind, *arguments] = kinds[kind](self, *arguments)
         return made
 
     def rate(self, order: int = 1) -> Rate:
@@ -195,12 +203,7 @@ class TimeSeries(ABC):
         Real time stamps count. Order 1 is the slope of the last two samples, with an error up to half a sampling
         period times the second derivative; higher orders are exact for polynomials of that order and louder with noise.
         """
-        made: Any = self._made.get(("rate", order))
-        if made is not None:
-            return made  # type: ignore[no-any-return]
-        from .rate import Rate
-
-        return self._make(("rate", order), lambda: Rate(self, order))  # type: ignore[no-any-return]
+        return self._make("rate", order)  # type: ignore[no-any-return]
 
     def integral(self, start: float = 0.0, *, max_gap_s: float | None = None) -> Integral:
         """The integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at
@@ -209,13 +212,7 @@ class TimeSeries(ABC):
         Unknown samples are bridged; known ones further apart than `max_gap_s` (default: what makes the state stale, or any
         distance) are not: that time adds nothing and is counted in `.skipped_s`. `.reset()` begins again.
         """
-        key = ("integral", start, max_gap_s)
-        made: Any = self._made.get(key)
-        if made is not None:
-            return made  # type: ignore[no-any-return]
-        from .running import Integral
-
-        return self._make(key, lambda: Integral(self, start, max_gap_s=max_gap_s))  # type: ignore[no-any-return]
+        return self._make("integral", start, max_gap_s)  # type: ignore[no-any-return]
 
     def filtered(self, kind: Filter, *, uneven: Uneven = "resample") -> Filtered:
         """The quantity behind a filter (see `aces_bus.state.filters` and `design`), with a history of its own.
@@ -225,13 +222,7 @@ class TimeSeries(ABC):
         not even to 10 % of the period and starts the filter anew, "accept" takes each sample as one. Filters without
         a rate take samples as they come.
         """
-        key = ("filtered", kind, uneven)
-        made: Any = self._made.get(key)
-        if made is not None:
-            return made  # type: ignore[no-any-return]
-        from .running import Filtered
-
-        return self._make(key, lambda: Filtered(self, kind, uneven=uneven))  # type: ignore[no-any-return]
+        return self._make("filtered", kind, uneven)  # type: ignore[no-any-return]
 
     def window(
         self, t0: float | None = None, t1: float = 0.0, *, rate_hz: float | None = None

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..device.signals import UNKNOWN
 from . import units
+from .derived import Derived
 from .errors import StateError
 from .polynomial import slope_at
 from .quantity import EDGE_NS, Listener, TimeSeries
@@ -19,16 +20,15 @@ from .state import State
 MOST_ORDER = 4
 
 
-class Rate(TimeSeries):
+class Rate(Derived):
     """The derivative over time, per second."""
 
     def __init__(self, source: TimeSeries, order: int = 1) -> None:
         if order not in range(1, MOST_ORDER + 1):
             raise StateError(f"state {source.name!r}: derivatives of order 1 … {MOST_ORDER}, not {order!r}")
-        super().__init__(f"d({source.name})/dt", units.multiplied(source.unit, "s", -1), source.clock)
+        super().__init__(f"d({source.name})/dt", float, (source,), units.multiplied(source.unit, "s", -1))
         self.source, self.order = source, order
         self._newest = source.newest_slope if order == 1 and isinstance(source, State) else None
-        self.history, self.stale_after_s = source.history, source.stale_after_s
 
     @property
     def value(self) -> Any:
@@ -72,37 +72,9 @@ class Rate(TimeSeries):
         return slope if -math.inf < slope < math.inf else UNKNOWN
 
     @property
-    def span(self) -> tuple[int, int] | None:
-        """The source's."""
-        return self.source.span
-
-    @property
-    def instant(self) -> int | None:
-        """The source's."""
+    def origin(self) -> int | None:
+        """The newest sample's instant, also of a source with an estimator."""
         return self.source.instant
-
-    @property
-    def is_stale(self) -> bool:
-        """Whether the source is."""
-        return self.source.is_stale
-
-    @property
-    def epoch(self) -> int:
-        """The source's."""
-        return self.source.epoch
-
-    @property
-    def forgotten(self) -> int | None:
-        """The source's."""
-        return self.source.forgotten
-
-    def samples_up_to(self, instant: int, most: int) -> list[int]:
-        """The source's."""
-        return self.source.samples_up_to(instant, most)
-
-    def samples_between(self, start: int, end: int) -> list[int]:
-        """The source's."""
-        return self.source.samples_between(start, end)
 
     def subscribe(self, listener: Listener) -> None:
         """Call `listener(slope, instant)` with each sample of the source."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..device.signals import UNKNOWN
 from . import units
 from .declaration import checked_seconds
-from .errors import StateError
+from .errors import StateError, raise_first
 from .quantity import TimeSeries
 from .state import State
 
@@ -77,13 +77,22 @@ class Running(State):
         self.source.subscribe(self._take)
 
     def _take(self, value: Any, instant: int) -> None:
-        raise NotImplementedError
+        if instant <= self._taken_at and self._is_old():
+            return
+        self._taken_at = instant
+        if value is UNKNOWN:
+            self.push(UNKNOWN, instant)
+        else:
+            self._each(value, instant)
+
+    #: Take a sample whose value is known.
+    _each: Callable[[float, int], None]
 
 
 class Integral(Running):
     """The integral over time; see `TimeSeries.integral`."""
 
-    def __init__(self, source: TimeSeries, start: float = 0.0, *, max_gap_s: float | None = None) -> None:
+    def __init__(self, source: TimeSeries, start: float = 0.0, max_gap_s: float | None = None) -> None:
         super().__init__(source, f"integral({source.name})", units.multiplied(source.unit, "s"))
         gap = checked_seconds(
             self.name, "max_gap_s", source.stale_after_s if max_gap_s is None else max_gap_s
@@ -106,13 +115,7 @@ class Integral(Running):
             self.clear()
             self.push(self._area, self._before[1])
 
-    def _take(self, value: Any, instant: int) -> None:
-        if instant <= self._taken_at and self._is_old():
-            return
-        self._taken_at = instant
-        if value is UNKNOWN:
-            self.push(UNKNOWN, instant)
-            return
+    def _each(self, value: float, instant: int) -> None:
         before = self._before
         self._before = value, instant
         if before is not None:
@@ -132,16 +135,19 @@ class Filtered(Running):
     """A quantity behind a filter; see `TimeSeries.filtered`."""
 
     def __init__(
-        self, source: TimeSeries, kind: Filter | Callable[[float], float], *, uneven: Uneven = "resample"
+        self, source: TimeSeries, kind: Filter | Callable[[float], float], uneven: Uneven = "resample"
     ) -> None:
-        if uneven not in ("resample", "refuse", "accept"):
-            raise StateError(
-                f"state {source.name!r}: uneven={uneven!r}; there are 'resample', 'refuse', 'accept'"
-            )
-        if isinstance(kind, type) or not (callable(kind) or hasattr(kind, "start_filter")):
-            raise StateError(
-                f"state {source.name!r}: {kind!r} is not a filter; give one like LowPass(0.1), or a function of a value"
-            )
+        raise_first(
+            StateError,
+            (
+                uneven not in ("resample", "refuse", "accept"),
+                f"state {source.name!r}: uneven={uneven!r}; there are 'resample', 'refuse', 'accept'",
+            ),
+            (
+                isinstance(kind, type) or not (callable(kind) or hasattr(kind, "start_filter")),
+                f"state {source.name!r}: {kind!r} is not a filter; give one like LowPass(0.1), or a function of a value",
+            ),
+        )
         label = getattr(kind, "__name__", None) or type(kind).__name__
         rate = getattr(kind, "rate_hz", None)
         unit_of = getattr(kind, "unit_of", None)
@@ -173,15 +179,6 @@ class Filtered(Running):
         else:
             self._each = self._accepted
         self._begin_taking(past=True)
-
-    def _take(self, value: Any, instant: int) -> None:
-        if instant <= self._taken_at and self._is_old():
-            return
-        self._taken_at = instant
-        if value is UNKNOWN:
-            self.push(UNKNOWN, instant)
-        else:
-            self._each(value, instant)
 
     def _begin_again(self) -> None:
         self._step = None

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .errors import StateError
+from .errors import StateError, raise_first
 from .quantity import TimeSeries
 
 if TYPE_CHECKING:
@@ -50,10 +50,11 @@ def spectrum_of(quantity: TimeSeries, window_s: float, taper: str, rate_hz: floa
     import numpy as np
 
     who = f"state {quantity.name!r}"
-    if taper not in TAPERS:
-        raise StateError(f"{who}: no taper named {taper!r} (there are: {', '.join(TAPERS)})")
-    if not window_s > 0:
-        raise StateError(f"{who}: a window of {window_s!r} s")
+    raise_first(
+        StateError,
+        (taper not in TAPERS, f"{who}: no taper named {taper!r} (there are: {', '.join(TAPERS)})"),
+        (not window_s > 0, f"{who}: a window of {window_s!r} s"),
+    )
     found = quantity.window(-window_s, 0.0)
     if len(found.instants) < FEWEST:
         raise StateError(
@@ -61,15 +62,18 @@ def spectrum_of(quantity: TimeSeries, window_s: float, taper: str, rate_hz: floa
         )
     spacing = np.diff(found.instants)
     period = float(np.median(spacing))
-    if found.times_s[0] + window_s > 2e-9 * period:
-        raise StateError(
-            f"{who}: a spectrum of {window_s:g} s is asked for, the history reaches back to {found.times_s[0]:.6g} s"
-        )
     unknown = int(np.isnan(found.values).sum())
-    if unknown:
-        raise StateError(
-            f"{who}: {unknown} of {len(found.values)} samples in the last {window_s:g} s are unknown"
-        )
+    raise_first(
+        StateError,
+        (
+            found.times_s[0] + window_s > 2e-9 * period,
+            f"{who}: a spectrum of {window_s:g} s is asked for, the history reaches back to {found.times_s[0]:.6g} s",
+        ),
+        (
+            unknown > 0,
+            f"{who}: {unknown} of {len(found.values)} samples in the last {window_s:g} s are unknown",
+        ),
+    )
     is_even = bool(np.abs(spacing - period).max() <= EVEN * period)
     values: Any = found.values
     is_resampled = rate_hz is not None or not is_even

@@ -23,12 +23,19 @@ from typing import Any
 
 from ..device.signals import UNKNOWN
 from ..runtime import Clock, RealClock
-from .declaration import Interpolation, checked_history, checked_name, checked_order, checked_seconds
+from .declaration import (
+    Interpolation,
+    SampleCounts,
+    SignalSource,
+    checked_history,
+    checked_name,
+    checked_order,
+    checked_seconds,
+)
 from .errors import StateError
 from .estimators import Estimate, Estimator, Observe, started
 from .polynomial import value_at
 from .quantity import EDGE_NS, Listener, TimeSeries
-from .source import SampleCounts, SignalSource
 
 #: See the theory above.
 SPARE = 64

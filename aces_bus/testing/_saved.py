@@ -93,7 +93,7 @@ def save_scene(
 
 def _write_stream(path: Path, direction: Way, scene: Scene, cuts: tuple[int, ...]) -> None:
     from ..recordings.base import Chunk
-    from ..recordings.serial.slog import SerialLogWriter
+    from ..recordings.write.serial import SerialLogWriter
 
     way: Any = direction if direction in ("to device", "from device") else None
     if way is None and scene.sent_at:

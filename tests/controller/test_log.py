@@ -26,7 +26,7 @@ from aces_bus.controller.log import (
     read_log,
     recover,
 )
-from aces_bus.controller.log.sinks import open_sink
+from aces_bus.controller.log.formats import open_sink
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock

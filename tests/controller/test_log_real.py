@@ -18,7 +18,7 @@ import pytest
 from aces_bus.controller import controller
 from aces_bus.controller.events import ControlEvent
 from aces_bus.controller.log import About, Logger, LogSink, Row, logger, read_log
-from aces_bus.controller.log.base import AppendFile
+from aces_bus.export.files import AppendFile
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of

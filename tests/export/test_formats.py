@@ -230,7 +230,7 @@ def test_csv_folders_say_the_same(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", SETS)
 def test_mcap_holds_the_records(name: str, tmp_path: Path) -> None:
     """A topic a message, records as JSON in the order of the capture; names where asked for."""
-    pytest.importorskip("foxglove")
+
     pytest.importorskip("mcap")
     variants, words, direction = words_of(name)
     path = written(tmp_path / "out.mcap", variants, words, direction=direction, names=True)

@@ -233,10 +233,9 @@ def test_common_lines_are_read_together(stamp: bytes, ending: bytes) -> None:
         for number in range(800)
     ]
     columns = candump_columns.CandumpColumns(Channels())
-    count, rows, others = columns.read(b"".join(lines))
-    assert (count, sum(len(part.places) for part in rows), others) == (800, 800, ([], b""))
-    count, rows, others = columns.read(b"".join(lines[::4]))
-    assert (count, len(rows), others) == (200, 1, ((), b""))
+    for some in (lines, lines[::4]):
+        usual, table = columns.read(b"".join(some))
+        assert (len(usual), int(usual.sum()), len(table)) == (len(some),) * 3
 
 
 def test_a_long_file_is_read_in_large_tables(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def through_asammdf(contents: Sequence[bytes]) -> Iterator[Said]:
         try:
             for path in paths:
                 with Mf4Capture(ByteSource(str(path))) as capture:
-                    yield said(capture, capture._read(process))
+                    yield said(capture, capture._read(process, str(path), folder))
         finally:
             mf4._stop(process)
 

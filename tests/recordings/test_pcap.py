@@ -154,8 +154,8 @@ def test_what_pcapng_cannot_hold_is_counted() -> None:
     content, writer = written(FrameTable.from_frames(some))
     assert [frame.timestamp for frame in read(content)[0]] == [0.0, 0.0, 1.0]
     assert writer.lossy == {
-        "times that the capture does not say, written as 0": 1,
-        "times before 1970, written as 0": 1,
+        "unknown times (written as 0)": 1,
+        "times before 1970 (written as 0)": 1,
         "channel names": 1,
     }
 

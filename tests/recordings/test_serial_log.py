@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from aces_bus.errors import CaptureError
 from aces_bus.recordings import Chunk, SerialRecording, open_recording
-from aces_bus.recordings.serial.slog import SerialLogWriter
+from aces_bus.recordings.write.serial import SerialLogWriter
 
 LOG = b"""# aces serial capture 1
 # port /dev/ttyUSB0

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.recordings import formats, open_recording, parse_filter
-from aces_bus.recordings.filter_columns import passing
+from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import merge_by_time
 from aces_tools import convert, progress
 

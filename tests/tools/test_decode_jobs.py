@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.recordings import parts
+from aces_bus.recordings import open as parts
 from aces_tools import decode_jobs
 from aces_tools.main import main
 

@@ -28,7 +28,7 @@ import numpy as np
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, to_ns
 from aces_bus.recordings import CanRecording, Chunk, SerialRecording, formats, open_recording, parse_filter
-from aces_bus.recordings.filter_columns import passing
+from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import Relabel, merge_by_time
 from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, writer_format
 

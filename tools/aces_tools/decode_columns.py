@@ -22,7 +22,7 @@ from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
 from aces_bus.recordings import CanRecording, SerialRecording
-from aces_bus.recordings.filter_columns import passing
+from aces_bus.recordings.filters import passing
 
 from .console import Patience, say
 from .decoding import CaptureReading, Decoding, Direction, Requests, Totals, utf8

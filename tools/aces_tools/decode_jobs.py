@@ -34,7 +34,7 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.protocol.columns.can import CanColumns, ChannelColumns
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
-from aces_bus.recordings.parts import open_part, split_capture
+from aces_bus.recordings.open import open_part, split_capture
 
 from .console import Patience, say
 from .decode_columns import ColumnDecoding, pieces_of

@@ -21,14 +21,14 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.controller.log.base import AppendFile
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.export.files import AppendFile
 from aces_bus.frame_table import FrameTable
 from aces_bus.recordings import CanRecording, Chunk, open_recording
 from aces_bus.recordings.base import Direction, Link
-from aces_bus.recordings.serial.slog import SerialLogWriter
 from aces_bus.recordings.write import FORMATS, open_writer, writer_format
 from aces_bus.recordings.write.candump import CandumpWriter
+from aces_bus.recordings.write.serial import SerialLogWriter
 
 from .live import heard_frame
 

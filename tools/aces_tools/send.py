@@ -25,7 +25,8 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frames import Frame
 from aces_bus.protocol import Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
-from aces_bus.recordings.candump.line import UnreadableLine, read_line
+from aces_bus.recordings.candump.line import read_line
+from aces_bus.recordings.text.rows import UnreadableRow
 
 from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
 from .console import Output, abandon_stdout, say, terminal_width, wants_colour
@@ -346,7 +347,7 @@ def raw_word(text: str) -> Word:
         raise CallerError(f"{text!r} is not a raw frame as the first one is; write 123#DEADBEEF")
     try:
         frame = read_line(b"(0.0) x " + text.encode("utf-8", "replace"))
-    except UnreadableLine as error:
+    except UnreadableRow as error:
         raise CallerError(
             f"{text!r} is not a frame: {error}; write 123#DEADBEEF, 12345678#00 or 123#R8"
         ) from None

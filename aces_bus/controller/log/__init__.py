@@ -6,13 +6,10 @@ docs/logging.md.
 
 from __future__ import annotations
 
-from .base import About, LogSink, Row
+from .base import About, Log, LogError, LogSink, Row
 from .columns import ATTRIBUTES, LogColumn, parse_column
+from .formats import FORMATS, log_format, read_log, recover
 from .logger import Logger
-from .read import read_log
-from .recover import recover
-from .sinks import FORMATS, log_format
-from .table import Log, LogError
 
 __all__ = [
     "ATTRIBUTES",

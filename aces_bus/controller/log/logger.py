@@ -20,13 +20,15 @@ from typing import Any, Self
 import msgspec
 
 from ...errors import CallerError, UnknownNameError
+from ...export.files import telling
 from ...runtime import Clock, RealClock, VirtualClock
 from ...state import TimeSeries
+from ...state.errors import raise_first
 from ..base import checked_rate
 from ..events import ControlEvent, Listeners
 from .base import About, LogSink, Row
 from .columns import LogColumn, Read, attribute_reader, check_log_columns, parse_column
-from .sinks import log_format, open_sink
+from .formats import log_format, open_sink
 
 #: Rows are kept back so long at most (s).
 KEPT_S = 0.25
@@ -79,12 +81,18 @@ class Logger:
         self.name = name or f"log {os.path.basename(self.path)}"
         self.rate_hz = checked_rate(rate_hz, self.name)
         self.format = log_format(self.path, format)
-        if digits is not None and (self.format != "text" or not 1 <= digits <= 17):
-            raise CallerError(f"{self.path}: digits = {digits!r} is for text, and from 1 to 17")
-        if not 0 < queue_s <= 3600:
-            raise CallerError(f"{self.path}: queue_s = {queue_s!r} is no number of seconds up to 3600")
-        if isinstance(states, str):
-            raise CallerError(f"{self.path}: states are a list of columns, not the text {states!r}")
+        raise_first(
+            CallerError,
+            (
+                digits is not None and (self.format != "text" or not 1 <= digits <= 17),
+                f"{self.path}: digits = {digits!r} is for text, and from 1 to 17",
+            ),
+            (
+                not 0 < queue_s <= 3600,
+                f"{self.path}: queue_s = {queue_s!r} is no number of seconds up to 3600",
+            ),
+            (isinstance(states, str), f"{self.path}: states are a list of columns, not the text {states!r}"),
+        )
         self.robot, self.digits, self.replace = robot, digits, replace
         self._given: dict[str, TimeSeries] = {}
         columns: list[LogColumn] = []
@@ -157,10 +165,8 @@ class Logger:
         about = About(self.columns, self.rate_hz, self.robot, clock.name, now, wall)
         if not self.replace and os.path.exists(self.path):
             raise CallerError(f"{self.path}: there is a file already; name another, or say replace=True")
-        try:
+        with telling(self.path):
             self._sink = open_sink(self.path, self.format, about, self.digits)
-        except OSError as error:
-            raise CallerError(f"{self.path}: cannot be written: {error.strerror or error}") from error
         self._began = self._synced = now
         self._queue.clear()
         self._stopping.clear()
@@ -200,17 +206,14 @@ class Logger:
                 return
         self._write()
         sink, self._sink = self._sink, None
-        try:
-            if not self._is_direct and not self._is_failing:
-                sink.sync()
-        except OSError as error:
-            self._spoil(_why(error))
-            self._tell("log-failed", f"{self.path}: {_why(error)}; {self._total()}")
-        try:
-            sink.close()
-        except Exception as error:  # the format's library has errors of its own
-            self._spoil(f"could not be closed: {_why(error)}")
-            self._tell("log-failed", f"{self.path}: could not be closed: {_why(error)}; {self._total()}")
+        for what, act in (("", sink.sync), ("could not be closed: ", sink.close)):
+            if act == sink.sync and (self._is_direct or self._is_failing):
+                continue
+            try:
+                act()
+            except Exception as error:  # the format's library has errors of its own
+                self._spoil(f"{what}{_why(error)}")
+                self._tell("log-failed", f"{self.path}: {what}{_why(error)}; {self._total()}")
         if self.dropped:
             self._tell("log-dropped", self._total())
 
@@ -237,7 +240,7 @@ class Logger:
                 self._synced = now
                 try:
                     sink.sync()
-                except OSError as error:
+                except Exception as error:  # SQLite has errors of its own
                     self._fail(error, 0)
 
     def _write(self) -> None:

@@ -1,8 +1,9 @@
-"""Logs as Parquet, which has its index at the end: until then rows stand in a journal beside it.
+"""Logs as Parquet, which has its index at the end: until then rows are in a journal beside it.
 
 1. `walk.parquet.journal` is a stream of Arrow record batches, each of them whole; `walk.parquet` appears when the log is
-   closed, with all rows, and the journal goes.
-2. Whoever was killed leaves the journal: `read_log("walk.parquet")` reads it, `recover` makes the Parquet file of it.
+   closed, with all rows, and the journal goes. `read_log("walk.parquet")` reads the journal of a writer that was killed,
+   `recover` makes the Parquet file of it.
+2. A file that is read is not trusted: types and numbers are looked at before values are.
 
 Columns `time` (float64, seconds since the start) and the log's own, null where unknown; units in the fields' metadata, the
 rest as JSON under `aces_log` in the schema's. Needs the extra `[columns]` (pyarrow).
@@ -10,152 +11,99 @@ rest as JSON under `aces_log` in the schema's. Needs the extra `[columns]` (pyar
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
-from collections.abc import Generator, Iterator, Sequence
-from importlib import import_module
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from ...errors import CallerError
-from .base import About, AppendFile, LogSink, Row
+from ...export.parquet import ParquetJournal, journal_batches, load_parquet, opened_journal
+from .base import NOT_CLOSED, About, Floats, Log, LogError, LogSink, Row, about_columns, made_log
+from .columns import MOST_COLUMNS
 
 KEY = b"aces_log"
-#: Rows of a group: what readers take at once.
-GROUP = 131_072
-
-
-def import_pyarrow() -> Any:
-    """The library; `CallerError` naming the extra when it is missing."""
-    try:
-        import pyarrow
-
-        for part in ("ipc", "parquet"):
-            import_module(f"pyarrow.{part}")
-    except ImportError as missing:
-        raise CallerError(f"Parquet needs pyarrow: pip install 'aces-bus[columns]' ({missing})") from missing
-    return pyarrow
-
-
-def journal_of(path: str) -> str:
-    """Where a log that is not closed stands."""
-    return path + ".journal"
 
 
 class ParquetSink(LogSink):
     """`walk.parquet`."""
 
     format = "parquet"
+    suffixes = (".parquet", ".pq")
 
     def __init__(self, path: str, about: About) -> None:
-        pa = import_pyarrow()
         super().__init__(path, about)
-        if os.path.isdir(path):
-            raise IsADirectoryError(21, "is a folder", path)
-        self._schema = _schema(pa, about)
+        pa = load_parquet()
+        fields = [pa.field("time", pa.float64(), nullable=False, metadata={"unit": "s"})]
+        for column in about.columns:
+            metadata = {"unit": column.unit, "state": column.state, "attribute": column.attribute}
+            fields.append(pa.field(column.name, pa.float64(), metadata=metadata))
+        self._schema = pa.schema(fields, metadata={KEY: about.to_json().encode()})
         # The first batch of a program has the library import what it needs, for half a second: not while rows wait.
         self._batch([(0, [math.nan] * len(about.columns))])
-        self._journal = AppendFile(journal_of(path))
-        self._journal.write(self._schema.serialize().to_pybytes())
-        if os.path.exists(path):
-            os.remove(path)
+        self._file: ParquetJournal = ParquetJournal(path, self._schema)
 
     def append(self, rows: Sequence[Row]) -> None:
-        """One record batch."""
-        self._journal.write(self._batch(rows).serialize().to_pybytes())
+        """Write one record batch."""
+        self._file.append(self._batch(rows))
 
     def _batch(self, rows: Sequence[Row]) -> Any:
-        pa = import_pyarrow()
+        pa = load_parquet()
         table = np.array([values for _, values in rows], np.float64)
         table = table.reshape(len(rows), len(self.about.columns))
-        seconds = np.array([ns for ns, _ in rows], np.int64) / 1e9
-        arrays = [pa.array(seconds)]
-        for column in table.T:
-            arrays.append(pa.array(np.ascontiguousarray(column), from_pandas=True))  # NaN is null
+        arrays = [pa.array(np.array([ns for ns, _ in rows], np.int64) / 1e9)]
+        arrays += [
+            pa.array(np.ascontiguousarray(column), from_pandas=True) for column in table.T
+        ]  # NaN: null
         return pa.RecordBatch.from_arrays(arrays, schema=self._schema)
 
-    def sync(self) -> None:
-        """To the disk."""
-        self._journal.sync()
 
-    def close(self) -> None:
-        """Make the Parquet file of the journal."""
-        self._journal.close()
-        recover_parquet(self.path)
-
-
-def _schema(pa: Any, about: About) -> Any:
-    fields = [pa.field("time", pa.float64(), nullable=False, metadata={"unit": "s"})]
-    for column in about.columns:
-        metadata = {"unit": column.unit, "state": column.state, "attribute": column.attribute}
-        fields.append(pa.field(column.name, pa.float64(), metadata=metadata))
-    return pa.schema(fields, metadata={KEY: about.to_json().encode()})
-
-
-@contextlib.contextmanager
-def opened_journal(path: str) -> Generator[Any]:
-    """A reader of record batches; raises `CallerError` for what is no journal."""
-    pa = import_pyarrow()
+def read_parquet_log(path: str, most_numbers: int) -> Log:
+    """Read a Parquet file whose first column is `time`."""
+    pa = load_parquet()
     try:
-        with open(path, "rb") as file:
-            yield pa.ipc.open_stream(file)
-    except pa.ArrowException as error:
-        raise CallerError(f"{path}: no journal of a log: {error}") from None
+        with pa.parquet.ParquetFile(path) as file:
+            return _read(path, file.schema_arrow, file.iter_batches(65_536), most_numbers, [])
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise LogError(f"{path}: a Parquet file that cannot be read: {error}") from None
 
 
-def batches_of(reader: Any) -> Iterator[Any]:
-    """Its batches, up to where it was cut."""
-    pa = import_pyarrow()
-    while True:
-        try:
-            batch = reader.read_next_batch()
-        except (StopIteration, EOFError, pa.ArrowException, OSError):
-            return
-        yield batch
-
-
-def recover_parquet(path: str) -> int:
-    """Make the Parquet file `path` of its journal, which then goes; returns the number of rows.
-
-    Raises `CallerError` for what is no journal and `OSError` when the file cannot be written; the journal stays then.
-    """
-    pa = import_pyarrow()
-    journal = journal_of(path)
-    made = path + ".part"
-    rows = 0
+def read_journal(path: str, most_numbers: int) -> Log:
+    """Read the journal of a log that was not closed."""
+    pa = load_parquet()
     try:
-        with opened_journal(journal) as reader:
-            schema = reader.schema
-            with pa.parquet.ParquetWriter(
-                made,
-                schema,
-                compression="zstd",
-                use_dictionary=False,
-                column_encoding=dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT"),
-            ) as writer:
-                kept: list[Any] = []
-                waiting = 0
-                for batch in batches_of(reader):
-                    kept.append(batch)
-                    waiting += batch.num_rows
-                    if waiting >= GROUP:
-                        rows, waiting = rows + _flush(pa, writer, kept, schema), 0
-                rows += _flush(pa, writer, kept, schema)
-        os.replace(made, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.remove(made)
+        with opened_journal(path) as reader:
+            notes = [NOT_CLOSED.format(path)]
+            return _read(path, reader.schema, journal_batches(reader), most_numbers, notes)
+    except LogError:
         raise
-    os.remove(journal)
-    return rows
+    except (CallerError, pa.ArrowException, OSError, ValueError) as error:
+        raise LogError(f"{path}: {error}") from None
 
 
-def _flush(pa: Any, writer: Any, kept: list[Any], schema: Any) -> int:
-    if not kept:
-        return 0
-    table = pa.Table.from_batches(kept, schema=schema).combine_chunks()
-    kept.clear()
-    writer.write_table(table, row_group_size=GROUP)
-    return int(table.num_rows)
+def _read(path: str, schema: Any, batches: Iterable[Any], most_numbers: int, notes: list[str]) -> Log:
+    names = list(schema.names)
+    if len(names) < 2 or names[0] != "time":
+        raise LogError(f"{path}: its first column is not `time`: no log")
+    if len(names) > MOST_COLUMNS + 1:
+        raise LogError(f"{path}: more than {MOST_COLUMNS} columns")
+    types = load_parquet().types
+    for field in schema:
+        if not (types.is_floating(field.type) or types.is_integer(field.type)):
+            raise LogError(f"{path}: the column {field.name[:80]!r} is {field.type}: a log has numbers")
+    about = about_columns(path, (schema.metadata or {}).get(KEY, b""), names[1:])
+    parts = [np.empty((0, len(names)))]
+    numbers = 0
+    for batch in batches:
+        numbers += batch.num_rows * len(names)
+        if numbers > most_numbers:
+            raise LogError(f"{path}: more than {most_numbers} numbers; read it with pyarrow, in parts")
+        parts.append(_numbers(batch))
+    return made_log(path, "parquet", about, np.concatenate(parts), notes)
+
+
+def _numbers(batch: Any) -> Floats:
+    """(rows, columns) of a batch, NaN for null. Arrow's own reader takes lengths on trust; `validate` does not."""
+    batch.validate(full=True)
+    columns = [np.asarray(column.to_numpy(zero_copy_only=False), np.float64) for column in batch.columns]
+    return np.stack(columns, axis=1)

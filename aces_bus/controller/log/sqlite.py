@@ -1,8 +1,9 @@
 """Logs as SQLite: a table `log`, and what it is about in `columns` and `about`.
 
 1. Rows go in by transactions, into the write-ahead log: a process that is killed loses none that was committed, and whoever
-   opens the database next finds them.
-2. When the log is closed there is one file, without a write-ahead log beside it.
+   opens the database next finds them. When the log is closed there is one file.
+2. A database that is read is not trusted: nothing in it is run (no view, no trigger, no trusted schema), and values, rows
+   and work without a row are bounded. The write-ahead log of a writer that was killed, or that still writes, is read too.
 
 `log(time REAL, "RHY" REAL, "RHY(rate)" REAL, …)`: seconds since the start, and NULL for unknown. `columns(place, name,
 state, attribute, unit)`, `about(key, value)`: robot, rate_hz, clock, start_ns, wall_ns (ns since 1970), and all of it as
@@ -11,91 +12,95 @@ JSON.
 
 from __future__ import annotations
 
-import os
 import sqlite3
+from array import array
 from collections.abc import Sequence
+from contextlib import closing
 
-from .base import About, LogSink, Row
+import numpy as np
 
+from ...export.sqlite import JournaledDatabase, sql_name
+from ...recordings.sqlite import UntrustedDatabase
+from .base import About, Log, LogError, LogSink, Row, about_columns, made_log
+from .columns import MOST_COLUMNS
 
-def sql_name(name: str) -> str:
-    """A name in SQL."""
-    return '"' + name.replace('"', '""') + '"'
+_ROWS = 1024
+#: Steps of SQLite's machine for a batch: a row of 2,000 columns takes some 4,000.
+_STEPS = 50_000_000
+_VALUE_BYTES = 1 << 22
 
 
 class SqliteSink(LogSink):
     """`walk.db`."""
 
     format = "sqlite"
+    suffixes = (".db", ".sqlite", ".sqlite3")
 
     def __init__(self, path: str, about: About) -> None:
         super().__init__(path, about)
-        for end in ("", "-wal", "-shm", "-journal"):
-            if os.path.isfile(path + end):
-                os.remove(path + end)
-        try:
-            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-            self._database.execute("PRAGMA journal_mode = WAL")
-            # In WAL mode a commit then waits for no disk; `sync` asks for that.
-            self._database.execute("PRAGMA synchronous = NORMAL")
-            self._create(about)
-        except sqlite3.Error as error:
-            raise OSError(f"SQLite: {error}") from error
-        marks = ", ".join("?" * (1 + len(about.columns)))
-        self._insert = f"INSERT INTO log VALUES ({marks})"
-
-    def _create(self, about: About) -> None:
-        run = self._database.execute
-        run("BEGIN")
+        self._file: JournaledDatabase = JournaledDatabase(path)
         columns = "".join(f", {sql_name(name)} REAL" for name in about.names)
-        run(f"CREATE TABLE log (time REAL NOT NULL{columns})")
-        run(
-            "CREATE TABLE columns (place INTEGER PRIMARY KEY, name TEXT, state TEXT, attribute TEXT, unit TEXT)"
-        )
-        run("CREATE TABLE about (key TEXT PRIMARY KEY, value)")
-        self._database.executemany(
-            "INSERT INTO columns VALUES (?, ?, ?, ?, ?)",
-            [(i, c.name, c.state, c.attribute, c.unit) for i, c in enumerate(about.columns, 1)],
-        )
-        told = {
-            "robot": about.robot,
-            "rate_hz": about.rate_hz,
-            "clock": about.clock,
-            "start_ns": about.start_ns,
-            "wall_ns": about.wall_ns,
-            "json": about.to_json(),
-        }
-        self._database.executemany("INSERT INTO about VALUES (?, ?)", told.items())
-        run("COMMIT")
+        place = "place INTEGER PRIMARY KEY, name TEXT, state TEXT, attribute TEXT, unit TEXT"
+        known = {name: getattr(about, name) for name in ("robot", "rate_hz", "clock", "start_ns", "wall_ns")}
+        with self._file.transaction() as database:
+            database.execute(f"CREATE TABLE log (time REAL NOT NULL{columns})")
+            database.execute(f"CREATE TABLE columns ({place})")
+            database.execute("CREATE TABLE about (key TEXT PRIMARY KEY, value)")
+            database.executemany(
+                "INSERT INTO columns VALUES (?, ?, ?, ?, ?)",
+                [(i, c.name, c.state, c.attribute, c.unit) for i, c in enumerate(about.columns, 1)],
+            )
+            database.executemany(
+                "INSERT INTO about VALUES (?, ?)", [*known.items(), ("json", about.to_json())]
+            )
+        self._insert = f"INSERT INTO log VALUES ({', '.join('?' * (1 + len(about.columns)))})"
 
     def append(self, rows: Sequence[Row]) -> None:
-        """One transaction."""
-        run = self._database.execute
-        try:
-            run("BEGIN IMMEDIATE")
+        """Write one transaction."""
+        with self._file.transaction() as database:
             # SQLite keeps NaN as NULL, which is what unknown is.
-            self._database.executemany(self._insert, [(ns / 1e9, *values) for ns, values in rows])
-            run("COMMIT")
-        except sqlite3.Error as error:
-            if self._database.in_transaction:
-                try:
-                    run("ROLLBACK")
-                except sqlite3.Error:
-                    pass  # SQLite has rolled back by itself
-            raise OSError(f"SQLite: {error}") from error
+            database.executemany(self._insert, [(ns / 1e9, *values) for ns, values in rows])
 
-    def sync(self) -> None:
-        """To the disk, as far as readers allow."""
-        try:
-            self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
-        except sqlite3.Error as error:
-            raise OSError(f"SQLite: {error}") from error
 
-    def close(self) -> None:
-        """Back to one file."""
-        try:
-            self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
-        except sqlite3.Error as error:
-            raise OSError(f"SQLite: {error}") from error
-        finally:
-            self._database.close()
+def read_sqlite_log(path: str, most_numbers: int) -> Log:
+    """Read the table `log` of a database."""
+    try:
+        source = UntrustedDatabase(path, _STEPS, _VALUE_BYTES)
+        with closing(source.database):
+            source.protect("trusted_schema = OFF", "query_only = ON")
+            return _read(source, path, most_numbers)
+    except sqlite3.Error as error:
+        raise LogError(f"{path}: an SQLite file that cannot be read: {error}") from None
+
+
+def _read(source: UntrustedDatabase, path: str, most_numbers: int) -> Log:
+    # A virtual table has no pages of its own.
+    tables = source.rows(
+        "SELECT name FROM sqlite_schema WHERE type = 'table' AND rootpage > 0 AND name IN ('log', 'about')",
+        10,
+    )
+    if ("log",) not in tables:
+        raise LogError(f"{path}: an SQLite file without a table `log`: no log")
+    # `hidden` is not 0 for columns that are computed, which no logger makes.
+    found = source.rows("PRAGMA table_xinfo(log)", MOST_COLUMNS + 2)
+    if any(row[6] for row in found) or not found or found[0][1] != "time" or len(found) < 2:
+        raise LogError(f"{path}: its table `log` does not begin with `time`, or computes: no log")
+    if len(found) > MOST_COLUMNS + 1:
+        raise LogError(f"{path}: more than {MOST_COLUMNS} columns")
+    query = "SELECT value FROM about WHERE key = 'json' AND typeof(value) = 'text'"
+    said = source.rows(query, 1) if ("about",) in tables else []
+    names = [str(row[1]) for row in found]
+    about = about_columns(path, said[0][0] if said else "", names[1:])
+    numbers = array("d")
+    row = 0
+    for rows in source.batches(f"SELECT {', '.join(map(sql_name, names))} FROM log ORDER BY rowid", _ROWS):
+        for values in rows:
+            row += 1
+            try:
+                numbers.extend([np.nan if value is None else value for value in values])
+            except (TypeError, OverflowError):
+                raise LogError(f"{path}: row {row} of the table `log` holds what is no number") from None
+        if len(numbers) > most_numbers:
+            raise LogError(f"{path}: more than {most_numbers} numbers; read it with SQLite, in parts")
+    table = np.array(numbers, np.float64).reshape(-1, len(names))
+    return made_log(path, "sqlite", about, table, [])

@@ -1,21 +1,36 @@
-"""Logs as text: the original's, and CSV.
+"""Logs as text: the original's of every age, and CSV.
 
 1. A number is the shortest text that reads back as the same float; seconds are exact to the nanosecond.
 2. Neither format has a place for units, robot or date; that is what the others are for.
+3. A file that is read is not trusted: lines, columns and numbers are bounded, and what is wrong is an error with file:line.
+4. The last line may be cut, as by a writer that was killed: it is left out then, and noted. Nothing else is skipped but
+   blank lines.
 
 *Facts* (acesHubo, logger.*): the first line is `0 ` and then `Name(attribute) ` for each column; every other line is the
 seconds since the start and the values, each followed by a blank. The original wrote six significant digits, which
-`digits=6` gives. *Choice*: unknown is `nan` there, and an empty cell in CSV.
+`digits=6` gives. Old logs have bare names; lines may end in blanks, and in CR LF. *Choice*: unknown is `nan` there, and an
+empty cell in CSV.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import re
+from array import array
 from collections.abc import Callable, Sequence
 
-from ...plain_text import cell_text
-from .base import About, AppendFile, LogSink, Row, seconds_text
+import numpy as np
+
+from ...export.files import AppendFile
+from ...plain_text import cell_text, text_of_cell
+from ..number_text import NumberText
+from .base import About, Log, LogError, LogSink, Row, made_log, named_columns, seconds_text
+from .columns import MOST_COLUMNS, LogColumn
+
+#: 2,000 names, at their longest; a row of as many numbers is a tenth of it.
+LONGEST_LINE = 1 << 19
+NUMBER = re.compile(rb"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)", re.IGNORECASE)
 
 
 def shortest(value: float) -> str:
@@ -32,57 +47,101 @@ class TextSink(LogSink):
     """`walk.txt`, as the original writes it."""
 
     format = "text"
+    suffixes = (".txt",)
 
     def __init__(self, path: str, about: About, digits: int | None = None) -> None:
         super().__init__(path, about)
         self._number: Callable[[float], str] = shortest if digits is None else f"%.{digits}g".__mod__
-        self._digits = digits
+        self._seconds = seconds_text if digits is None else lambda ns: self._number(ns / 1e9)
         self._file = AppendFile(path)
-        names = [column.original for column in about.columns]
-        self._file.write(("0 " + "".join(f"{name} " for name in names) + "\n").encode())
+        self._file.write(self._head().encode())
+
+    def _head(self) -> str:
+        return "0 " + "".join(f"{column.original} " for column in self.about.columns) + "\n"
+
+    def _line(self, ns: int, values: list[float]) -> str:
+        return f"{self._seconds(ns)} {' '.join(map(self._number, values))} \n"
 
     def append(self, rows: Sequence[Row]) -> None:
-        """A line each."""
-        number, exact = self._number, self._digits is None
-        lines = [
-            f"{seconds_text(ns) if exact else number(ns / 1e9)} {' '.join(map(number, values))} \n"
-            for ns, values in rows
-        ]
-        self._file.write("".join(lines).encode())
-
-    def sync(self) -> None:
-        """To the disk."""
-        self._file.sync()
-
-    def close(self) -> None:
-        """Close."""
-        self._file.close()
+        """Write a line for each row."""
+        self._file.write("".join([self._line(ns, values) for ns, values in rows]).encode())
 
 
-class CsvSink(LogSink):
+class CsvSink(TextSink):
     """`walk.csv`: a line of names (`time` in seconds, then the columns), a line each row."""
 
     format = "csv"
+    suffixes = (".csv",)
 
-    def __init__(self, path: str, about: About) -> None:
-        super().__init__(path, about)
-        self._file = AppendFile(path)
+    def _head(self) -> str:
         head = io.StringIO()
-        csv.writer(head, lineterminator="\n").writerow(["time", *map(cell_text, about.names)])
-        self._file.write(head.getvalue().encode())
+        csv.writer(head, lineterminator="\n").writerow(["time", *map(cell_text, self.about.names)])
+        return head.getvalue()
 
-    def append(self, rows: Sequence[Row]) -> None:
-        """A line each."""
-        cells = [
-            ",".join([seconds_text(ns), *["" if v != v else shortest(v) for v in values]]) + "\n"
-            for ns, values in rows
-        ]
-        self._file.write("".join(cells).encode())
+    def _line(self, ns: int, values: list[float]) -> str:
+        return ",".join([seconds_text(ns), *["" if v != v else shortest(v) for v in values]]) + "\n"
 
-    def sync(self) -> None:
-        """To the disk."""
-        self._file.sync()
 
-    def close(self) -> None:
-        """Close."""
-        self._file.close()
+def _names(text: NumberText, number: int, line: bytes, is_csv: bool) -> list[str]:
+    """The names in the first line, the time's left out."""
+    try:
+        names = line.decode("utf-8").split()
+        if is_csv:
+            names = [text_of_cell(cell) for cell in next(csv.reader([line.decode()], strict=True))]
+    except UnicodeDecodeError:
+        raise text.fault(number, "not a text: is this a log?") from None
+    except csv.Error as error:
+        raise text.fault(number, f"no line of names: {error}") from None
+    first, *names = names
+    wanted = "'time'" if is_csv else "'0'"
+    text.check(
+        number,
+        (
+            first.strip() not in ("0", "time", "time_s"),
+            f"a log's line of names begins with {wanted}, not {first[:24]!r}",
+        ),
+        (not names, "no column beside the time"),
+        (len(names) > MOST_COLUMNS, f"more than {MOST_COLUMNS} columns"),
+        (
+            not is_csv and all(NUMBER.fullmatch(name.encode()) for name in names),
+            "numbers where a log has its names",
+        ),
+    )
+    return names
+
+
+def read_text_log(path: str, most_numbers: int) -> Log:
+    """Read the original's text, or CSV, which its first line says."""
+    text = NumberText(path, LogError, "log", NUMBER, b"0123456789+-.eEnNaAiIfF", LONGEST_LINE)
+    numbers = array("d")
+    notes: list[str] = []
+    width, is_csv = 0, False
+    columns: tuple[LogColumn, ...] = ()
+    with open(path, "rb") as stream:
+        for number, line, is_ended in text.lines(stream):
+            if not width:
+                is_csv = line.startswith((b"time,", b'"time",', b"time_s,", b"0,"))
+                columns = named_columns(f"{path}:{number}", _names(text, number, line, is_csv))
+                width = 1 + len(columns)
+                continue
+            try:
+                cells = [cell.strip() or b"nan" for cell in line.split(b",")] if is_csv else line.split()
+                if len(cells) != width:
+                    raise text.fault(number, f"{len(cells)} numbers where the line of names has {width}")
+                values = text.values(number, cells)
+                if values[0] != values[0]:
+                    raise text.fault(number, "no time")
+            except LogError:
+                if is_ended:
+                    raise
+                notes.append(f"{path}:{number}: the last line is cut, and left out")
+                break
+            numbers.extend(values)
+            if not is_ended:
+                notes.append(f"{path}:{number}: the last line has no end; its last number may be cut")
+            if len(numbers) > most_numbers:
+                raise text.fault(number, f"more than {most_numbers} numbers")
+    if not width:
+        raise LogError(f"{path}: empty")
+    table = np.array(numbers, np.float64).reshape(-1, width)
+    return made_log(path, "csv" if is_csv else "text", About(columns), table, notes)

@@ -34,9 +34,8 @@ import numpy as np
 
 from ...errors import CaptureError
 from ...frame_table import FrameTable, Ints
-from ..base import CanRecording
-from ..heap import keep_freed_memory
-from ..in_order import merge_in_order
+from ..base import CanRecording, keep_freed_memory
+from ..merge import merge_in_order
 from ..source import ByteSource
 from ..unpack import up_to_damage
 from .objects import LOG_CONTAINER, DecodedObjects, decode_objects, is_can

@@ -1,8 +1,7 @@
 """Common lines of a candump log as columns: `(1436509052.249713) can0 044#2A366C2BBA R`, many at once.
 
-1. What is given here is what the line pattern of `candump` and `line.py` give, to the last digit. Every other line
-   is handed back as it stands.
-2. Nothing is believed: every byte of a line is checked against its layout, or the line is handed back.
+1. What is given here is what `line.py` gives, to the last digit. Every other line is left to it.
+2. Nothing is believed: every byte of a line is checked against its layout, or the line is left.
 3. Memory is that of one block, whatever it holds.
 
 A layout says where things stand in a line: digits of the seconds and of their fraction, length of the name, 3 or 8
@@ -24,16 +23,16 @@ from __future__ import annotations
 
 import re
 from binascii import unhexlify
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, Channels, FrameTable, Ints
 from ...frames import FD_LENGTHS
-from ..heap import keep_freed_memory
+from ..base import keep_freed_memory
+from ..merge import merge_in_order
 from .line import NAME
 
 #: Fewer lines of one layout cost more here than line by line.
@@ -85,18 +84,8 @@ _FD_FLAGS = np.array(
 _FD_LENGTH = np.isin(np.arange(65), FD_LENGTHS)
 
 
-class ParsedLines(NamedTuple):
-    """Frames and the places (from 0) of their lines in the block, going up."""
-
-    places: Ints
-    table: FrameTable
-
-
-class UnparsedLines(NamedTuple):
-    """Lines that were not read here: their places and their text."""
-
-    places: Sequence[int]
-    text: bytes
+#: Which lines of a block were read, and their frames in order.
+ReadLines = tuple[Ints, FrameTable]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,20 +142,17 @@ class CandumpColumns:
         self._layouts: list[_Layout] = []
         self._gaps: dict[bytes, int | None] = {}
 
-    def read(self, block: bytes) -> tuple[int, list[ParsedLines], UnparsedLines]:
-        """Number of lines, the frames of common ones, and the others. A block ends with LF."""
+    def read(self, block: bytes) -> ReadLines:
+        """Which lines are common, and their frames in a table. A block ends with LF."""
         size = len(block)
         if len(self._buffer) < size + _SLACK:
             self._buffer = np.zeros(size + size // 8 + _SLACK, np.uint8)
         buffer = self._buffer
         buffer[:size] = np.frombuffer(block, np.uint8)
         buffer[size : size + _SLACK] = 0
-        rows = self._even(block, buffer)
-        if rows is not None:
-            return len(rows.places), [rows], UnparsedLines((), b"")
-        return self._mixed(block, buffer)
+        return self._even(block, buffer) or self._mixed(block, buffer)
 
-    def _even(self, block: bytes, buffer: Ints) -> ParsedLines | None:
+    def _even(self, block: bytes, buffer: Ints) -> ReadLines | None:
         """All lines, when they are equally long, of one layout and common; None when they are not."""
         step = block.find(b"\n") + 1
         lines, rest = divmod(len(block), step)
@@ -178,20 +164,21 @@ class CandumpColumns:
         ends = np.arange(step - 1, len(block), step)
         sizes, ways = _tails(buffer, ends, np.full(lines, min(step - 1, 0xFFFF), np.uint16))
         table, good = self._table(layout, _Window(buffer, step, lines), sizes, ways)
-        return ParsedLines(np.arange(lines), table) if good is None else None
+        return (np.ones(lines, bool), table) if good is None else None
 
-    def _mixed(self, block: bytes, buffer: Ints) -> tuple[int, list[ParsedLines], UnparsedLines]:
+    def _mixed(self, block: bytes, buffer: Ints) -> ReadLines:
         ends = np.flatnonzero(buffer[: len(block)] == _LF)
         lines = len(ends)
+        usual = np.zeros(lines, bool)
         if lines * _SHORTEST > len(block):
-            return lines, [], UnparsedLines(range(lines), block)
+            return usual, FrameTable.empty(self._channels)
         starts = np.empty_like(ends)
         starts[0] = 0
         np.add(ends[:-1], 1, out=starts[1:])
         sizes, ways = _tails(buffer, ends, np.minimum(ends - starts, 0xFFFF).astype(np.uint16))
 
         left = np.arange(lines)
-        found: list[ParsedLines] = []
+        found: list[tuple[Ints, FrameTable]] = []
         used: dict[_Layout, int] = {}
 
         def attempt(layout: _Layout) -> None:
@@ -212,7 +199,8 @@ class CandumpColumns:
                 alike, places = alike[good], places[good]
                 table = table.take(good)
             if len(places):
-                found.append(ParsedLines(places, table))
+                found.append((places, table))
+                usual[places] = True
                 used[layout] = len(places)
                 remain = np.ones(len(left), bool)
                 remain[alike] = False
@@ -231,13 +219,9 @@ class CandumpColumns:
                 attempt(layout_or_none)
         kept = {**dict.fromkeys(self._layouts, 0), **used}
         self._layouts = sorted(kept, key=lambda one: -kept[one])[:_LAYOUTS]
-        if len(left) == lines:
-            return lines, [], UnparsedLines(range(lines), block)
-        rest: list[int] = left.tolist()
-        text = b"".join(
-            [block[a : b + 1] for a, b in zip(starts[left].tolist(), ends[left].tolist(), strict=True)]
-        )
-        return lines, found, UnparsedLines(rest, text)
+        if not found:
+            return usual, FrameTable.empty(self._channels)
+        return usual, merge_in_order(lines, [places for places, _ in found], [table for _, table in found])
 
     def _table(
         self, layout: _Layout, window: _Window, sizes: Ints, ways: Ints

@@ -10,7 +10,7 @@
 
      (1436509052.249713)  can0  RX - -  123   [2]  41 42   'AB'      screen: -t a|d|z|A, -x, -a, -c, -e, -i, -S, -8
 
-1. A line gives a frame that can exist, or `UnreadableLine` with the reason; nothing else is raised.
+1. A line gives a frame that can exist, or `UnreadableRow` with the reason; nothing else is raised.
 2. The bytes that `[n]` announces are there, no more and no fewer; the log states no length, and a whole number of bytes is
    all that can be asked of it.
 3. Numbers stay as written: a delta or zero-based time stamp is not made absolute.
@@ -31,6 +31,7 @@ from ...errors import CallerError
 from ...frame_table import NO_TIME, to_ns
 from ...frames import Frame
 from ..base import REMOTE_AND_ERROR, printable_start
+from ..text.rows import UnreadableRow
 
 _ERROR_FLAG = 0x2000_0000
 #: A name of a channel, at most 64 bytes.
@@ -55,10 +56,6 @@ _DATE = re.compile(rb"([0-9]{4}-[0-9]{2}-[0-9]{2} [0-9]{2}:[0-9]{2}:[0-9]{2})(\.
 RECEIVED: dict[bytes, bool] = {b" R": True, b" T": False, b"R": True, b"r": True, b"T": False, b"t": False}
 
 
-class UnreadableLine(Exception):
-    """The reason, in words."""
-
-
 class ChannelNames(dict[bytes, str]):
     """Bytes → name of a channel; bounded, and one string a name."""
 
@@ -70,7 +67,7 @@ class ChannelNames(dict[bytes, str]):
 
 
 def read_line(text: bytes, names: ChannelNames | None = None) -> Frame:
-    """The frame of one stripped line; raises `UnreadableLine`."""
+    """The frame of one stripped line; raises `UnreadableRow`."""
     names = ChannelNames() if names is None else names
     if b"\x1b" in text:
         text = COLOUR.sub(b"", text).strip()
@@ -80,9 +77,9 @@ def read_line(text: bytes, names: ChannelNames | None = None) -> Frame:
             return _log_frame(found, names)
         if found := _SCREEN.fullmatch(text):
             return _screen_frame(found, names)
-    except (UnreadableLine, CallerError) as error:  # CallerError: a frame that cannot exist
+    except (UnreadableRow, CallerError) as error:  # CallerError: a frame that cannot exist
         reason = str(error)
-    raise UnreadableLine("CAN XL is not supported" if _XL.match(text) else reason)
+    raise UnreadableRow("CAN XL is not supported" if _XL.match(text) else reason)
 
 
 def _log_frame(found: re.Match[bytes], names: ChannelNames) -> Frame:
@@ -96,19 +93,19 @@ def _log_frame(found: re.Match[bytes], names: ChannelNames) -> Frame:
         try:
             flags = int(body[1:2], 16)
         except ValueError:
-            raise UnreadableLine("no flags digit after ##") from None
+            raise UnreadableRow("no flags digit after ##") from None
         data = _hex(body[2:])
     elif body[:1] in (b"R", b"r"):
         remote = True
         if error:
-            raise UnreadableLine(REMOTE_AND_ERROR)
+            raise UnreadableRow(REMOTE_AND_ERROR)
         if not (asked := _REMOTE.fullmatch(body)):
-            raise UnreadableLine("after R stands a length of 0 to 8")
+            raise UnreadableRow("after R stands a length of 0 to 8")
         size = int(asked[1] or b"0")
     elif coded := _RAW_LENGTH.fullmatch(body):
         data = _hex(coded[1])
         if len(data) != 8:
-            raise UnreadableLine(f"raw length code with {len(data)} data bytes; only 8 may have one")
+            raise UnreadableRow(f"raw length code with {len(data)} data bytes; only 8 may have one")
     else:
         data = _hex(body)
     return Frame(
@@ -137,7 +134,7 @@ def _screen_frame(found: re.Match[bytes], names: ChannelNames) -> Frame:
     identifier, extended, error = _identifier(digits)
     remote = rest.strip() == b"remote request"
     if remote and error:
-        raise UnreadableLine(REMOTE_AND_ERROR)
+        raise UnreadableRow(REMOTE_AND_ERROR)
     return Frame(
         identifier,
         b"" if remote else _cells(rest, size),
@@ -160,11 +157,11 @@ def _identifier(digits: bytes) -> tuple[int, bool, bool]:
     try:
         number = int(text, 16)
     except ValueError:
-        raise UnreadableLine(f"identifier {text} is not hexadecimal") from None
+        raise UnreadableRow(f"identifier {text} is not hexadecimal") from None
     if len(text) == 3:
         return number, False, False  # its range is the frame's to check
     if len(text) != 8:
-        raise UnreadableLine(f"identifier {text} has {len(text)} digits, not 3 or 8")
+        raise UnreadableRow(f"identifier {text} has {len(text)} digits, not 3 or 8")
     if number & ~0x1FFF_FFFF == _ERROR_FLAG:
         return number & 0x1FFF_FFFF, False, True
     return number, True, False
@@ -177,10 +174,10 @@ def _hex(text: bytes) -> bytes:
         except ValueError:
             pass
     if wrong := re.search(rb"[^0-9A-Fa-f.]", text):
-        raise UnreadableLine(f"{printable_start(wrong[0])!r} in the data is not hexadecimal")
+        raise UnreadableRow(f"{printable_start(wrong[0])!r} in the data is not hexadecimal")
     if b"." in text:
-        raise UnreadableLine("a dot splits a byte")
-    raise UnreadableLine("odd number of hexadecimal digits")
+        raise UnreadableRow("a dot splits a byte")
+    raise UnreadableRow("odd number of hexadecimal digits")
 
 
 def _cells(rest: bytes, size: int) -> bytes:
@@ -197,7 +194,7 @@ def _cells(rest: bytes, size: int) -> bytes:
         return data
     if len(tail) == size + 2 and tail[:1] == tail[-1:] and tail[:1] in b"'`":
         return data
-    raise UnreadableLine(f"more than its [{size}] bytes, or a remark that candump does not write")
+    raise UnreadableRow(f"more than its [{size}] bytes, or a remark that candump does not write")
 
 
 def _odd_cells(rest: bytes, size: int) -> tuple[bytes, int]:
@@ -207,7 +204,7 @@ def _odd_cells(rest: bytes, size: int) -> tuple[bytes, int]:
     while len(values) < size:
         cell = _CELL.match(rest, place)
         if cell is None:
-            raise UnreadableLine(f"[{size}] bytes are announced, {len(values)} are there")
+            raise UnreadableRow(f"[{size}] bytes are announced, {len(values)} are there")
         values.append(int(cell[1], 2 if len(cell[1]) == 8 else 16))
         swapped = swapped or cell[2] == b"`"
         place = cell.end()
@@ -223,14 +220,14 @@ def _seconds(stamp: bytes) -> float:
         return float(stamp)
     found = _DATE.fullmatch(stamp)
     if found is None:
-        raise UnreadableLine(f"time stamp {printable_start(stamp)!r} is neither seconds nor a date")
+        raise UnreadableRow(f"time stamp {printable_start(stamp)!r} is neither seconds nor a date")
     global _last_date
     date, fraction = found[1], (found[2] or b"").decode()
     if date != _last_date[0]:
         try:
             _last_date = date, str(int(time.mktime(time.strptime(date.decode(), "%Y-%m-%d %H:%M:%S"))))
         except (ValueError, OverflowError):
-            raise UnreadableLine(f"time stamp {printable_start(stamp)!r} is not a date") from None
+            raise UnreadableRow(f"time stamp {printable_start(stamp)!r} is not a date") from None
     return float(_last_date[1] + fraction)  # read as one number, so that no digit is lost in a sum
 
 

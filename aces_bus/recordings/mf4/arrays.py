@@ -19,9 +19,10 @@ from typing import Any, BinaryIO, NamedTuple
 
 from ...frame_table import FrameTable, Ints
 from ..base import CanRecording
+from ..merge import KeyedTable, merge_by_key
 from .blocks import PROGRAM
 from .data import Bytes, Sorted, Variable, numbers_of, record_arrays
-from .frames import FramePiece, group_kind, merge_by_key, no_log, other_words
+from .frames import group_kind, no_log, other_words
 from .group import GroupReader, Lose, frames_of
 from .tree import (
     BUS_EVENT,
@@ -36,7 +37,6 @@ from .tree import (
     MdfTree,
     Segment,
     UnusualFile,
-    tree_of,
 )
 
 _ROWS = 1 << 15
@@ -59,15 +59,15 @@ class FrameGroup(NamedTuple):
 
 
 class BusLog:
-    """An ordinary bus log, of which nothing but the tree was read.
+    """A bus log, of which nothing but the tree was read.
 
-    `file` is that of the capture, of `size` bytes. Raises `UnusualFile` and `Damaged` when it is not ordinary or not one.
+    `file` has the records, as `tree` says; the capture has `size` bytes. Raises `UnusualFile` and `Damaged` when it is not
+    ordinary or not one.
     """
 
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file, self._size = file, size
-        tree = self._tree = tree_of(file, size)
-        self._is_ours = tree.program == PROGRAM
+    def __init__(self, file: BinaryIO, size: int, tree: MdfTree) -> None:
+        self._file, self._size, self._tree = file, size, tree
+        self._is_ours = tree.program.rstrip(b"\0 ") == PROGRAM
         if tree.start_ns >= 1 << 63:
             raise Damaged("it begins at no instant")
         self._frames: list[FrameGroup | None] = []  # of each group in the file
@@ -132,14 +132,13 @@ class BusLog:
         """
         with tempfile.SpooledTemporaryFile(_SMALL, dir=folder) as spool:
             store: Any = spool
-            sources: list[Iterator[FramePiece]] = []
+            sources: list[Iterator[KeyedTable]] = []
             index = 0
             for stream in self._tree.streams:
                 frames = self._frames[index : index + len(stream.groups)]
                 index += len(stream.groups)
                 sources += self._sources(stream, frames, store, capture, lose)
-            for piece in merge_by_key(sources):
-                yield FrameTable(*piece[1:], capture.channels)
+            yield from merge_by_key(sources)
         if self._tree.joined_at:
             capture.lines += 1
             lose(capture.lines, JOINED.format(self._tree.joined_at), 1)
@@ -151,7 +150,7 @@ class BusLog:
         store: BinaryIO,
         capture: CanRecording,
         lose: Lose,
-    ) -> Iterator[Iterator[FramePiece]]:
+    ) -> Iterator[Iterator[KeyedTable]]:
         """The frames of each group of a stream."""
         is_open = bool(self._tree.unfinished & COUNTS)
         there: dict[int, int] = {}
@@ -203,7 +202,7 @@ class BusLog:
 
     def _reader(self, frames: FrameGroup, capture: CanRecording) -> GroupReader:
         return GroupReader(
-            frames.kind, frames.group, self._tree.start_ns, capture.channels.number, is_ours=self._is_ours
+            frames.kind, frames.group, self._tree.start_ns, capture.channels, is_ours=self._is_ours
         )
 
     def _batches(self, frames: FrameGroup, source: Bytes, front: int, there: int) -> Iterator[Ints]:

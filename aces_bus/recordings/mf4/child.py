@@ -1,15 +1,14 @@
-"""Reads an MF4 file with asammdf in a process of its own, and sends the frames to `reader.py` as tables.
+"""Lays an unusual MF4 file out plainly with asammdf, in a process of its own, for `arrays.py` to read.
 
 1. Only this process imports asammdf, and it runs nothing else. What a hostile file may cost is this process: its memory, the
    files it writes and, through the one who waits, its time.
-2. Everything it says goes through one pipe as messages: a letter, a length, the bytes. Nothing is sent as a pickle.
-3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, stand.
-4. asammdf finds the groups and their records; what these mean is said by `group.py` alone, which refuses by name what
-   it does not read. No conversion of asammdf's is used: it evaluates formulas, and gives numbers for what it cannot.
-
-Frames of all groups come in the order of their times (of their own numbers, where `write/mf4.py` wrote them), and within a
-group always as they stand there. No group is ever read whole: each gives pieces, and what is earlier than the end of
-every piece at hand goes out.
+2. asammdf finds the groups and their records, and these are copied, as bytes, one group after the other into a file. What
+   they mean is said elsewhere: no conversion of asammdf's is used, as it evaluates formulas, and gives numbers for what it
+   cannot.
+3. A group that breaks off has its fault beside the records that were there; the other groups go on.
+4. The answer is a line of JSON for each file: where the records are and what the file says of them, or what is wrong.
+5. Blocks that hang together as a tree are needed first: asammdf never comes back from blocks that are linked in circles, and
+   a list that names one packed block a million times is a bomb.
 """
 
 from __future__ import annotations
@@ -19,162 +18,179 @@ import os
 import shutil
 import struct
 import sys
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
-import numpy as np
-
-from ...frame_table import Ints
-from ..base import PROBLEMS_KEPT
-from .blocks import PROGRAM
 from .conversions import ChannelConversion
-from .frames import FramePiece, group_kind, merge_by_key, no_log, other_words
-from .group import GroupReader, Store, frames_of
-from .links import is_tree
-from .tree import BUS_EVENT, JOINED, VARIABLE_GROUP, Blocks, ChannelGroup, MdfChannel, start_of
+from .frames import group_kind
+from .tree import (
+    BLOCK_HEAD,
+    HEADER_AT,
+    VARIABLE,
+    VARIABLE_GROUP,
+    Blocks,
+    ChannelGroup,
+    DataGroup,
+    MdfChannel,
+    MdfTree,
+    Segment,
+    start_of,
+)
 
 #: Memory on top of what the libraries take once they are loaded.
 MEMORY = 1 << 30
-#: What sorting and finishing may write to disk, beside four times the file's size.
+#: What copying, sorting and finishing may write to disk, beside four times the file's size.
 DISK = 1 << 30
-
-TABLE, COUNTS, ERROR_SAID, END = b"T", b"C", b"E", b"Z"
-HEAD = struct.Struct("<cI")
-SHAPE = struct.Struct("<IB")
 
 _ROWS = 1 << 15
 _PIECE_BYTES = 1 << 23
 
 
-class Reader:
-    """One file. `send` gets a letter and the bytes of a message; `blocks` are those of the file."""
+class _Copy:
+    """One file, and the file that its records are copied to."""
 
-    def __init__(self, mdf: Any, blocks: Blocks, send: Any) -> None:
-        self.mdf, self.blocks, self.send = mdf, blocks, send
-        self.names: dict[str | None, int] = {}
-        self.is_ours = bytes(mdf.identification.program_identification).rstrip(b"\0 ") == PROGRAM
-        self.start_ns = start_of(int(mdf.header.abs_time), int(mdf.header.time_flags))
-        self.lines = self.frames = self.lines_unreadable = 0
-        self.others: Counter[str] = Counter()
-        self.problems: list[tuple[int, str]] = []
+    def __init__(self, mdf: Any, out: BinaryIO) -> None:
+        self.mdf, self.out = mdf, out
 
-    def run(self) -> None:
-        """Send everything."""
-        pieces: list[Iterator[FramePiece]] = []
-        has_bus = False
-        for index, group in enumerate(self.mdf.groups):
-            records, flags = int(group.channel_group.cycles_nr), int(group.channel_group.flags)
-            names = [channel.name for channel in group.channels]
-            kind = group_kind(names)
-            is_bus = bool(flags & BUS_EVENT)
-            has_bus = has_bus or is_bus or kind is not None
-            if not records or flags & VARIABLE_GROUP:
-                continue
-            if kind is not None:
-                reader = self._reader(index, group, kind)
-                pieces.append(frames_of(reader, index, records, self._batches(group), self, self._lose))
-                continue
-            source = group.channel_group.acq_source
-            words = other_words(names, is_bus, getattr(source, "bus_type", 0))
-            self.others[words] += records
-            self.lines += records
-        if not has_bus:
-            raise ValueError(no_log(len(self.mdf.groups)))
-        for piece in merge_by_key(pieces):
-            self._tell()
-            n, width = len(piece.time), piece.data.shape[1]
-            columns = (piece.time, piece.channel, piece.id, piece.flags, piece.length, piece.data)
-            self.send(TABLE, SHAPE.pack(n, width) + b"".join(column.tobytes() for column in columns))
-        if joined := self.blocks.joined_at():
-            self.lines += 1
-            self._lose(self.lines, JOINED.format(joined), 1)
-        self._tell()
-
-    def _tell(self) -> None:
-        counts = {
-            "lines": self.lines,
-            "frames": self.frames,
-            "unreadable": self.lines_unreadable,
-            "others": self.others,
-            "problems": self.problems,
-            "names": list(self.names),
+    def described(self) -> dict[str, Any]:
+        """What `described_tree` takes."""
+        header, identification = self.mdf.header, self.mdf.identification
+        return {
+            "program": bytes(identification.program_identification).hex(),
+            "start": [int(header.abs_time), int(header.time_flags)],
+            "groups": [self._group(group) for group in self.mdf.groups],
         }
-        self.send(COUNTS, json.dumps(counts).encode())
 
-    def _lose(self, number: int, reason: str, count: int) -> None:
-        self.lines_unreadable += count
-        if len(self.problems) < PROBLEMS_KEPT:
-            self.problems.append((number, reason))
-
-    def _reader(self, index: int, group: Any, kind: str) -> GroupReader:
+    def _group(self, group: Any) -> dict[str, Any]:
         block = group.channel_group
-        data_bytes = int(block.samples_byte_nr)
-        channels = [self._channel(channel, group, at) for at, channel in enumerate(group.channels)]
-        size = data_bytes + int(block.invalidation_bytes_nr)
-        path = getattr(block.acq_source, "path", "")
-        what = ChannelGroup(0, 0, int(block.cycles_nr), int(block.flags), data_bytes, size, 0, path, channels)
-        reader = GroupReader(kind, what, self.start_ns, self._number, is_ours=self.is_ours)
-        places = [at for at, channel in enumerate(channels) if channel.name == f"{kind}.DataBytes"]
-        if reader.is_variable:
-            reader.store = self._store(group, places[0])
-        return reader
-
-    def _channel(self, channel: Any, group: Any, at: int) -> MdfChannel:
-        """A channel as the file has it."""
-        conversion = ChannelConversion()
-        if channel.conversion is not None:
-            conversion = self.blocks.conversion(channel.conversion_addr)
-        return MdfChannel(
-            channel.name,
-            channel.channel_type,
-            channel.data_type,
-            channel.bit_offset,
-            channel.byte_offset,
-            channel.bit_count,
-            channel.sync_type,
-            channel.flags,
-            channel.pos_invalidation_bit,
-            any(not isinstance(part, tuple) for part in group.channel_dependencies[at] or ()),
-            conversion,
-        )
-
-    def _store(self, group: Any, at: int) -> Store:
-        """The bytes of variable length of a channel."""
-        size = sum(int(block.original_size) for block in group.get_signal_data_blocks(at))
-
-        def window(start: int, end: int) -> bytes:
-            # asammdf gives all up to the end of the value that begins at the second place
-            whole: bytes = self.mdf._load_signal_data(
-                group=group, index=at, offsets=(start, max(start, end - 68))
-            )
-            return whole
-
-        return size, window
-
-    def _batches(self, group: Any) -> Iterator[Ints]:
-        """The records of a group; of more than are announced, asammdf tells nothing.
-
-        Raises `ValueError` where they cannot be read on.
-        """
-        block = group.channel_group
+        source = block.acq_source
+        records, flags = int(block.cycles_nr), int(block.flags)
+        if flags & VARIABLE_GROUP:  # its records are parts of others
+            records = flags = 0
+        kind = group_kind([channel.name for channel in group.channels])
         size = int(block.samples_byte_nr + block.invalidation_bytes_nr)
-        group.read_split_count = max(1, min(_ROWS, _PIECE_BYTES // max(size, 1)))
-        try:
-            for fragment in self.mdf._load_data(group):
-                if not fragment.is_record:
-                    raise ValueError("its records are kept as columns, which is not read")
-                if count := fragment.record_count:
-                    yield np.frombuffer(fragment.data, np.uint8, count * size).reshape(count, size)
-        except (MemoryError, ValueError):
-            raise
-        except Exception as error:
-            raise ValueError(_words(error)) from error
+        found: dict[str, Any] = {
+            "group": [records, flags, int(block.samples_byte_nr), size if kind else 0],
+            "bus": [getattr(source, "bus_type", 0), getattr(source, "path", "")],
+            "channels": [self._channel(group, at, kind) for at in range(len(group.channels))],
+        }
+        if kind is not None and records:
+            found["records"] = self._copied(lambda: self._records(group, size))
+        return found
 
-    def _number(self, name: str | None) -> int:
-        return self.names.setdefault(name, min(len(self.names), 0xFFFF))
+    def _channel(self, group: Any, at: int, kind: str | None) -> dict[str, Any]:
+        channel = group.channels[at]
+        is_array = any(not isinstance(part, tuple) for part in group.channel_dependencies[at] or ())
+        found: dict[str, Any] = {
+            "channel": [
+                *(channel.name, channel.channel_type, channel.data_type, channel.bit_offset),
+                *(channel.byte_offset, channel.bit_count, channel.sync_type, channel.flags),
+                *(channel.pos_invalidation_bit, is_array),
+            ],
+            "conversion": 0 if channel.conversion is None else channel.conversion_addr,
+        }
+        if channel.channel_type == VARIABLE and channel.name == f"{kind}.DataBytes":
+            found["data"] = self._copied(lambda: self._signal_data(group, at))
+        return found
+
+    def _copied(self, copy: Any) -> list[Any]:
+        """Where the bytes begin that `copy` writes, how many they are, and why there are no more."""
+        start, fault = self.out.tell(), ""
+        try:
+            copy()
+        except MemoryError:
+            fault = "more memory would be needed than is allowed"
+        except Exception as error:
+            fault = str(error) if type(error) is ValueError else _words(error)
+        return [start, self.out.tell() - start, fault]
+
+    def _records(self, group: Any, size: int) -> None:
+        """The records of a group; of more than are announced, asammdf tells nothing."""
+        group.read_split_count = max(1, min(_ROWS, _PIECE_BYTES // max(size, 1)))
+        for fragment in self.mdf._load_data(group):
+            if not fragment.is_record:
+                raise ValueError("its records are kept as columns, which is not read")
+            self.out.write(memoryview(fragment.data)[: fragment.record_count * size])
+
+    def _signal_data(self, group: Any, at: int) -> None:
+        """The bytes of variable length of a channel, block by block."""
+        for block in group.get_signal_data_blocks(at):
+            one = SimpleNamespace(signal_data=[True], get_signal_data_blocks=lambda _, block=block: [block])
+            self.out.write(self.mdf._load_signal_data(group=one, index=0))
+
+
+def described_tree(said: dict[str, Any], blocks: Blocks) -> MdfTree:
+    """The tree of a file of which this was said; its segments are in the file of records. `blocks` are those of the file."""
+    streams: list[DataGroup] = []
+    for each in said["groups"]:
+        channels: list[MdfChannel] = []
+        for one in each["channels"]:
+            at, size, fault = one.get("data", (0, 0, ""))
+            at_conversion = one["conversion"]
+            conversion = blocks.conversion(at_conversion) if at_conversion else ChannelConversion()
+            segments = (Segment(at, size, size),) if size else ()
+            channels.append(MdfChannel._make((*one["channel"], conversion, 0, segments, fault)))
+        group = ChannelGroup._make((0, 0, *each["group"], *each["bus"], channels))
+        at, size, fault = each.get("records", (0, 0, ""))
+        streams.append(DataGroup(0, [group], [Segment(at, size, size)], fault))
+    program = bytes.fromhex(said["program"])
+    return MdfTree(program, 0, start_of(*said["start"]), True, streams, blocks.joined_at())
+
+
+# ---- whether blocks hang together as a tree ------------------------------------------------------------------------
+
+#: Which links of a block lead on to what has one place only: by number, None for all.
+_LINKS: dict[bytes, tuple[int, ...] | None] = {
+    b"##HD": (0, 1, 2, 3, 4),
+    b"##FH": (0,),
+    b"##AT": (0,),
+    b"##EV": (0,),
+    b"##CH": (0, 1),
+    b"##DG": (0, 1, 2),
+    b"##CG": (0, 1),
+    b"##CN": (0, 1, 5),
+    b"##HL": None,
+    b"##DL": None,
+    b"##LD": None,
+    b"##DT": (),
+    b"##DZ": (),
+    b"##SD": (),
+    b"##DV": (),
+    b"##DI": (),
+}
+#: A channel's data may be a channel group's or an attachment, which has its own place.
+_SIGNAL_DATA = (b"##HL", b"##DL", b"##LD", b"##SD", b"##DZ")
+
+
+def is_tree(file: BinaryIO) -> bool:
+    """Whether each group, channel and data block that can be reached from the header is reached once."""
+    seen: set[int] = set()
+    ahead: list[tuple[int, bool]] = [(HEADER_AT, False)]
+    while ahead:
+        at, is_signal = ahead.pop()
+        file.seek(at)
+        head = file.read(BLOCK_HEAD.size)
+        if len(head) < BLOCK_HEAD.size:
+            continue
+        name, _, size, count = BLOCK_HEAD.unpack(head)
+        wanted = _LINKS.get(name, ())
+        if name not in _LINKS or (is_signal and name not in _SIGNAL_DATA):
+            continue
+        if at in seen:
+            return False
+        seen.add(at)
+        count = min(count, size // 8)
+        if wanted is not None:
+            count = min(count, max(wanted, default=-1) + 1)
+        raw = file.read(8 * count)
+        links = struct.unpack(f"<{len(raw) // 8}Q", raw[: len(raw) // 8 * 8])
+        for number in range(len(links)) if wanted is None else wanted:
+            if number < len(links) and links[number] and links[number] < 1 << 63:
+                ahead.append((links[number], name == b"##CN" and number == 5))
+    return True
 
 
 # ---- the process ----------------------------------------------------------------------------------------------------
@@ -186,14 +202,12 @@ def _limit(memory: int, disk: int) -> None:
         import resource
     except ImportError:
         return
-    with suppress(OSError, ValueError):
-        with open("/proc/self/statm", "rb") as file:
-            memory += int(file.read().split()[0]) * resource.getpagesize()
+    with suppress(OSError, ValueError), open("/proc/self/statm", "rb") as file:
+        memory += int(file.read().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    with suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (disk, disk))
-    with suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for limit, most in ((resource.RLIMIT_FSIZE, disk), (resource.RLIMIT_CORE, 0)):
+        with suppress(OSError, ValueError):
+            resource.setrlimit(limit, (most, most))
 
 
 def _words(error: BaseException) -> str:
@@ -201,8 +215,8 @@ def _words(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def send_frames(path: str, folder: str, send: Any) -> None:
-    """Send the frames of the file at `path`; `folder` is for temporary files."""
+def copy_records(path: str, folder: str, records: str) -> dict[str, Any]:
+    """What the file at `path` holds, its records copied to `records`; `folder` is for temporary files."""
     from asammdf import MDF
 
     open_mdf: Any = MDF
@@ -220,38 +234,35 @@ def send_frames(path: str, folder: str, send: Any) -> None:
             raise ValueError("its blocks are linked in circles, or one is named twice; it is damaged")
         original.seek(0)
         mdf = open_mdf(file, process_bus_logging=False, temporary_folder=folder)
-        Reader(getattr(mdf, "_mdf", mdf), Blocks(original, os.path.getsize(path)), send).run()
+        with open(records, "wb") as out:
+            return _Copy(getattr(mdf, "_mdf", mdf), out).described()
 
 
 def run_child(arguments: Sequence[str]) -> None:
     """`arguments`: memory in bytes, a folder for temporary files, and the paths of files to read, one after the other."""
     memory, folder, *paths = arguments
-    out = os.fdopen(os.dup(1), "wb", buffering=0)
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)  # asammdf prints
     os.dup2(nowhere, 2)
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
-    def send(kind: bytes, body: bytes) -> None:
-        view = memoryview(HEAD.pack(kind, len(body)) + body)
-        while view:
-            view = view[out.write(view) or 0 :]
+    def answer(said: dict[str, Any]) -> None:
+        print(json.dumps(said), file=out, flush=True)
 
     # asammdf takes polars where it finds it, and a quarter of the time to start with it; reading needs it not.
     sys.modules.setdefault("polars", None)  # type: ignore[arg-type]
     try:
         import_module("asammdf")
     except ImportError as error:
-        send(ERROR_SAID, f"missing {error.name}".encode())
+        answer({"missing": error.name})
         return
     _limit(int(memory), DISK + 4 * max((os.path.getsize(path) for path in paths), default=0))
-    for path in paths:
+    for number, path in enumerate(paths):
+        records = os.path.join(folder, f"records {number}")
         try:
-            send_frames(path, folder, send)
+            answer({"path": records, **copy_records(path, folder, records)})
         except MemoryError:
-            send(ERROR_SAID, f"reading it needs more than {int(memory) >> 20} MiB of memory".encode())
-        except BrokenPipeError:
-            return
+            answer({"error": f"reading it needs more than {int(memory) >> 20} MiB of memory"})
         except Exception as error:
-            send(ERROR_SAID, (str(error) if type(error) is ValueError else _words(error)).encode())
-        send(END, b"")
+            answer({"error": str(error) if type(error) is ValueError else _words(error)})

@@ -15,7 +15,7 @@ asammdf gives the default for whole numbers inside of a range (8.8.28), so the t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,34 +51,31 @@ class ChannelConversion(NamedTuple):
 
 def conversion_of(kind: int, values: Ints, texts: Sequence[str]) -> ChannelConversion:
     """The conversion of a kind with parameters; `texts` are those it refers to, "" for what is no text."""
-    n = len(values)
-    fault = _NOT_READ.get(kind, "")
-    if not fault:
-        fault = "a damaged conversion"
-        if kind == IDENTITY:
-            fault = ""
-        elif kind == LINEAR:
-            fault = fault if n < 2 else ""
-        elif kind == _RATIONAL:
-            fault = fault if n < 6 else ""
-        elif kind in (_INTERPOLATED, _NEAREST):
-            if n >= 2 and not n % 2 and bool((np.diff(values[::2]) > 0).all()):
-                fault = ""
-        elif kind == _RANGES:
-            if n >= 4 and n % 3 == 1 and _go_up(values[:-1:3], values[1:-1:3]):
-                fault = ""
-        elif kind == _TEXTS:
-            fault = "" if n and len(texts) >= n else fault
-        elif kind == _TEXT_RANGES:
-            if n >= 2 and not n % 2 and len(texts) >= n // 2 and _go_up(values[::2], values[1::2]):
-                fault = ""
-        else:
-            fault = f"a conversion of kind {kind}"
+    fault = _NOT_READ.get(kind, f"a conversion of kind {kind}")
+    if kind in _IS_WHOLE:
+        fault = "" if _IS_WHOLE[kind](values, len(values), len(texts)) else "a damaged conversion"
     return ChannelConversion(kind, values, tuple(texts), fault)
 
 
 def _go_up(lower: Ints, upper: Ints) -> bool:
     return bool((lower <= upper).all() and (upper[:-1] <= lower[1:]).all())
+
+
+#: Kind → whether its parameters, n of them, and so many texts are all that it needs.
+_IS_WHOLE: Mapping[int, Callable[[Ints, int, int], bool]] = {
+    IDENTITY: lambda values, n, texts: True,
+    LINEAR: lambda values, n, texts: n >= 2,
+    _RATIONAL: lambda values, n, texts: n >= 6,
+    **dict.fromkeys(
+        (_INTERPOLATED, _NEAREST),
+        lambda values, n, texts: n >= 2 and not n % 2 and bool((np.diff(values[::2]) > 0).all()),
+    ),
+    _RANGES: lambda values, n, texts: n >= 4 and n % 3 == 1 and _go_up(values[:-1:3], values[1:-1:3]),
+    _TEXTS: lambda values, n, texts: 0 < n <= texts,
+    _TEXT_RANGES: lambda values, n, texts: (
+        n >= 2 and not n % 2 and texts >= n // 2 and _go_up(values[::2], values[1::2])
+    ),
+}
 
 
 def conversion_meaning(text: str, part: str) -> float:

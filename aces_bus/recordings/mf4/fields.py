@@ -49,23 +49,27 @@ def field_of(channel: MdfChannel, record_bytes: int) -> BitField:
     if channel.kind == VARIABLE:  # the field has an offset
         is_number, is_real, is_bytes, kind = True, False, False, _UNSIGNED[0]
     is_placed = channel.kind in (VALUE, VARIABLE, MASTER) or (channel.kind == SIZED and is_bytes)
-    if channel.is_array or not is_placed:
-        raise Refused(f"{channel.name} is not a plain field of its records")
-    if not (is_number or is_real or is_bytes):
-        raise Refused(f"{channel.name} is of data type {kind}, which is not read")
-    if not bits or channel.first_byte + size > record_bytes:
-        raise Refused(f"{channel.name} does not lie within its records")
-    if shift > 7 or (is_number and size > 8) or ((is_real or is_bytes) and not is_whole):
-        raise Refused(f"{channel.name} does not begin and end where its data type does")
-    if is_real and bits not in (32, 64):
-        raise Refused(f"{channel.name} is a floating-point number of {bits} bits, which is not read")
-    if not is_bytes:
-        is_high_first = kind % 2 == 1
-        if is_whole and size in (1, 2, 4, 8):
-            letter = "f" if is_real else "i" if kind in _SIGNED else "u"
-            plain = np.dtype(f"{'>' if is_high_first else '<'}{letter}{size}")
-        elif is_high_first:
-            raise Refused(f"{channel.name} has its highest byte first, and not 1, 2, 4 or 8 whole bytes")
+    is_high_first = not is_bytes and kind % 2 == 1
+    has_plain = not is_bytes and is_whole and size in (1, 2, 4, 8)
+    for is_so, why in (
+        (channel.is_array or not is_placed, "is not a plain field of its records"),
+        (not (is_number or is_real or is_bytes), f"is of data type {kind}, which is not read"),
+        (not bits or channel.first_byte + size > record_bytes, "does not lie within its records"),
+        (
+            shift > 7 or (is_number and size > 8) or ((is_real or is_bytes) and not is_whole),
+            "does not begin and end where its data type does",
+        ),
+        (is_real and bits not in (32, 64), f"is a floating-point number of {bits} bits, which is not read"),
+        (
+            is_high_first and not has_plain,
+            "has its highest byte first, and not 1, 2, 4 or 8 whole bytes",
+        ),
+    ):
+        if is_so:
+            raise Refused(f"{channel.name} {why}")
+    if has_plain:
+        letter = "f" if is_real else "i" if kind in _SIGNED else "u"
+        plain = np.dtype(f"{'>' if is_high_first else '<'}{letter}{size}")
     return BitField(channel.first_byte, size, shift, bits, kind in _SIGNED, is_real, is_bytes, plain)
 
 

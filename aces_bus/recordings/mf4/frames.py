@@ -1,4 +1,4 @@
-"""Fields of an MDF 4 bus log become frames, whoever read the fields, and the frames of all groups one sequence.
+"""Fields of an MDF 4 bus log become frames, whoever found the records.
 
 1. What is no frame is told with its record's number and the reason, and the rest stands.
 2. Nothing is kept: a piece comes, a piece goes.
@@ -6,13 +6,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, NO_TIME, REMOTE, RX, TX, Ints
+from ...frame_table import (
+    BITRATE_SWITCH,
+    ERROR,
+    ERROR_STATE,
+    EXTENDED,
+    FD,
+    NO_TIME,
+    REMOTE,
+    RX,
+    TX,
+    Channels,
+    FrameTable,
+    Ints,
+)
 from ...frames import FD_LENGTHS
+from ..merge import KeyedTable
 
 #: The channels that a group of frames has one of.
 KINDS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": REMOTE, "CAN_ErrorFrame": ERROR}
@@ -35,21 +49,6 @@ _MASKS_8 = np.ascontiguousarray(_MASKS[:9, :8]).view(np.uint64)[:, 0]
 _NO_MORE = 1 << 63
 
 Fault = tuple[Ints, str]
-
-
-class FramePiece(NamedTuple):
-    """Frames as columns; `key` never goes down."""
-
-    key: Ints
-    time: Ints
-    channel: Ints
-    id: Ints
-    flags: Ints
-    length: Ints
-    data: Ints
-
-    def rows(self, start: int, end: int) -> FramePiece:
-        return FramePiece._make(column[start:end] for column in self)
 
 
 class FrameNumbers(NamedTuple):
@@ -178,9 +177,9 @@ def _truth(values: Ints | None) -> Ints | None:
 
 
 def piece_of(
-    kind: str, key: Ints, time: Ints, channel: Ints, fields: FrameColumns
-) -> tuple[FramePiece, list[Fault]]:
-    """The frames among records, and what is wrong with the others: their rows, each but once, and why."""
+    kind: str, key: Ints, time: Ints, channel: Ints, fields: FrameColumns, channels: Channels
+) -> tuple[KeyedTable, list[Fault]]:
+    """The frames among records, which `key` sorts, and what is wrong with the others: their rows, each but once, and why."""
     identifier, length, is_wide, is_fd = fields.id, fields.length, fields.is_wide, fields.is_fd
     n = len(identifier)
     is_remote, is_error = kind == "CAN_RemoteFrame", kind == "CAN_ErrorFrame"
@@ -223,9 +222,9 @@ def piece_of(
         flags |= np.where(fields.is_sent, np.uint8(TX), np.uint8(RX))
 
     carried = length if good is None else np.where(good, length, np.uint8(0))
-    piece = FramePiece(key, time, channel, identifier, flags, length, _data(fields.data, carried))
-    if good is not None:
-        piece = FramePiece._make(values[good] for values in piece)
+    data = _data(fields.data, carried)
+    table = FrameTable(time, channel, identifier, flags, length, data, channels)
+    piece = (key, table) if good is None else (key[good], table.take(good))
     return piece, [fault for fault in faults if len(fault[0])]
 
 
@@ -276,52 +275,3 @@ def channels_of(numbers: Ints, number_of: Callable[[str], int]) -> Ints:
         return np.full(n, number_of(str(low)), np.uint16)
     some, places = np.unique(numbers, return_inverse=True)
     return np.array([number_of(str(number)) for number in some.tolist()], np.uint16)[places]
-
-
-def merge_by_key(sources: Sequence[Iterator[FramePiece]]) -> Iterator[FramePiece]:
-    """Pieces in the order of their keys; of equal keys, those of the first source come first."""
-    live = [(source, piece) for source in sources if (piece := next(source, None)) is not None]
-    while live:
-        if len(live) == 1:
-            yield live[0][1]
-            yield from live[0][0]
-            return
-        ends = [int(piece.key[-1]) for _, piece in live]
-        edge = min(ends)
-        first = ends.index(
-            edge
-        )  # behind its piece there may be more with this key, and they come before the next ones'
-        parts: list[FramePiece] = []
-        rest: list[tuple[Iterator[FramePiece], FramePiece]] = []
-        for place, (source, piece) in enumerate(live):
-            end = int(np.searchsorted(piece.key, edge, "right" if place <= first else "left"))
-            if end:
-                parts.append(piece.rows(0, end))
-            after = piece.rows(end, len(piece.key)) if end < len(piece.key) else next(source, None)
-            if after is not None:
-                rest.append((source, after))
-        live = rest
-        yield _joined(parts)
-
-
-def _joined(parts: Sequence[FramePiece]) -> FramePiece:
-    if len(parts) == 1:
-        return parts[0]
-    columns: list[Any] = [
-        np.concatenate(column) for column in zip(*(part[:-1] for part in parts), strict=True)
-    ]
-    order = np.argsort(columns[0], kind="stable")
-    n, width = len(order), max(part.data.shape[1] for part in parts)
-    places = np.empty(n, np.int64)
-    places[order] = np.arange(n)
-    data = np.zeros((n, width), np.uint8)
-    words = data.view(np.uint64)
-    start = 0
-    for part in parts:  # rows of 8 and 64 bytes, moved as words or whole
-        here = places[start : start + len(part.key)]
-        start += len(here)
-        if part.data.shape[1] == 8:
-            words[here, 0] = part.data.view(np.uint64)[:, 0]
-        else:
-            data.view((np.void, width))[here] = part.data.view((np.void, width))
-    return FramePiece._make((*(column[order] for column in columns), data))

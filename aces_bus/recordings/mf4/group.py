@@ -15,12 +15,12 @@ counts as marked invalid with all of its record. Times are seconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 import numpy as np
 
-from ...frame_table import Ints
-from ..base import PROBLEMS_KEPT
+from ...frame_table import Channels, Ints
+from ..base import PROBLEMS_KEPT, CanRecording
+from ..merge import KeyedTable
 from .blocks import ORDER
 from .conversions import IDENTITY, LINEAR, conversion_meaning, convert_values
 from .data import values_at
@@ -28,7 +28,6 @@ from .fields import BitField, Refused, bytes_at, field_of, numbers
 from .frames import (
     Fault,
     FrameNumbers,
-    FramePiece,
     broken_off,
     channels_of,
     frame_columns,
@@ -220,7 +219,7 @@ Store = tuple[int, Callable[[int, int], bytes]]
 class GroupReader:
     """Frames of the records of one group, piece by piece.
 
-    `number_of` numbers channels by their names: those are numbers too, or in files of our own `path`.
+    `channels` are those of the capture; their names are numbers, or in files of our own the group's `path`.
     """
 
     def __init__(
@@ -228,14 +227,14 @@ class GroupReader:
         kind: str,
         group: ChannelGroup,
         start_ns: int,
-        number_of: Callable[[str | None], int],
+        channels: Channels,
         *,
         is_ours: bool,
     ) -> None:
         self.kind, self.size = kind, group.size
         #: What the data bytes of variable length are taken from, when they are.
         self.store: Store | None = None
-        self._start_ns, self._number_of = start_ns, number_of
+        self._start_ns, self._channels = start_ns, channels
         self._is_ours, self._path = is_ours, group.path
         self._last: int | None = None
         self._layout: _Layout | None = None
@@ -250,7 +249,7 @@ class GroupReader:
         """Whether its data bytes are taken from `store`."""
         return self._layout is not None and self._layout.is_variable
 
-    def piece(self, rows: Ints, first: int) -> tuple[FramePiece | None, list[Fault]]:
+    def piece(self, rows: Ints, first: int) -> tuple[KeyedTable | None, list[Fault]]:
         """The frames in records, and the row numbers of the others, with what is wrong.
 
         The first record is number `first` in the group, from 0 on.
@@ -284,11 +283,13 @@ class GroupReader:
             fields.wrong.append((invalid, "a time that is marked invalid"))
         channels = None if self._is_ours else number("BusChannel")
         if channels is None:
-            channel = np.full(n, self._number_of(self._path or None if self._is_ours else None), np.uint16)
+            channel = np.full(
+                n, self._channels.number(self._path or None if self._is_ours else None), np.uint16
+            )
         else:
             fields.wrong.extend(channels.wrong)
-            channel = channels_of(channels.values, self._number_of)
-        return piece_of(kind, key, time, channel, fields)
+            channel = channels_of(channels.values, self._channels.number)
+        return piece_of(kind, key, time, channel, fields, self._channels)
 
     def _time(self, time: _Number, rows: Ints, first: int) -> Ints:
         """int64 nanoseconds since 1970."""
@@ -297,14 +298,6 @@ class GroupReader:
         if is_exact and (field is None or not field.is_real):
             return instants(time.raw(rows, first), self._start_ns)
         return instants_of_seconds(time.reals(rows, first), self._start_ns)
-
-
-class EntryTally(Protocol):
-    """What counts records."""
-
-    lines: int
-    frames: int
-    lines_unreadable: int
 
 
 #: Count so many records as unreadable; the number of the first in its group, and why, may be kept.
@@ -316,9 +309,9 @@ def frames_of(
     place: int,
     announced: int | None,
     batches: Iterator[Ints],
-    tally: EntryTally,
+    tally: CanRecording,
     lose: Lose,
-) -> Iterator[FramePiece]:
+) -> Iterator[KeyedTable]:
     """The frames of the group that has number `place` in the file; where it breaks off, the rest is one unreadable record.
 
     `batches` are its records; it raises `ValueError` where they cannot be read on. `announced` is None where the file does
@@ -335,8 +328,8 @@ def frames_of(
                 tally.lines_unreadable += len(wrong)
             done += len(rows)
             tally.lines += len(rows)
-            if piece is not None and len(piece.time):
-                tally.frames += len(piece.time)
+            if piece is not None and len(piece[1]):
+                tally.frames += len(piece[1])
                 yield piece
     except MemoryError:
         reason = "more memory would be needed than is allowed"

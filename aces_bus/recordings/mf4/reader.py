@@ -1,17 +1,17 @@
-"""ASAM MDF 4 with CAN bus logging (`.mf4`): nearly all files are read here, the rest by asammdf in a process of its own.
+"""ASAM MDF 4 with CAN bus logging (`.mf4`), read in one way; of unusual files another process copies the records first.
 
 1. asammdf is never imported here: where it is loaded before python-can, python-can loses its `.mf4`.
-2. Which way a file goes is decided before its first frame; frames and counts are the same either way.
+2. Frames and counts are the same whoever has found the records.
 3. Damaged and hostile files cost a refusal here, or the other process: its memory is limited (`child.MEMORY` on top of
    the libraries; not on Windows, which has no such limit), and it is stopped when it says nothing for too long.
 4. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its
    group.
 5. What is not understood is refused by name. A group of frames with a channel that cannot be read as the file means it (a
    formula as its conversion, an unknown data type) is unreadable, record by record; so is a record with a field that has
-   no value, or that is not in the file. `group.py` decides that for both ways, and it alone.
+   no value, or that is not in the file. `group.py` decides that, and it alone.
 
 Frames of all groups come merged by time. Sorted and unsorted, finished and unfinished, packed and plain files are read;
-`arrays.py` says which need asammdf. A channel is named by its number, "1", as with python-can; in
+`tree.py` says which need asammdf. A channel is named by its number, "1", as with python-can; in
 files of our own it has the name it had.
 """
 
@@ -25,23 +25,19 @@ import threading
 from collections.abc import Iterator
 from typing import Any, BinaryIO, ClassVar
 
-import numpy as np
-
 from ...errors import CaptureError
 from ...frame_table import FrameTable
 from ..base import PROBLEMS_KEPT, CanRecording, UnreadableEntry, printable_start
-from ..source import ByteSource
-from ..spool import on_disk
+from ..source import ByteSource, on_disk
 from . import child as child
 from .arrays import BusLog
-from .tree import MAGIC, Damaged, UnusualFile
+from .tree import MAGIC, Blocks, Damaged, UnusualFile, tree_of
 
-#: Seconds without a word after which the other process is stopped: so many, and one more for so many bytes of the file, as
-#: unsorted files are sorted before anything is said.
+#: Seconds after which the other process is stopped: so many, and one more for so many bytes of the file.
 PATIENCE = 60.0
 SLOWEST = 10_000_000
-#: A message is some 5 MB; a longer one would be a fault.
-_MESSAGE = 1 << 28
+#: An answer is some kilobytes a group; a longer one would be a fault.
+_ANSWER = 1 << 28
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
@@ -76,33 +72,25 @@ class Mf4Capture(CanRecording):
         if self._process is not None:
             _stop(self._process)
 
-    def _launch(self, folder: str, path: str) -> subprocess.Popen[bytes]:
-        try:
-            return _start(folder, [path])
-        except OSError as error:
-            raise CaptureError(
-                f"{self.name}: an MF4 file is read by another process, and {sys.executable or 'Python'} cannot be"
-                f" started: {error}"
-            ) from error
-
     def _tables(self) -> Iterator[FrameTable]:
         with on_disk(self._source) as (path, folder):
             try:
                 with open(path, "rb") as file:
                     if (log := self._ordinary(file)) is not None:
                         yield from log.tables(self, folder, self._lose)
+                    else:
+                        yield from self._through_asammdf(folder, path)
             except OverflowError:
                 raise self._refusal("sorting its mixed groups needs more room than is allowed") from None
             except OSError as error:
                 raise CaptureError(f"{self.name}: reading stopped: {error.strerror or error}") from error
-            if log is None:
-                yield from self._through_asammdf(folder, path)
         self.close()
 
     def _ordinary(self, file: BinaryIO) -> BusLog | None:
         """What can be read here; None where another must, and `_why` says why."""
+        size = os.fstat(file.fileno()).st_size
         try:
-            return BusLog(file, os.fstat(file.fileno()).st_size)
+            return BusLog(file, size, tree_of(file, size))
         except UnusualFile as reason:
             self._why = str(reason)
             return None
@@ -110,10 +98,16 @@ class Mf4Capture(CanRecording):
             raise self._refusal(str(error)) from None
 
     def _through_asammdf(self, folder: str, path: str) -> Iterator[FrameTable]:
-        process = self._process = self._launch(folder, path)
         self._patience = PATIENCE + os.path.getsize(path) / SLOWEST
         try:
-            yield from self._read(process)
+            process = self._process = _start(folder, [path])
+        except OSError as error:
+            raise CaptureError(
+                f"{self.name}: an MF4 file is read by another process, and {sys.executable or 'Python'} cannot be"
+                f" started: {error}"
+            ) from error
+        try:
+            yield from self._read(process, path, folder)
         finally:
             _stop(process)
 
@@ -122,20 +116,26 @@ class Mf4Capture(CanRecording):
         if len(self.problems) < PROBLEMS_KEPT:
             self.problems.append(UnreadableEntry(number, reason, ""))
 
-    def _read(self, process: subprocess.Popen[bytes]) -> Iterator[FrameTable]:
-        """The tables of one file; returns at its end."""
-        while True:
-            kind, body = self._message(process)
-            if kind == child.END:
-                return
-            if kind == child.ERROR_SAID:
-                raise self._refusal(body.decode("utf-8", "replace"))
-            if kind == child.COUNTS:
-                self._count(json.loads(body))
-            else:
-                yield self._table(body)
+    def _read(self, process: subprocess.Popen[bytes], path: str, folder: str) -> Iterator[FrameTable]:
+        """The tables of the file of which the process says next where its records are."""
+        said = self._answer(process)
+        if missing := said.get("missing"):
+            raise CaptureError(
+                f"{self.name}: this is not an ordinary MF4 bus log: {self._why}; such files need"
+                f" {missing}: pip install 'aces-bus[mf4]'"
+            )
+        if error := said.get("error"):
+            raise self._refusal(error)
+        with open(path, "rb") as file, open(said["path"], "rb") as records:
+            size = os.path.getsize(path)
+            try:
+                log = BusLog(records, size, child.described_tree(said, Blocks(file, size)))
+            except (UnusualFile, Damaged) as error:
+                raise self._refusal(str(error)) from None
+            yield from log.tables(self, folder, self._lose)
 
-    def _message(self, process: subprocess.Popen[bytes]) -> tuple[bytes, bytes]:
+    def _answer(self, process: subprocess.Popen[bytes]) -> dict[str, Any]:
+        """What the process says of a file."""
         assert process.stdout is not None
         is_over = threading.Event()
 
@@ -147,9 +147,7 @@ class Mf4Capture(CanRecording):
         timer.daemon = True
         timer.start()
         try:
-            head = process.stdout.read(child.HEAD.size)
-            kind, size = child.HEAD.unpack(head) if len(head) == child.HEAD.size else (b"", 0)
-            body = process.stdout.read(size) if kind and size <= _MESSAGE else b""
+            line = process.stdout.readline(_ANSWER)
         finally:
             timer.cancel()
         if is_over.is_set():
@@ -157,41 +155,17 @@ class Mf4Capture(CanRecording):
                 f"{self.name}: reading this MF4 file came to nothing for {self._patience:.0f} s and was stopped; it"
                 " is damaged"
             )
-        if not kind or len(body) != size:
+        if not line.endswith(b"\n"):
             code = process.wait()
             raise CaptureError(
                 f"{self.name}: the process that reads this MF4 file ended early (status {code}); the file is damaged, or"
                 " the system stopped it for want of memory"
             )
-        return kind, body
+        said: dict[str, Any] = json.loads(line)
+        return said
 
     def _refusal(self, said: str) -> CaptureError:
-        if said.startswith("missing "):
-            return CaptureError(
-                f"{self.name}: this is not an ordinary MF4 bus log: {self._why}; such files need"
-                f" {said.removeprefix('missing ')}: pip install 'aces-bus[mf4]'"
-            )
         return CaptureError(f"{self.name}: this MF4 file cannot be read: {printable_start(said.encode())}")
-
-    def _count(self, counts: dict[str, Any]) -> None:
-        self.lines, self.frames = counts["lines"], counts["frames"]
-        self.lines_unreadable, self.others = counts["unreadable"], counts["others"]
-        self.problems = [UnreadableEntry(line, reason, "") for line, reason in counts["problems"]][
-            :PROBLEMS_KEPT
-        ]
-        for name in counts["names"]:
-            self.channels.number(name)
-
-    def _table(self, body: bytes) -> FrameTable:
-        n, width = child.SHAPE.unpack_from(body)
-        at = child.SHAPE.size
-        columns: list[Any] = []
-        for dtype in ("<i8", "<u2", "<u4", "u1", "u1"):
-            columns.append(np.frombuffer(body, dtype, n, at))
-            at += columns[-1].nbytes
-        time, channel, identifier, flags, length = columns
-        data = np.frombuffer(body, np.uint8, n * width, at).reshape(n, width)
-        return FrameTable(time, channel, identifier, flags, length, data, self.channels)
 
 
 def _start(folder: str, paths: list[str]) -> subprocess.Popen[bytes]:

@@ -22,8 +22,8 @@ import numpy as np
 
 from .conversions import ChannelConversion, conversion_of
 
-_HEAD = struct.Struct("<4sIQQ")
-_HEADER_AT = 64
+BLOCK_HEAD = struct.Struct("<4sIQQ")
+HEADER_AT = 64
 #: Heads with so many links.
 _SHAPES = [struct.Struct(f"<4sIQQ{links}Q") for links in range(9)]
 _CHANNEL = struct.Struct("<BBBBIIII")
@@ -196,7 +196,7 @@ class Blocks:
         self._unfinished, custom = struct.unpack_from("<HH", head, 60)
         if not 400 <= version <= 420 or custom or self._unfinished & (_LAST_LIST | _OFFSETS):
             raise UnusualFile("it is of a version, or in a state, that is not known here")
-        header = self._block(_HEADER_AT, b"##HD", 6, 13)
+        header = self._block(HEADER_AT, b"##HD", 6, 13)
         start = start_of(*struct.unpack("<Q4xB", header.data))
         streams: list[DataGroup] = []
         at = header.links[0]
@@ -216,14 +216,14 @@ class Blocks:
 
     def joined_at(self) -> int:
         """Where another file begins behind the last of the blocks that were met, and those that follow it; 0: nowhere."""
-        at = max(self._ends, default=_HEADER_AT)
+        at = max(self._ends, default=HEADER_AT)
         for _ in range(BLOCKS):
             self._file.seek(at)
-            head = self._file.read(_HEAD.size)
+            head = self._file.read(BLOCK_HEAD.size)
             if head[:8] in MAGIC:
                 return at
-            if len(head) == _HEAD.size and head[:2] == b"##":
-                at += max(_HEAD.size, _HEAD.unpack(head)[2])
+            if len(head) == BLOCK_HEAD.size and head[:2] == b"##":
+                at += max(BLOCK_HEAD.size, BLOCK_HEAD.unpack(head)[2])
             elif at % 8:
                 at += -at % 8
             else:
@@ -257,8 +257,8 @@ class Blocks:
         raise Damaged(f"it breaks off: of a block at byte {at} it has not all")
 
     def _head(self, at: int) -> tuple[bytes, int, int]:
-        name, _, size, count = _HEAD.unpack(self._bytes(at, _HEAD.size))
-        if name[:2] != b"##" or size < _HEAD.size + 8 * count:
+        name, _, size, count = BLOCK_HEAD.unpack(self._bytes(at, BLOCK_HEAD.size))
+        if name[:2] != b"##" or size < BLOCK_HEAD.size + 8 * count:
             raise Damaged(f"at byte {at} there is no block, though one is named there; it is damaged")
         self._ends.append(at)
         return name, size, count
@@ -275,12 +275,12 @@ class Blocks:
         shape = _SHAPES[links]
         front = self._bytes(at, shape.size)
         found, _, size, count, *there = shape.unpack(front)
-        if found != name or count < links or size < _HEAD.size + 8 * count + data:
+        if found != name or count < links or size < BLOCK_HEAD.size + 8 * count + data:
             raise Damaged(f"at byte {at} there is no {name[2:].decode()} block, though one is named there")
         self._ends.append(at)
         if once:
             self._once(at)
-        return _Block(there, self._bytes(at + _HEAD.size + 8 * count, data))
+        return _Block(there, self._bytes(at + BLOCK_HEAD.size + 8 * count, data))
 
     def _text(self, at: int) -> str:
         if not at:
@@ -288,7 +288,7 @@ class Blocks:
         name, size, count = self._head(at)
         if name not in (b"##TX", b"##MD"):
             raise Damaged(f"at byte {at} there is no text, though one is named there; it is damaged")
-        raw = self._bytes(at + _HEAD.size + 8 * count, min(size - _HEAD.size - 8 * count, _TEXT))
+        raw = self._bytes(at + BLOCK_HEAD.size + 8 * count, min(size - BLOCK_HEAD.size - 8 * count, _TEXT))
         text = raw.split(b"\0", 1)[0]
         if len(text) == _TEXT:
             raise UnusualFile("it has a very long name")
@@ -387,10 +387,10 @@ class Blocks:
         block = self._block(at, b"##CC", 4, _CONVERSION.size, once=False)
         kind, _, _, texts, numbers, _, _ = _CONVERSION.unpack(block.data)
         _, size, count = self._head(at)
-        if 4 + texts > count or size < _HEAD.size + 8 * count + _CONVERSION.size + 8 * numbers:
+        if 4 + texts > count or size < BLOCK_HEAD.size + 8 * count + _CONVERSION.size + 8 * numbers:
             raise Damaged(f"the conversion at byte {at} is shorter than it says; it is damaged")
-        links = struct.unpack(f"<{texts}Q", self._bytes(at + _HEAD.size + 32, 8 * texts))
-        raw = self._bytes(at + _HEAD.size + 8 * count + _CONVERSION.size, 8 * numbers)
+        links = struct.unpack(f"<{texts}Q", self._bytes(at + BLOCK_HEAD.size + 32, 8 * texts))
+        raw = self._bytes(at + BLOCK_HEAD.size + 8 * count + _CONVERSION.size, 8 * numbers)
         # a text may be another conversion, which is none of the texts that are understood
         said = tuple(
             self._text(link) if link and self._head(link)[0] in (b"##TX", b"##MD") else "" for link in links
@@ -419,7 +419,7 @@ class Blocks:
                 raise UnusualFile(f"it has more than {BLOCKS} blocks")
             block = self._block(at, b"##DL", 1, 8)
             said = min(struct.unpack_from("<I", block.data, 4)[0], count - 1)
-            for link in struct.unpack(f"<{said}Q", self._bytes(at + _HEAD.size + 8, 8 * said)):
+            for link in struct.unpack(f"<{said}Q", self._bytes(at + BLOCK_HEAD.size + 8, 8 * said)):
                 self._data(link, out, of)
             at = block.links[0]
 
@@ -427,7 +427,7 @@ class Blocks:
         name, size, count = self._head(at)
         if name == b"##" + of:
             self._once(at)
-            first = at + _HEAD.size + 8 * count
+            first = at + BLOCK_HEAD.size + 8 * count
             there = max(0, min(at + size, self._size) - first)
             self._add(out, Segment(first, there, there))
             if at + size > self._size and not self._unfinished & _LAST_LENGTH:
@@ -435,7 +435,7 @@ class Blocks:
         elif name == b"##DZ":
             block = self._block(at, b"##DZ", 0, _PACKED.size)
             packed, packing, _, columns, size, stored = _PACKED.unpack(block.data)
-            first = at + _HEAD.size + 8 * count + _PACKED.size
+            first = at + BLOCK_HEAD.size + 8 * count + _PACKED.size
             if packing > 1 or packed != of or size > PACKED_MOST:
                 raise UnusualFile("its records are packed in a way that is not known here")
             if first + stored > self._size:

@@ -23,10 +23,8 @@ from __future__ import annotations
 import re
 from binascii import unhexlify
 from collections.abc import Iterator
-from typing import BinaryIO, ClassVar
 
 from ...errors import CaptureError
-from ...frame_table import NO_TIME, to_ns
 from ..base import Chunk, Direction, SerialRecording
 from ..source import MAX_LINE
 
@@ -42,7 +40,7 @@ _LINE = re.compile(
 )
 _MEANT = re.compile(rb"\((?:-|-?[0-9]{1,12}(?:\.[0-9]{1,9})?)\) [<>?]\+? \[[0-9]{1,5}\] [0-9A-Fa-f]{2}")
 _WAYS: dict[bytes, Direction | None] = {b">": "to device", b"<": "from device", b"?": None}
-_SIGNS: dict[Direction | None, str] = {"to device": ">", "from device": "<", None: "?"}
+SIGNS: dict[Direction | None, str] = {"to device": ">", "from device": "<", None: "?"}
 
 
 def looks_like_serial_log(head: bytes) -> bool:
@@ -135,46 +133,3 @@ class SerialLogCapture(SerialRecording):
 
 def _chunk(data: bytes, stamp: tuple[bytes, bytes]) -> Chunk:
     return Chunk(data, None if stamp[0] == b"-" else float(stamp[0]), _WAYS[stamp[1]])
-
-
-class SerialLogWriter:
-    """Writes our own serial recording; every `write` hands its lines to the file at once.
-
-    `lossy` counts times that have more digits than nanoseconds, or that are beyond the year 2262.
-    """
-
-    format: ClassVar[str] = "serial log of aces-bus"
-
-    def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file, self.name = file, name
-        self.lossy: dict[str, int] = {}
-        file.write(OPENING + b"%d\n" % VERSION)
-
-    def write(self, chunk: Chunk) -> None:
-        """Write a chunk; an empty one leaves no trace."""
-        data = chunk.data
-        head = f"({self._time(chunk.time)}) {_SIGNS[chunk.direction]}"
-        lines: list[str] = []
-        for start in range(0, len(data), LINE_BYTES):
-            piece = data[start : start + LINE_BYTES]
-            more = "+" if start + LINE_BYTES < len(data) else ""
-            lines.append(f"{head}{more} [{len(piece)}] {piece.hex().upper()}\n")
-        self._file.write("".join(lines).encode())
-
-    def _time(self, seconds: float | None) -> str:
-        if seconds is None:
-            return "-"
-        ns = to_ns(seconds)
-        if ns == NO_TIME or abs(ns) >= 10**21:
-            self._lose("times that are no instant")
-            return "-"
-        text = f"{'-' if ns < 0 else ''}{abs(ns) // 10**9}.{abs(ns) % 10**9:09}"
-        if float(text) != seconds:
-            self._lose("times finer than 1 ns")
-        return text
-
-    def _lose(self, what: str) -> None:
-        self.lossy[what] = self.lossy.get(what, 0) + 1
-
-    def close(self) -> None:
-        """Nothing is kept back."""

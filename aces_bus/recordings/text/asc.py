@@ -40,7 +40,6 @@ import numpy as np
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
 from ...frames import FD_LENGTHS, Frame
 from ..base import printable_start
-from ..source import ByteSource
 from .rows import (
     CLASSIC_LENGTHS,
     FD_LENGTHS_BY_CODE,
@@ -103,27 +102,21 @@ _EVENTS: tuple[tuple[re.Pattern[bytes], str], ...] = tuple(
 )
 
 
-def looks_like_asc(head: bytes) -> bool:
-    """Whether one of the first lines is a header or a frame of an ASC log."""
-    return _LIKE.search(head[: 1 << 14]) is not None
-
-
 class AscCapture(LineCapture):
     """Frames of a Vector ASC log."""
 
     format = "Vector ASC log"
+    _LIKE = _LIKE
     _TURN = re.compile(
         rb"\s*(?:date|base|begin\s+triggerblock|[0-9.]+\s+Start of measurement)\b", re.IGNORECASE
     )
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._base = 16
-        self._is_relative = False
-        self._origin = 0  # ns from 1970 to the start of the measurement
-        self._clock = 0  # ns, of the last line when times are relative
-        self._has_block = False  # the origin is that of a trigger block
-        self._next_origin: int | None = None  # of a trigger block whose measurement has not started yet
+    _base = 16
+    _is_relative = False
+    _origin = 0  # ns from 1970 to the start of the measurement
+    _clock = 0  # ns, of the last line when times are relative
+    _has_block = False  # the origin is that of a trigger block
+    _next_origin: int | None = None  # of a trigger block whose measurement has not started yet
 
     # ---- one line
 

@@ -26,8 +26,6 @@ import re
 from datetime import datetime
 
 from ...frames import Frame
-from ..base import printable_start
-from ..source import ByteSource
 from .rows import (
     CLASSIC_LENGTHS,
     FD_LENGTHS_BY_CODE,
@@ -37,6 +35,7 @@ from .rows import (
     UnreadableRow,
     hex_data,
     integer,
+    is_received,
     one_less,
 )
 
@@ -58,25 +57,19 @@ _ERROR = re.compile(rb"(?:[RT]x\s+)?(?:([0-9]{1,5})\s+)?err", re.IGNORECASE)
 _TYPES = (b"s", b"x", b"sr", b"xr", b"s-fd", b"x-fd")
 
 
-def looks_like_busmaster(head: bytes) -> bool:
-    """Whether this begins as a BUSMASTER log, or has lines of one."""
-    return _LIKE.search(head[: 1 << 14]) is not None
-
-
 class BusmasterCapture(LineCapture):
     """Frames of a BUSMASTER log."""
 
     format = "BUSMASTER log"
+    _LIKE = _LIKE
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._protocol = b"CAN"
-        self._mode = b"SYSTEM"
-        self._base = 16
-        self._start: tuple[int, int] | None = None  # ns from 1970 of its midnight, and of day
-        self._days = 0
-        self._last: int | None = None
-        self._clock = 0
+    _protocol = b"CAN"
+    _mode = b"SYSTEM"
+    _base = 16
+    _start: tuple[int, int] | None = None  # ns from 1970 of its midnight, and of day
+    _days = 0
+    _last: int | None = None
+    _clock = 0
 
     def _line(self, text: bytes) -> FrameRow | None:
         if text.startswith((b"***", b"-***")):
@@ -100,9 +93,7 @@ class BusmasterCapture(LineCapture):
 
     def _frame(self, cells: list[bytes]) -> Frame:
         way, channel, digits, kind, code, *data = cells
-        if way.lower() not in (b"rx", b"tx"):
-            raise UnreadableRow(f"direction {printable_start(way)!r} is neither Rx nor Tx")
-        kind = kind.lower()
+        is_rx, kind = is_received(way), kind.lower()
         remote, fd = kind.endswith(b"r"), kind.endswith(b"fd")
         lengths = FD_LENGTHS_BY_CODE if fd else CLASSIC_LENGTHS
         number = integer(code, 10, "length")
@@ -122,7 +113,7 @@ class BusmasterCapture(LineCapture):
             kind.startswith(b"x"),
             remote,
             is_fd=fd,
-            is_rx=way.lower() == b"rx",
+            is_rx=is_rx,
             dlc=size if remote else None,
         )
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from ...frame_table import EXTENDED, FrameTable
 from ...frames import Frame
-from ..base import REMOTE_AND_ERROR, printable_start
-from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, integer
+from ..base import printable_start
+from .rows import FrameRow, LineCapture, UnreadableRow, check_remote, decimal_ns, integer
 from .words import Mask
 
 HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
@@ -33,15 +33,11 @@ _USUAL = re.compile(
 )
 
 
-def looks_like_canlog_csv(head: bytes) -> bool:
-    """Whether this begins with python-can's header."""
-    return head.lstrip().split(b"\n", 1)[0].strip() == HEADER
-
-
 class CanlogCsvCapture(LineCapture):
     """Frames of python-can's CSV."""
 
     format = "python-can CSV"
+    _LIKE = re.compile(rb"\A\s*" + HEADER + rb"\s*(?:\n|\Z)")
 
     def _line(self, text: bytes) -> FrameRow | None:
         if text == HEADER:
@@ -55,14 +51,11 @@ class CanlogCsvCapture(LineCapture):
             extended, remote, error = (_FLAG[mark] for mark in marks)
         except KeyError as wrong:
             raise UnreadableRow(f"{printable_start(wrong.args[0])!r} is neither 0 nor 1") from None
-        if remote and error:
-            raise UnreadableRow(REMOTE_AND_ERROR)
         size = integer(length, 10, "length")
+        check_remote(remote, error, size)
         data = b"" if remote else _decoded(coded)
         if not remote and len(data) != size:
             raise UnreadableRow(f"{size} bytes are announced, {len(data)} are there")
-        if remote and size > 8:
-            raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
         return FrameRow(
             Frame(
                 integer(digits, 16, "identifier"),

@@ -41,15 +41,11 @@ _KINDS = {
 }
 
 
-def looks_like_crtd(head: bytes) -> bool:
-    """Whether one of the first lines is a CRTD record."""
-    return _LIKE.search(head[: 1 << 14]) is not None
-
-
 class CrtdCapture(LineCapture):
     """Frames of a CRTD log."""
 
     format = "CRTD log"
+    _LIKE = _LIKE
 
     def _line(self, text: bytes) -> FrameRow | None:
         found = _RECORD.fullmatch(text)

@@ -22,8 +22,7 @@ import numpy as np
 from ...frame_table import EXTENDED, FD, RX, TX, FrameTable
 from ...frames import Frame
 from ..base import printable_start
-from ..source import ByteSource
-from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer
+from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer, is_received
 from .words import Mask, Words, channel_numbers
 
 _US = 1000
@@ -31,23 +30,16 @@ _HEAD = re.compile(
     rb"\s*Time ?Stamp,ID,Extended,(Dir,)?Bus,LEN(?:,D[0-9]{1,2})*,?\s*(?:\n|\Z)", re.IGNORECASE
 )
 _TRUE = {b"true": True, b"1": True, b"false": False, b"0": False}
-_IS_RX = {b"rx": True, b"tx": False}
-
-
-def looks_like_gvret(head: bytes) -> bool:
-    """Whether this begins with the header of a GVRET file."""
-    return _HEAD.match(head) is not None
 
 
 class GvretCapture(LineCapture):
     """Frames of a SavvyCAN GVRET file."""
 
     format = "SavvyCAN GVRET CSV"
+    _LIKE = re.compile(rb"\A" + _HEAD.pattern, re.IGNORECASE)
     _TURN = re.compile(rb"\s*Time", re.IGNORECASE)
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._has_way = True
+    _has_way = True
 
     def _line(self, text: bytes) -> FrameRow | None:
         if header := _HEAD.match(text):
@@ -61,9 +53,7 @@ class GvretCapture(LineCapture):
         extended = _TRUE.get(cells[2].lower())
         if extended is None:
             raise UnreadableRow(f"extended is {printable_start(cells[2])!r}, neither true nor false")
-        is_rx = _IS_RX.get(cells[3].lower()) if has_way else None
-        if has_way and is_rx is None:
-            raise UnreadableRow(f"direction {printable_start(cells[3])!r} is neither Rx nor Tx")
+        is_rx = is_received(cells[3]) if has_way else None
         bus, size, *data = cells[3 + has_way :]
         length = integer(size, 10, "length")
         return FrameRow(

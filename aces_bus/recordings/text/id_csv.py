@@ -28,9 +28,18 @@ from datetime import datetime
 from ...errors import CaptureError
 from ...frame_table import NO_TIME
 from ...frames import Frame
-from ..base import REMOTE_AND_ERROR, printable_start
+from ..base import printable_start
 from ..source import MAX_LINE, ByteSource
-from .rows import FD_LENGTHS_BY_CODE, FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer
+from .rows import (
+    FD_LENGTHS_BY_CODE,
+    FrameRow,
+    LineCapture,
+    UnreadableRow,
+    check_remote,
+    decimal_ns,
+    hex_data,
+    integer,
+)
 
 #: What a column is → its names, without case, blanks and signs.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -144,16 +153,13 @@ class IdCsvCapture(LineCapture):
         number = self._number(digits[:-1] if is_marked else digits, plan.id_base)
         missing = {role for role, place in plan.places.items() if place >= len(cells)}
         remote, error = flag("remote"), flag("error")
-        if remote and error:
-            raise UnreadableRow(REMOTE_AND_ERROR)
         size = integer(cell("length"), 10, "length") if cell("length") else None
+        check_remote(remote, error, size or 0)
         if missing - {"data"} or (missing and not remote and size != 0):
             raise UnreadableRow(
                 f"{len(cells)} columns; the header names more, and {', '.join(sorted(missing))} in them"
             )
         data = b"" if remote else self._data(cells, cell("data"), size)
-        if remote and (size or 0) > 8:
-            raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
         way = cell("direction").lower()
         if way not in _WAYS:
             raise UnreadableRow(f"direction is {printable_start(way)!r}, neither received nor sent")

@@ -24,8 +24,7 @@ import re
 
 from ...frames import Frame
 from ..base import printable_start
-from ..source import ByteSource
-from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer
+from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer, is_received
 
 _LIKE = re.compile(
     rb"\A\s*(?://[^\n]*\n\s*)?Microchip Technology|"
@@ -33,22 +32,15 @@ _LIKE = re.compile(
     re.MULTILINE | re.IGNORECASE,
 )
 _RULE = re.compile(rb"//\s*[-=*/_]{3,}|/{5,}")
-_WAYS = {b"RX": True, b"TX": False}
-
-
-def looks_like_microchip(head: bytes) -> bool:
-    """Whether this begins as a log of Microchip's analyser, or has lines of one."""
-    return _LIKE.search(head[: 1 << 14]) is not None
 
 
 class MicrochipCapture(LineCapture):
     """Frames of a log of Microchip's CAN bus analyser."""
 
     format = "Microchip CAN analyser log"
+    _LIKE = _LIKE
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._is_comment = False
+    _is_comment = False
 
     def _line(self, text: bytes) -> FrameRow | None:
         if text.startswith(b"//"):
@@ -57,15 +49,13 @@ class MicrochipCapture(LineCapture):
             self._comment()
             return None
         cells = [cell.strip() for cell in text.split(b";")]
-        way = cells[1].upper() if len(cells) >= 4 else b""
-        if way not in _WAYS:
+        if len(cells) < 4 or cells[1].upper() not in (b"RX", b"TX"):
             if self._is_comment or text.startswith((b"Microchip", b"CAN BUS Analyzer", b"Logging ")):
                 self._comment()
                 return None
             if len(cells) < 4:
                 raise UnreadableRow("a line needs time, direction, identifier and length")
-            raise UnreadableRow(f"direction {printable_start(way)!r} is neither RX nor TX")
-        self._is_comment = False
+        is_rx, self._is_comment = is_received(cells[1]), False
         stamp, _, digits, length, *data = cells
         is_marked = digits[-1:] in b"xX" and digits != b""
         digits = digits[:-1] if is_marked else digits
@@ -80,7 +70,7 @@ class MicrochipCapture(LineCapture):
             None,
             None,
             is_marked or number > 0x7FF,
-            is_rx=_WAYS[way],
+            is_rx=is_rx,
         )
         return FrameRow(frame, decimal_ns(stamp, unit))
 

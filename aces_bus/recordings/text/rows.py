@@ -25,17 +25,14 @@ import numpy.typing as npt
 from ...errors import CallerError, CaptureError
 from ...frame_table import NO_TIME, FrameTable
 from ...frames import Frame
-from ..base import CanRecording, printable_start
-from ..source import MAX_LINE, ByteSource
+from ..base import REMOTE_AND_ERROR, CanRecording, printable_start
+from ..merge import merge_in_order
+from ..source import MAX_LINE
 
 #: Without a line of its format among this many unreadable ones, a file is not of the format.
 PATIENCE = 200
-#: Tables of a file have at least so many rows, but the last.
-ROWS = 8192
 #: So often in a block may headers change how lines are read; a file that does it more often is read slowly.
 _TRIES = 5
-#: So few characters are not worth arrays.
-_FEW = 800
 #: Characters at a time. More would leave the processor's cache.
 _BLOCK = 1 << 18
 
@@ -60,12 +57,23 @@ class LineCapture(CanRecording):
     Reading raises `CaptureError` when the source holds no line of the format at all.
     """
 
+    #: What the first lines of a file have, where that tells the format.
+    _LIKE: ClassVar[re.Pattern[bytes]]
     _TURN: ClassVar[re.Pattern[bytes] | None] = None
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._likely = False  # something of the format was seen
-        self._is_last = False  # what comes is a line without its end
+    #: Tables of a file have at least so many rows, but the last.
+    _ROWS: ClassVar = 8192
+    #: So few characters are not worth arrays.
+    _FEW: ClassVar = 800
+
+    #: Something of the format was seen.
+    is_known = False
+    _is_last = False  # what comes is a line without its end
+
+    @classmethod
+    def is_like(cls, head: bytes) -> bool:
+        """Whether a file that begins so is of the format."""
+        return cls._LIKE.search(head[: 1 << 14]) is not None
 
     @abstractmethod
     def _line(self, text: bytes) -> FrameRow | None:
@@ -79,30 +87,41 @@ class LineCapture(CanRecording):
 
     def _comment(self) -> None:
         self.lines_comment += 1
-        self._likely = True
+        self.is_known = True
 
     def _other(self, kind: str) -> None:
         self._other_kind(kind)
-        self._likely = True
+        self.is_known = True
 
     def _tables(self) -> Iterator[FrameTable]:
         tables: list[FrameTable] = []
         rows = 0
-        for block in self._blocks():
-            before = len(tables)
-            self._read(block, tables)
-            found = sum(map(len, tables[before:]))
-            self.frames += found
-            rows += found
-            self._likely = self._likely or bool(found)
-            if not self._likely and self.lines_unreadable >= PATIENCE:
-                raise self._not_one()
-            if rows >= ROWS or (rows and self.live):
+        try:
+            for block in self._blocks():
+                before = len(tables)
+                self._read(block, tables)
+                rows += self._found(sum(map(len, tables[before:])))
+                if rows >= self._ROWS or (rows and self.live):
+                    yield FrameTable.concat(tables)
+                    tables, rows = [], 0
+        except CaptureError:
+            if rows:  # what was read is given first
                 yield FrameTable.concat(tables)
-                tables, rows = [], 0
+            raise
         if rows:
             yield FrameTable.concat(tables)
-        if not self._likely and self.lines_unreadable:
+        self._check_end()
+
+    def _found(self, count: int) -> int:
+        """Count the frames of a block; raises `CaptureError` when nothing of the format comes."""
+        self.frames += count
+        self.is_known = self.is_known or bool(count)
+        if not self.is_known and self.lines_unreadable >= PATIENCE:
+            raise self._not_one()
+        return count
+
+    def _check_end(self) -> None:
+        if not self.is_known and self.lines_unreadable:
             raise self._not_one()
 
     def _blocks(self) -> Iterator[bytes]:
@@ -126,8 +145,8 @@ class LineCapture(CanRecording):
     def _read(self, block: bytes, tables: list[FrameTable]) -> None:
         """Add the frames of a block of whole lines; counts everything but them."""
         for _ in range(_TRIES):
-            found = self._quick(block) if len(block) > _FEW and not self._is_last else None
-            if found is None:
+            found = self._quick(block) if len(block) > self._FEW and not self._is_last else None
+            if found is None or not found[0].any():
                 break
             block = self._mixed(block, *found, tables)
         if block:
@@ -141,38 +160,51 @@ class LineCapture(CanRecording):
             self.lines += len(usual)
             tables.append(table)
             return b""
-        lines = block[:-1].split(b"\n")
-        rows: list[tuple[int, FrameRow]] = []
-        before, end = self.lines, len(lines)
-        for place in np.flatnonzero(~usual).tolist():
-            if self._TURN is not None and self._TURN.match(lines[place]):
+        ends = np.flatnonzero(np.frombuffer(block, np.uint8) == 0x0A)
+        starts = np.concatenate([[0], ends[:-1] + 1])
+        unusual = np.flatnonzero(~usual)
+        rows: list[FrameRow] = []
+        places: list[int] = []
+        before, end = self.lines, len(ends)
+        for place, start, stop in zip(
+            *(of.tolist() for of in (unusual, starts[unusual], ends[unusual])), strict=True
+        ):
+            text = block[start:stop]
+            if self._TURN is not None and self._TURN.match(text):
                 end = place
                 break
             self.lines = before + place + 1
-            if (row := self._one(lines[place])) is not None:
-                rows.append((place, row))
+            if (row := self._one(text)) is not None:
+                rows.append(row)
+                places.append(place)
         self.lines = before + end
-        places = np.flatnonzero(usual[:end])
-        table = table.take(slice(0, len(places)))
+        common = np.flatnonzero(usual[:end])
+        table = table.take(slice(0, len(common)))
         if rows:
-            order = np.argsort(np.concatenate([places, [place for place, _ in rows]]), kind="stable")
-            table = FrameTable.concat([table, self._table([row for _, row in rows])]).take(order)
+            odd = np.array(places, np.int64)
+            table = merge_in_order(end, [common, odd], [table, self._table(rows)])
         if len(table):
             tables.append(table)
-        stop = end
-        while stop < len(lines) and self._TURN is not None and self._TURN.match(lines[stop]):
-            stop += 1
-        self._slowly(lines[end:stop], tables)
-        return b"\n".join([*lines[stop:], b""]) if stop < len(lines) else b""
+        turns: list[bytes] = []
+        for start, stop in zip(starts[end:].tolist(), ends[end:].tolist(), strict=True):
+            if self._TURN is None or not self._TURN.match(block[start:stop]):
+                break
+            turns.append(block[start:stop])
+        self._slowly(turns, tables)
+        rest = end + len(turns)
+        return block[starts[rest] :] if rest < len(starts) else b""
 
     def _slowly(self, lines: Sequence[bytes], tables: list[FrameTable]) -> None:
+        if rows := self._rows(lines):
+            tables.append(self._table(rows))
+
+    def _rows(self, lines: Sequence[bytes]) -> list[FrameRow]:
         rows: list[FrameRow] = []
         for line in lines:
             self.lines += 1
             if (row := self._one(line)) is not None:
                 rows.append(row)
-        if rows:
-            tables.append(self._table(rows))
+        return rows
 
     def _one(self, line: bytes) -> FrameRow | None:
         """Any line at all; counts it unless it is a frame."""
@@ -271,6 +303,24 @@ def hex_data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
             raise UnreadableRow(f"byte {printable_start(cell)} is more than 255")
         out.append(value)
     return bytes(out)
+
+
+_WAYS = {b"rx": True, b"tx": False}
+
+
+def is_received(text: bytes) -> bool:
+    """Which way Rx and Tx are, in whatever case. Raises `UnreadableRow`."""
+    if (found := _WAYS.get(text.lower())) is None:
+        raise UnreadableRow(f"direction {printable_start(text)!r} is neither Rx nor Tx")
+    return found
+
+
+def check_remote(is_remote: bool, is_error: bool, size: int) -> None:
+    """Raises `UnreadableRow` for a remote frame that cannot be."""
+    if is_remote and is_error:
+        raise UnreadableRow(REMOTE_AND_ERROR)
+    if is_remote and size > 8:
+        raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
 
 
 def one_less(number: int) -> str | None:

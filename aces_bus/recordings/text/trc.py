@@ -30,6 +30,7 @@ is of the bus.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from decimal import Decimal
 
 import numpy as np
@@ -37,7 +38,6 @@ import numpy as np
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
 from ...frames import Frame
 from ..base import printable_start
-from ..source import ByteSource
 from .rows import (
     CLASSIC_LENGTHS,
     FD_LENGTHS_BY_CODE,
@@ -45,6 +45,7 @@ from .rows import (
     FrameRow,
     LineCapture,
     UnreadableRow,
+    check_remote,
     decimal_ns,
     hex_data,
     integer,
@@ -82,23 +83,17 @@ _LIKE = re.compile(
 _OLD_COLUMNS = {"1.0": "nOIlD", "1.1": "nOdIlD", "1.2": "nOBdIlD", "1.3": "nOBdIRlD"}
 
 
-def looks_like_trc(head: bytes) -> bool:
-    """Whether this begins as a PEAK trace, or has lines of one."""
-    return _LIKE.search(head[: 1 << 14]) is not None
-
-
 class TrcCapture(LineCapture):
     """Frames of a PEAK trace."""
 
     format = "PEAK trace"
+    _LIKE = _LIKE
     _TURN = re.compile(rb"\s*;\$")
 
-    def __init__(self, source: ByteSource) -> None:
-        super().__init__(source)
-        self._version = "1.0"
-        self._layout: list[str] = []
-        self._origin = 0
-        self._usual = _OLD_COLUMNS["1.0"]
+    _version = "1.0"
+    _layout: Sequence[str] = ()
+    _origin = 0
+    _usual = _OLD_COLUMNS["1.0"]
 
     # ---- headers
 
@@ -110,7 +105,7 @@ class TrcCapture(LineCapture):
         if key == b"FILEVERSION":
             if not re.fullmatch(r"[12]\.[0-9]", value):
                 raise UnreadableRow(f"version {value[:16]!r} is not known; 1.0 to 2.1 are")
-            self._version, self._layout, self._origin = value, [], 0
+            self._version, self._layout, self._origin = value, (), 0
         elif key == b"STARTTIME":
             if not re.fullmatch(r"[0-9]{1,7}(?:[.,][0-9]{1,30})?", value):
                 raise UnreadableRow("the start time is not a number of days; times count from the start")
@@ -246,8 +241,7 @@ class TrcCapture(LineCapture):
         data = b"" if remote else hex_data(cells, size)
         if not remote and len(cells) > size:
             raise UnreadableRow(f"more than the {size} bytes that are announced")
-        if remote and size > 8:
-            raise UnreadableRow(f"a remote frame asks for at most 8 bytes, not {size}")
+        check_remote(remote, False, size)
         return FrameRow(
             Frame(
                 integer(digits, 16, "identifier"),

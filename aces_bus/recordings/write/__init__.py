@@ -5,7 +5,7 @@
 2. What a format cannot hold is written as near as it can be, and counted in words in `lossy`; nothing is dropped in silence.
 3. The formats' modules, and the libraries that some need, are imported when that format is written.
 
-**A writer** is a class with `format`, made with an open file and what messages call it. It is given `FrameTable`s (or a
+**A writer** is a `RecordingWriter`, made with an open file and what messages call it. Its `write` takes `FrameTable`s (or a
 serial line's `Chunk`s) in the order of the recording, of one capture or of several: their `channels` may differ. `close`
 writes what is still kept back, and leaves the file open: whoever opened it closes it. A writer that goes back in its file
 (a header with the number of frames) says `needs_seek`; it is then given a seekable file even where the output is a pipe
@@ -28,12 +28,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from types import TracebackType
-from typing import Any, BinaryIO, ClassVar, Protocol, Self, cast
+from typing import Any, BinaryIO, Self, cast
 
 from ...errors import CallerError, UnknownNameError
 from ...frame_table import FrameTable
 from ..base import Chunk, Link
-from ._channels import ChannelNumbers, WrittenChannels
+from ._base import ChannelNumbers, RecordingWriter, WrittenChannels
 from ._file import OutFile
 
 __all__ = [
@@ -41,44 +41,11 @@ __all__ = [
     "ChannelNumbers",
     "FormatOut",
     "OpenWriter",
-    "SerialWriter",
-    "TableWriter",
+    "RecordingWriter",
     "WrittenChannels",
     "open_writer",
     "writer_format",
 ]
-
-
-class TableWriter(Protocol):
-    """Writes CAN frames."""
-
-    format: ClassVar[str]
-    lossy: dict[str, int]
-
-    def __init__(self, file: BinaryIO, name: str) -> None: ...
-    def write(self, table: FrameTable) -> None:
-        """Write the frames, in order."""
-        ...
-
-    def close(self) -> None:
-        """Finish; the file stays open."""
-        ...
-
-
-class SerialWriter(Protocol):
-    """Writes the bytes of a serial line."""
-
-    format: ClassVar[str]
-    lossy: dict[str, int]
-
-    def __init__(self, file: BinaryIO, name: str) -> None: ...
-    def write(self, chunk: Chunk) -> None:
-        """Write the bytes of a chunk, with its time, direction and boundary where the format has these."""
-        ...
-
-    def close(self) -> None:
-        """Finish; the file stays open."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -109,7 +76,7 @@ FORMATS: Mapping[str, FormatOut] = {
         FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True),
         FormatOut("mf4", (".mf4",), "ASAM MDF 4", "can", ".mf4", "Mf4Writer", needs_seek=True),
         FormatOut("pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter"),
-        FormatOut("slog", (".slog",), "serial log of aces-bus", "serial", "..serial.slog", "SerialLogWriter"),
+        FormatOut("slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter"),
         FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter"),
         FormatOut(
             "dxconf",
@@ -150,7 +117,7 @@ class OpenWriter:
         self.format, self.name, self.link = form.name, file.name, form.link
         self._file = file
         kind = getattr(import_module(form.module, __package__), form.writer)
-        self._writer: Any = kind(file.stream, file.name)
+        self._writer: Any = kind(file.stream, file.name)  # a `RecordingWriter`, of tables or of chunks
         self._is_open = True
 
     @property

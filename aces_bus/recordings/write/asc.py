@@ -21,17 +21,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import datetime
-from typing import BinaryIO, ClassVar
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, TX, FrameTable, Ints
-from ._channels import ChannelNumbers
-from ._dlc import DLC_OF_LENGTH
-from ._losses import StartTime, WriteLosses
+from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, FrameTable, Ints
+from ._base import DLC_OF_LENGTH, StartedWriter, kinds_of
 from ._text import (
     Column,
-    blocks,
     choices,
     decimal_text,
     hexadecimal_text,
@@ -58,78 +54,47 @@ def _stated(start: int) -> datetime:
     return datetime.fromtimestamp(start // 1_000_000_000)
 
 
-def _settle(first: int) -> int:
-    start = first - first % _MILLISECOND
-    while _stated(start).replace(fold=0).timestamp() != _stated(start).replace(fold=1).timestamp():
-        start -= _HOUR
-    return start
-
-
-class AscWriter:
+class AscWriter(StartedWriter):
     """Frames as lines of an ASC log."""
 
-    format: ClassVar[str] = "asc"
+    format = "asc"
 
-    def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file = file
-        self._numbers = ChannelNumbers()
-        self._losses = WriteLosses()
-        self._start = StartTime(self._losses, _settle)
-        self._is_begun = False
+    def _settled(self, first: int) -> int:
+        start = first - first % _MILLISECOND
+        while _stated(start).replace(fold=0).timestamp() != _stated(start).replace(fold=1).timestamp():
+            start -= _HOUR
+        return start
 
-    @property
-    def lossy(self) -> dict[str, int]:
-        return self._losses.with_names(self._numbers.lost)
-
-    def write(self, table: FrameTable) -> None:
-        """Write the frames, in order."""
-        if not len(table):
-            return
-        offsets = self._start.offsets(table)
-        self._begin()
-        self._losses.directions(table)
-        self._losses.error_classes(table)
-        self._losses.error_fd(table)
-        for rows in blocks(len(table)):
-            self._file.write(self._lines(table.take(rows), offsets[rows]))
+    def _count(self, table: FrameTable, offsets: Ints) -> None:
+        self._error_classes(table)
 
     def close(self) -> None:
         """Write the end."""
-        self._begin()
+        super().close()
         self._file.write(b"End TriggerBlock\n")
 
     def _begin(self) -> None:
-        if not self._is_begun:
-            self._is_begun = True
-            start = self._start.start or 0
-            at = _stated(start)
-            date = (
-                f"{_DAYS[at.weekday()]} {_MONTHS[at.month - 1]} {at.day:02} {at:%H:%M:%S}"
-                f".{start // _MILLISECOND % 1000:03} {at.year}"
-            )
-            self._file.write(
-                f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
-                f"Begin Triggerblock {date}\n".encode()
-            )
+        start = self._start or 0
+        at = _stated(start)
+        date = (
+            f"{_DAYS[at.weekday()]} {_MONTHS[at.month - 1]} {at.day:02} {at:%H:%M:%S}"
+            f".{start // _MILLISECOND % 1000:03} {at.year}"
+        )
+        self._file.write(
+            f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
+            f"Begin Triggerblock {date}\n".encode()
+        )
 
-    def _lines(self, table: FrameTable, offsets: Ints) -> bytes:
-        times = _times(offsets)
-        table = replace(table, length=self._losses.remote_lengths(table))
-        channels = self._numbers.numbers(table)
-        flags = table.flags
-        if not (flags & (FD | ERROR)).any():
-            return _classic(table, times, channels)
-        is_error = flags & ERROR != 0
-        is_fd = (flags & FD != 0) & ~is_error
+    def _encoded(self, table: FrameTable) -> bytes:
+        times = _times(self._offsets)
+        table = replace(table, length=self._remote_lengths(table))
+        channels = self._channels.numbers(table)
         return interleaved(
             len(table),
             [
                 (rows, kind(table.take(rows), times[rows], channels[rows]))
-                for rows, kind in (
-                    (np.flatnonzero(~(is_fd | is_error)), _classic),
-                    (np.flatnonzero(is_fd), _fd),
-                    (np.flatnonzero(is_error), _errors),
-                )
+                for rows, kind in zip(kinds_of(table), (_classic, _fd, _errors), strict=True)
+                if len(rows)
             ],
         )
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import struct
 import zlib
 from datetime import UTC, datetime
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -31,17 +31,13 @@ from ...frame_table import (
     ERROR,
     ERROR_STATE,
     EXTENDED,
-    FD,
     REMOTE,
     TX,
     FrameTable,
     Ints,
     widened,
 )
-from ._channels import ChannelNumbers
-from ._dlc import DLC_OF_LENGTH
-from ._losses import EARLIEST, StartTime, WriteLosses
-from ._text import blocks
+from ._base import DLC_OF_LENGTH, EARLIEST, ChannelNumbers, StartedWriter, kinds_of, records_in_order
 
 _CONTAINER = 128 * 1024
 _LEVEL = 2
@@ -101,72 +97,66 @@ _TYPES = {_CLASSIC: 1, _FD: 100, _ERROR: 73}
 _NANOSECONDS = 2
 
 
-class BlfWriter:
+class BlfWriter(StartedWriter):
     """Frames as objects of a BLF file, which must be seekable."""
 
-    format: ClassVar[str] = "blf"
+    format = "blf"
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file = file
-        self._begin = file.tell()
-        self._numbers = ChannelNumbers(none=0)
-        self._losses = WriteLosses()
-        self._start = StartTime(self._losses, lambda first: first - first % 1_000_000)
+        super().__init__(file, name)
+        self._begins_at = file.tell()
         self._kept = bytearray()
         self._objects = 0
-        self._unpacked = _HEADER_SIZE
-        self._size = _HEADER_SIZE
-        self._file.write(self._header())
+        self._unpacked = self._size = _HEADER_SIZE
+        file.write(self._header())
 
-    @property
-    def lossy(self) -> dict[str, int]:
-        return self._losses.with_names(self._numbers.lost)
+    def _numbering(self) -> ChannelNumbers:
+        return ChannelNumbers(none=0)
 
-    def write(self, table: FrameTable) -> None:
-        """Write the frames, in order."""
-        if not len(table):
-            return
-        offsets = self._start.offsets(table)
-        self._losses.directions(table)
-        self._losses.error_fd(table)
+    def _settled(self, first: int) -> int:
+        return first - first % 1_000_000
+
+    def _count(self, table: FrameTable, offsets: Ints) -> None:
         is_long = (table.flags & ERROR != 0) & (table.length > 8)
-        self._losses.add("error frames with more than 8 bytes", np.count_nonzero(is_long))
-        numbers = self._numbers.numbers(table)
+        self.lose("error frames with more than 8 bytes", np.count_nonzero(is_long))
+
+    def _encoded(self, table: FrameTable) -> bytes:
+        channels, offsets = self._channels.numbers(table), self._offsets
         self._objects += len(table)
-        for rows in blocks(len(table)):
-            self._kept += _objects(table.take(rows), offsets[rows], numbers[rows])
-            while len(self._kept) >= _CONTAINER:
-                self._flush()
+        self._kept += records_in_order(
+            len(table),
+            [
+                (rows, make(table.take(rows), offsets[rows], channels[rows]))
+                for rows, make in zip(kinds_of(table), (_classic, _fd, _error), strict=True)
+                if len(rows)
+            ],
+        )
+        return b"".join(self._packed(_CONTAINER) for _ in range(len(self._kept) // _CONTAINER))
 
     def close(self) -> None:
         """Write what is kept, and the header once more."""
         while self._kept:
-            self._flush()
-        self._file.seek(self._begin)
+            self._file.write(self._packed(_CONTAINER))
+        self._file.seek(self._begins_at)
         self._file.write(self._header())
         self._file.seek(0, 2)
 
-    def _flush(self) -> None:
-        content = bytes(self._kept[:_CONTAINER])
-        del self._kept[:_CONTAINER]
+    def _packed(self, count: int) -> bytes:
+        """A container of the first bytes that are kept."""
+        content = bytes(self._kept[:count])
+        del self._kept[:count]
         packed = zlib.compress(content, _LEVEL)
         size = _BASE.size + _PACKED.size + len(packed)
-        self._file.write(
-            b"".join(
-                (
-                    _BASE.pack(b"LOBJ", _BASE.size, 1, size, 10),
-                    _PACKED.pack(2, len(content)),
-                    packed,
-                    bytes(size % 4),  # so much, and not what is missing to four: all readers go by it
-                )
-            )
-        )
         self._unpacked += _BASE.size + _PACKED.size + len(content)
         self._size += size + size % 4
+        head = _BASE.pack(b"LOBJ", _BASE.size, 1, size, 10) + _PACKED.pack(2, len(content))
+        return (
+            head + packed + bytes(size % 4)
+        )  # so much, and not what is missing to four: all readers go by it
 
     def _header(self) -> bytes:
-        start = self._start.start or 0
-        last = start + self._start.last
+        start = self._start or 0
+        last = start + self._last
         numbers = (_APPLICATION, 0, 0, 0, 2, 6, 8, 1)  # the last four: the version of the format's library
         header = _HEADER.pack(
             *(b"LOGG", _HEADER_SIZE, *numbers, self._size, self._unpacked, self._objects & 0xFFFF_FFFF, 0),
@@ -182,27 +172,6 @@ def _system_time(ns: int) -> tuple[int, ...]:
     at = datetime.fromtimestamp(ns // 1_000_000_000, UTC)
     milliseconds = ns // 1_000_000 % 1000
     return at.year, at.month, at.isoweekday() % 7, at.day, at.hour, at.minute, at.second, milliseconds
-
-
-def _objects(table: FrameTable, offsets: Ints, channels: Ints) -> bytes:
-    flags = table.flags
-    is_error = flags & ERROR != 0
-    is_fd = (flags & FD != 0) & ~is_error
-    if not (is_error | is_fd).any():
-        return _classic(table, offsets, channels).tobytes()
-    # Rows as long as the longest kind, of which each keeps its own size.
-    text = np.zeros((len(table), _FD.itemsize), np.uint8)
-    sizes = np.empty(len(table), np.intp)
-    for rows, make in (
-        (np.flatnonzero(~(is_error | is_fd)), _classic),
-        (np.flatnonzero(is_fd), _fd),
-        (np.flatnonzero(is_error), _error),
-    ):
-        if len(rows):
-            made = make(table.take(rows), offsets[rows], channels[rows])
-            text[rows, : made.itemsize] = made.view(np.uint8).reshape(len(rows), -1)
-            sizes[rows] = made.itemsize
-    return text[np.arange(_FD.itemsize) < sizes[:, None]].tobytes()
 
 
 def _made(kind: np.dtype[Any], table: FrameTable, offsets: Ints, channels: Ints) -> npt.NDArray[Any]:

@@ -9,14 +9,13 @@ frame that asks for 0 bytes is `#R`. A frame without a time gets zero: the forma
 
 from __future__ import annotations
 
-from typing import BinaryIO, ClassVar
+from typing import BinaryIO
 
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, FrameTable
-from ._channels import WrittenChannels
-from ._losses import WriteLosses, epoch_times
-from ._text import Column, blocks, choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
+from ._base import FrameWriter, WrittenChannels
+from ._text import Column, choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
 
 _ERROR_BIT = np.uint32(0x2000_0000)
 _WAYS = choices([b"", b" R", b" T", b" R"])
@@ -24,32 +23,19 @@ _FD_MARKS = choices([b"", b"#0", b"#1", b"#2", b"#3"])
 _REMOTES = choices([b"", b"R", *(b"R%d" % n for n in range(1, 9))])
 
 
-class CandumpWriter:
+class CandumpWriter(FrameWriter):
     """Frames as lines of a candump log."""
 
-    format: ClassVar[str] = "candump"
+    format = "candump"
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file = file
-        self._names = WrittenChannels()
-        self._losses = WriteLosses()
+        super().__init__(file, name)
+        self._channels: WrittenChannels = WrittenChannels()
 
-    @property
-    def lossy(self) -> dict[str, int]:
-        return self._losses.with_names(self._names.lost)
-
-    def write(self, table: FrameTable) -> None:
-        """Write the frames, in order."""
-        for rows in blocks(len(table)):
-            self._file.write(self._lines(table.take(rows)))
-
-    def close(self) -> None:
-        """Nothing is kept back."""
-
-    def _lines(self, table: FrameTable) -> bytes:
+    def _encoded(self, table: FrameTable) -> bytes:
         n, flags, channel = len(table), table.flags, table.channel
-        names = self._names.row(table.channels, int(channel.max()))
-        seconds, nanoseconds = np.divmod(epoch_times(table, self._losses), 1_000_000_000)
+        names = self._channels.row(table.channels, int(channel.max()))
+        seconds, nanoseconds = np.divmod(self._epoch_times(table), 1_000_000_000)
         fraction = decimal_text(nanoseconds, 9)
         whole = nanoseconds % 1000 == 0
         if whole.all():
@@ -82,7 +68,7 @@ class CandumpWriter:
         data = padded_data(table)
         remote = (flags & REMOTE).astype(bool)
         if remote.any():
-            columns.append(_REMOTES[np.where(remote, self._losses.remote_lengths(table) + 1, 0)])
+            columns.append(_REMOTES[np.where(remote, self._remote_lengths(table) + 1, 0)])
             data = only(data, ~remote)
         columns.append(data)
         if (flags & (RX | TX)).any():

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from ...frame_table import (
 )
 from ..mf4 import blocks as mdf
 from ..mf4.blocks import ORDER
+from ._base import DLC_OF_LENGTH, RecordingWriter
 
 #: Bytes of a record before those of the frame.
 _FRAME_AT = 12
@@ -48,10 +49,6 @@ _HISTORY = (
     "<FHcomment><TX>written</TX><tool_id>aces-bus</tool_id><tool_vendor>aces-bus</tool_vendor>"
     "<tool_version>1</tool_version></FHcomment>"
 )
-#: Lengths of CAN FD frames by their code.
-_CODES = np.zeros(65, np.uint8)
-for _code, _length in enumerate((0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)):
-    _CODES[_length] = _code
 
 
 def _layout(kind: str, width: int, has_way: bool) -> np.dtype[np.void]:
@@ -86,17 +83,16 @@ class _Group:
     pieces: list[tuple[int, int]] = field(default_factory=list)
 
 
-class Mf4Writer:
+class Mf4Writer(RecordingWriter):
     """Frames as an MDF 4.10 bus log. The file is finished by `close`, and must be seekable.
 
     A frame without time gets that of the frame before it, and is counted in `lossy`.
     """
 
-    format: ClassVar[str] = "MF4"
+    format = "MF4"
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file, self.name = file, name
-        self.lossy: dict[str, int] = {}
+        super().__init__(file, name)
         self._groups: dict[tuple[str | None, str, int, bool], _Group] = {}
         self._numbers: dict[str | None, int] = {}
         self._start: int | None = None
@@ -146,7 +142,7 @@ class Mf4Writer:
     def _times(self, time: Ints) -> Ints:
         is_missing = time == NO_TIME
         if is_missing.any():
-            self._lose(
+            self.lose(
                 "times that the capture does not say, written as the frame's before", int(is_missing.sum())
             )
             latest = np.maximum.accumulate(np.where(is_missing, -1, np.arange(len(time))))
@@ -172,7 +168,7 @@ class Mf4Writer:
                 number = next((free for free in range(_CHANNELS) if free not in taken), _CHANNELS - 1)
             self._numbers[name] = number
             if name is not None and (not name or name != name.strip(" \r\t\n\0") or "\0" in name):
-                self._lose("channel names", 1)
+                self.lose("channel names", 1)
         return self._numbers[name]
 
     def _add(self, group: _Group, table: FrameTable, time: Ints, order: Ints) -> None:
@@ -182,7 +178,7 @@ class Mf4Writer:
         records["time"], records["ID"], records["BusChannel"] = time, table.id, group.number
         records[ORDER] = order
         records["IDE"] = flags & EXTENDED != 0
-        records["DLC"] = np.where(is_fd, _CODES[np.minimum(table.length, 64)], table.length)
+        records["DLC"] = np.where(is_fd, DLC_OF_LENGTH[table.length], table.length)
         records["DataLength"] = 0 if group.kind == "CAN_RemoteFrame" else table.length
         names = group.layout.names or ()
         if "Dir" in names:
@@ -231,47 +227,16 @@ class Mf4Writer:
     def _describe(self, group: _Group, time_name: int, conversion: int, unit: int) -> int:
         """The blocks of a channel group, the last first; the offset of the group's own."""
         fields: Any = group.layout.fields
-        part_at = 0
+        last = 0
         for name in reversed([name for name in group.layout.names or () if name not in ("time", ORDER)]):
             kind, first = fields[name][:2]
-            part = mdf.ChannelBlock(
-                name_at=self._put(mdf.text_block(f"{group.kind}.{name}")),
-                kind=mdf.VALUE,
-                data_type=mdf.BYTES if name == "DataBytes" else mdf.UNSIGNED,
-                first_byte=first,
-                bits=kind.itemsize * 8,
-                next_at=part_at,
-            )
-            part_at = self._put(mdf.channel(part))
-        whole = mdf.ChannelBlock(
-            name_at=self._put(mdf.text_block(group.kind)),
-            kind=mdf.VALUE,
-            data_type=mdf.BYTES,
-            first_byte=_FRAME_AT,
-            bits=(group.layout.itemsize - _FRAME_AT) * 8,
-            parts_at=part_at,
-        )
-        order = mdf.ChannelBlock(
-            name_at=self._put(mdf.text_block(ORDER)),
-            kind=mdf.VALUE,
-            data_type=mdf.UNSIGNED,
-            first_byte=8,
-            bits=32,
-            next_at=self._put(mdf.channel(whole)),
-            is_bus_event=False,
-        )
-        order_at = self._put(mdf.channel(order))
+            what = mdf.BYTES if name == "DataBytes" else mdf.UNSIGNED
+            last = self._channel(f"{group.kind}.{name}", what, first, kind.itemsize, last)
+        whole = group.layout.itemsize - _FRAME_AT
+        last = self._channel(group.kind, mdf.BYTES, _FRAME_AT, whole, 0, parts_at=last)
+        last = self._channel(ORDER, mdf.UNSIGNED, 8, 4, last, is_bus_event=False)
         time = mdf.ChannelBlock(
-            name_at=time_name,
-            kind=mdf.MASTER,
-            data_type=mdf.SIGNED,
-            first_byte=0,
-            bits=64,
-            next_at=order_at,
-            conversion_at=conversion,
-            unit_at=unit,
-            is_time=True,
-            is_bus_event=False,
+            time_name, mdf.MASTER, mdf.SIGNED, 0, 64, 0, last, 0, conversion, unit, True, is_bus_event=False
         )
         time_at = self._put(mdf.channel(time))
         source_name = self._put(mdf.text_block(f"CAN{group.number}"))
@@ -280,5 +245,10 @@ class Mf4Writer:
         acquired = self._put(mdf.text_block(group.kind.removeprefix("CAN_")))
         return self._put(mdf.channel_group(time_at, acquired, source, group.records, group.layout.itemsize))
 
-    def _lose(self, what: str, count: int) -> None:
-        self.lossy[what] = self.lossy.get(what, 0) + count
+    def _channel(
+        self, name: str, data_type: int, first_byte: int, size: int, next_at: int, **more: Any
+    ) -> int:
+        """A channel of so many bytes in each record; its offset."""
+        name_at = self._put(mdf.text_block(name))
+        block = mdf.ChannelBlock(name_at, mdf.VALUE, data_type, first_byte, 8 * size, next_at=next_at, **more)
+        return self._put(mdf.channel(block))

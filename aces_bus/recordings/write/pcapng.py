@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import struct
-from typing import BinaryIO, ClassVar
+from typing import BinaryIO
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from ...frame_table import (
     ERROR_STATE,
     EXTENDED,
     FD,
-    NO_TIME,
     REMOTE,
     RX,
     TX,
@@ -39,6 +38,7 @@ from ..pcap.socketcan import (
     REMOTE_BIT,
     SOCKETCAN,
 )
+from ._base import FrameWriter, records_in_order
 
 _HEAD = [
     ("type", "<u4"), ("total", "<u4"), ("interface", "<u4"), ("high", "<u4"), ("low", "<u4"),
@@ -47,46 +47,31 @@ _HEAD = [
 _TAIL = [("option", "<u2"), ("size", "<u2"), ("way", "<u4"), ("end", "<u4"), ("again", "<u4")]
 _CLASSIC = np.dtype([*_HEAD, ("data", "u1", 8), *_TAIL])
 _LARGE = np.dtype([*_HEAD, ("data", "u1", 64), *_TAIL])
-#: Written at once.
-_ROWS = 1 << 15
 
 
-class PcapngWriter:
+class PcapngWriter(FrameWriter):
     """Frames as pcapng packets. What has no time is written with the time 0, and counted in `lossy`."""
 
-    format: ClassVar[str] = "pcapng"
+    format = "pcapng"
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file, self.name = file, name
-        self.lossy: dict[str, int] = {}
+        super().__init__(file, name)
         self._interfaces: dict[str | None, int] = {}
         section = struct.pack("<IHHq", BYTE_ORDER, 1, 0, -1) + _option(4, b"aces-bus") + _option(0, b"")
         file.write(_block(SECTION, section))
 
-    def write(self, table: FrameTable) -> None:
-        """Write the frames, in order."""
-        for start in range(0, len(table), _ROWS):
-            self._write(table.take(slice(start, start + _ROWS)))
-
-    def _write(self, table: FrameTable) -> None:
+    def _encoded(self, table: FrameTable) -> bytes:
         interface = self._numbers(table)
         is_large = (table.flags & FD != 0) | (table.length > 8) & (table.flags & REMOTE == 0)
-        if not is_large.any():
-            self._file.write(self._blocks(table, interface, _CLASSIC).tobytes())
-            return
-        if is_large.all():
-            self._file.write(self._blocks(table, interface, _LARGE).tobytes())
-            return
-        rows = np.zeros((len(table), _LARGE.itemsize), np.uint8)
-        is_used = np.ones(rows.shape, bool)
-        is_used[~is_large, _CLASSIC.itemsize :] = False
-        for mask, kind in ((is_large, _LARGE), (~is_large, _CLASSIC)):
-            blocks = self._blocks(table.take(mask), interface[mask], kind)
-            rows[mask, : kind.itemsize] = blocks.view(np.uint8).reshape(-1, kind.itemsize)
-        self._file.write(rows[is_used].tobytes())
-
-    def close(self) -> None:
-        """Nothing is kept back."""
+        parts = ((np.flatnonzero(is_large), _LARGE), (np.flatnonzero(~is_large), _CLASSIC))
+        return records_in_order(
+            len(table),
+            [
+                (rows, self._blocks(table.take(rows), interface[rows], kind))
+                for rows, kind in parts
+                if len(rows)
+            ],
+        )
 
     def _numbers(self, table: FrameTable) -> Ints:
         """The interface of each frame; a new one is described first."""
@@ -99,7 +84,7 @@ class PcapngWriter:
                 body = struct.pack("<HHI", SOCKETCAN, 0, 0) + options + _option(9, b"\x09") + _option(0, b"")
                 self._file.write(_block(INTERFACE, body))
                 if interface_name(raw, len(self._interfaces)) != name:
-                    self._lose("channel names", 1)
+                    self.lose("channel names")
                 self._interfaces[name] = len(self._interfaces)
             numbers[channel] = self._interfaces[name]
         return numbers[table.channel]
@@ -108,12 +93,7 @@ class PcapngWriter:
         blocks = np.zeros(len(table), kind)
         flags = table.flags
         is_remote = flags & REMOTE != 0
-        time = table.time
-        if (wrong := time < 0).any():
-            missing = int((time == NO_TIME).sum())
-            self._lose("times that the capture does not say, written as 0", missing)
-            self._lose("times before 1970, written as 0", int(wrong.sum()) - missing)
-            time = np.where(wrong, 0, time)
+        time = self._epoch_times(table)
         blocks["type"], blocks["total"], blocks["again"] = ENHANCED, kind.itemsize, kind.itemsize
         blocks["interface"] = interface
         blocks["high"], blocks["low"] = time >> 32, time & 0xFFFF_FFFF
@@ -124,11 +104,7 @@ class PcapngWriter:
             | is_remote * np.uint32(REMOTE_BIT)
             | (flags & ERROR != 0) * np.uint32(ERROR_BIT)
         )
-        length = table.length
-        if (wrong := is_remote & (length > 8)).any():
-            self._lose("lengths above 8 that remote frames ask for", int(wrong.sum()))
-            length = np.where(wrong, 8, length)
-        blocks["length"] = length
+        blocks["length"] = self._remote_lengths(table)
         is_fd = flags & FD != 0
         blocks["fd"] = (
             is_fd * np.uint8(FDF)
@@ -143,10 +119,6 @@ class PcapngWriter:
         blocks["option"], blocks["size"] = 2, 4
         blocks["way"] = (flags & RX != 0) * 1 + (flags & TX != 0) * 2
         return blocks
-
-    def _lose(self, what: str, count: int) -> None:
-        if count:
-            self.lossy[what] = self.lossy.get(what, 0) + count
 
 
 def _option(code: int, value: bytes) -> bytes:

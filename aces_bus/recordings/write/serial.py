@@ -1,61 +1,57 @@
-"""Bytes of a serial line without anything else, and as the hex dump of the vendor's serial monitor.
+"""Bytes of a serial line: our own recording, the bytes alone, and the hex dump of the vendor's serial monitor.
 
-1. Neither holds when bytes came and which way they went; chunks that say so are counted.
+1. The last two hold neither when bytes came nor which way they went; chunks that say so are counted.
 2. Rows of a dump go on over chunks: sixteen bytes each, but the last.
+3. Each `write` of our own recording hands its lines to the file at once.
 """
 
 from __future__ import annotations
 
-from typing import BinaryIO, ClassVar
+from typing import BinaryIO
 
+from ...frame_table import NO_TIME, to_ns
 from ..base import Chunk
+from ..serial.slog import LINE_BYTES, OPENING, SIGNS, VERSION
+from ._base import RecordingWriter
 
 _ROW = 16
 _CHARACTERS = bytes(code if 0x20 <= code < 0x7F else ord(".") for code in range(256))
 
 
-class RawWriter:
+class RawWriter(RecordingWriter):
     """The bytes and nothing else."""
 
-    format: ClassVar[str] = "raw"
-
-    def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file = file
-        self.lossy: dict[str, int] = {}
+    format = "raw"
 
     def write(self, chunk: Chunk) -> None:
-        """Write the bytes."""
-        _count(chunk, self.lossy)
-        self._file.write(chunk.data)
+        """Write the bytes of a chunk, or what is full of them."""
+        self.lose("times of chunks", chunk.time is not None)
+        self.lose("directions of chunks", chunk.direction is not None)
+        self._file.write(self._encoded(chunk.data))
 
-    def close(self) -> None:
-        """Nothing is kept back."""
+    def _encoded(self, data: bytes) -> bytes:
+        return data
 
 
-class DxconfWriter:
+class DxconfWriter(RawWriter):
     """Rows of sixteen bytes with their characters."""
 
-    format: ClassVar[str] = "dxconf"
+    format = "dxconf"
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file = file
+        super().__init__(file, name)
         self._kept = b""
-        self.lossy: dict[str, int] = {}
         file.write(b'Port opened by process "aces"\n\n')
 
-    def write(self, chunk: Chunk) -> None:
-        """Write the rows that are full."""
-        _count(chunk, self.lossy)
-        data = self._kept + chunk.data
+    def _encoded(self, data: bytes) -> bytes:
+        data = self._kept + data
         full = len(data) - len(data) % _ROW
-        self._file.write(b"".join(_row(data[start : start + _ROW]) for start in range(0, full, _ROW)))
         self._kept = data[full:]
+        return b"".join(_row(data[start : start + _ROW]) for start in range(0, full, _ROW))
 
     def close(self) -> None:
         """Write the last row, and the end."""
-        if self._kept:
-            self._file.write(_row(self._kept))
-        self._file.write(b"\nPort closed\n")
+        self._file.write((_row(self._kept) if self._kept else b"") + b"\nPort closed\n")
 
 
 def _row(data: bytes) -> bytes:
@@ -63,7 +59,33 @@ def _row(data: bytes) -> bytes:
     return b" %b   %b\n" % (cells, data.translate(_CHARACTERS))
 
 
-def _count(chunk: Chunk, lossy: dict[str, int]) -> None:
-    for kind, value in (("times of chunks", chunk.time), ("directions of chunks", chunk.direction)):
-        if value is not None:
-            lossy[kind] = lossy.get(kind, 0) + 1
+class SerialLogWriter(RecordingWriter):
+    """Our own serial recording. Times finer than nanoseconds, or beyond the year 2262, are counted as lost."""
+
+    format = "serial log of aces-bus"
+
+    def __init__(self, file: BinaryIO, name: str) -> None:
+        super().__init__(file, name)
+        file.write(OPENING + b"%d\n" % VERSION)
+
+    def write(self, chunk: Chunk) -> None:
+        """Write a chunk; an empty one leaves no trace."""
+        data = chunk.data
+        head = f"({self._time(chunk.time)}) {SIGNS[chunk.direction]}"
+        lines: list[str] = []
+        for start in range(0, len(data), LINE_BYTES):
+            piece = data[start : start + LINE_BYTES]
+            more = "+" if start + LINE_BYTES < len(data) else ""
+            lines.append(f"{head}{more} [{len(piece)}] {piece.hex().upper()}\n")
+        self._file.write("".join(lines).encode())
+
+    def _time(self, seconds: float | None) -> str:
+        if seconds is None:
+            return "-"
+        ns = to_ns(seconds)
+        if ns == NO_TIME or abs(ns) >= 10**21:
+            self.lose("times that are no instant")
+            return "-"
+        text = f"{'-' if ns < 0 else ''}{abs(ns) // 10**9}.{abs(ns) % 10**9:09}"
+        self.lose("times finer than 1 ns", float(text) != seconds)
+        return text

@@ -21,15 +21,13 @@ PEAK's.
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import BinaryIO, ClassVar
+from typing import BinaryIO
 
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, TX, FrameTable, Ints
-from ._channels import ChannelNumbers
-from ._dlc import DLC_OF_LENGTH
-from ._losses import StartTime, WriteLosses
-from ._text import blocks, choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
+from ._base import DLC_OF_LENGTH, StartedWriter
+from ._text import choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
 
 #: 1e-7 days in ns, and the days from 1899-12-30 to 1970-01-01.
 _GRAIN, _DAYS_BEFORE = 8_640_000, 25_569
@@ -61,55 +59,34 @@ _HEADER = """\
 """
 
 
-class TrcWriter:
+class TrcWriter(StartedWriter):
     """Frames as lines of a PEAK trace."""
 
-    format: ClassVar[str] = "trc"
+    format = "trc"
 
     def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file, self._name = file, name
-        self._numbers = ChannelNumbers()
-        self._losses = WriteLosses()
-        self._start = StartTime(self._losses, lambda first: first - first % _GRAIN)
-        self._is_begun = False
+        super().__init__(file, name)
         self._written = 0
 
-    @property
-    def lossy(self) -> dict[str, int]:
-        return self._losses.with_names(self._numbers.lost)
+    def _settled(self, first: int) -> int:
+        return first - first % _GRAIN
 
-    def write(self, table: FrameTable) -> None:
-        """Write the frames, in order."""
-        if not len(table):
-            return
-        offsets = self._start.offsets(table)
-        self._begin()
-        self._losses.directions(table)
-        self._losses.error_classes(table)
-        self._losses.error_fd(table)
-        self._losses.add("times finer than 1 µs", np.count_nonzero(offsets % 1000))
-        for rows in blocks(len(table)):
-            self._file.write(self._lines(table.take(rows), offsets[rows]))
-            self._written += len(offsets[rows])
-
-    def close(self) -> None:
-        """An empty trace is a header, too."""
-        self._begin()
+    def _count(self, table: FrameTable, offsets: Ints) -> None:
+        self._error_classes(table)
+        self.lose("times finer than 1 µs", np.count_nonzero(offsets % 1000))
 
     def _begin(self) -> None:
-        if not self._is_begun:
-            self._is_begun = True
-            start = self._start.start or 0
-            days, part = divmod(start // _GRAIN, 10_000_000)
-            date = datetime.fromtimestamp(start // 1_000_000_000, UTC)
-            header = _HEADER.format(
-                start=f"{days + _DAYS_BEFORE}.{part:07}000",
-                name="".join(c if c.isprintable() else "?" for c in self._name),
-                date=f"{date:%d.%m.%Y %H:%M:%S}.{start // 1_000_000 % 1000:03}.0",
-            )
-            self._file.write(header.replace("\n", "\r\n").encode("utf-8", "replace"))
+        start = self._start or 0
+        days, part = divmod(start // _GRAIN, 10_000_000)
+        date = datetime.fromtimestamp(start // 1_000_000_000, UTC)
+        header = _HEADER.format(
+            start=f"{days + _DAYS_BEFORE}.{part:07}000",
+            name="".join(c if c.isprintable() else "?" for c in self.name),
+            date=f"{date:%d.%m.%Y %H:%M:%S}.{start // 1_000_000 % 1000:03}.0",
+        )
+        self._file.write(header.replace("\n", "\r\n").encode("utf-8", "replace"))
 
-    def _lines(self, table: FrameTable, offsets: Ints) -> bytes:
+    def _encoded(self, table: FrameTable) -> bytes:
         n, flags = len(table), table.flags
         error, fd, remote = flags & ERROR != 0, flags & FD != 0, flags & REMOTE != 0
         kind = np.where(
@@ -117,8 +94,8 @@ class TrcWriter:
             6,
             np.where(fd, 2 + (flags & BITRATE_SWITCH != 0) + 2 * (flags & ERROR_STATE != 0), remote),
         )
-        length = self._losses.remote_lengths(table)
-        milliseconds, micro = np.divmod((offsets + 500) // 1000, 1000)
+        length = self._remote_lengths(table)
+        milliseconds, micro = np.divmod((self._offsets + 500) // 1000, 1000)
         # Eight digits, or four, with blanks in front; an error frame has none.
         digits = hexadecimal_text(table.id, least=8)
         standard = (flags & EXTENDED == 0) & ~error
@@ -130,6 +107,7 @@ class TrcWriter:
             digits[error] = np.frombuffer(b"       -", np.uint8)
         data = padded_data(table, blank=True)
         number = np.arange(self._written + 1, self._written + n + 1)
+        self._written += n
         return join_columns(
             [
                 decimal_text(number, 12, least=1, fill=b" " * 6),
@@ -138,7 +116,7 @@ class TrcWriter:
                 b".",
                 decimal_text(micro, 3),
                 _TYPES[kind],
-                decimal_text(self._numbers.numbers(table), 5, least=1, fill=b" "),
+                decimal_text(self._channels.numbers(table), 5, least=1, fill=b" "),
                 b" ",
                 digits,
                 _WAYS[(flags & TX != 0).astype(np.uint8)],
