@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from ..errors import CallerError
-from ..frames import Frame
+from ..frames import Frame, message_to_frame
 from ..recordings.filters import CanFilter
 from ..runtime import Clock
 from .backends import (
@@ -287,26 +287,9 @@ class CanGate(Gate[Received]):
         Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.
         """
         self._check_may_send()
-        made = frame if isinstance(frame, Frame) else self._as_frame(frame)
+        made = frame if isinstance(frame, Frame) else message_to_frame(frame)
         return self._queue(
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
-        )
-
-    @staticmethod
-    def _as_frame(message: Any) -> Frame:
-        return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            None,
-            None,
-            message.is_extended_id,
-            message.is_remote_frame,
-            False,
-            message.is_fd,
-            message.bitrate_switch,
-            message.error_state_indicator,
-            None,
-            message.dlc if message.is_remote_frame else None,
         )
 
     def _may_leave(self) -> bool:
@@ -317,25 +300,14 @@ class CanGate(Gate[Received]):
         return f"{word.arbitration_id:#x}"
 
     def _put_out(self, word: Frame) -> None:
-        import can
+        from .python_can import frame_to_message
 
         if self._pause:
             self._due = max(self._due, self.clock.now()) + self._pause
         if self._is_echoing:
             self._echoes.append((arbitration(word), word.data))
         try:
-            self._give(
-                can.Message(
-                    arbitration_id=word.arbitration_id,
-                    data=word.data,
-                    dlc=word.length,
-                    is_extended_id=word.is_extended_id,
-                    is_remote_frame=word.is_remote_frame,
-                    is_fd=word.is_fd,
-                    bitrate_switch=word.bitrate_switch,
-                    error_state_indicator=word.error_state_indicator,
-                )
-            )
+            self._give(frame_to_message(word))
         except Exception:
             if self._is_echoing:
                 self._is_echo(word)  # it will not come back
@@ -369,17 +341,5 @@ def _frame_of(message: Any) -> Frame:
     data = bytes(message.data)
     if len(data) < message.dlc and not message.is_remote_frame and (message.is_fd or len(data) < 8):
         raise ValueError(f"{len(data)} data bytes of {message.dlc} arrived")  # slcan: a line cut short
-    return Frame(
-        message.arbitration_id,
-        data,
-        message.timestamp,
-        message.channel if message.channel is None else str(message.channel),
-        message.is_extended_id,
-        message.is_remote_frame,
-        message.is_error_frame,
-        message.is_fd,
-        message.bitrate_switch,
-        message.error_state_indicator,
-        message.is_rx,
-        message.dlc if message.is_remote_frame else None,
-    )
+    channel = message.channel if message.channel is None else str(message.channel)
+    return message_to_frame(message, message.timestamp, channel, message.is_rx)

@@ -57,8 +57,6 @@ class BusClient:
     ) -> None:
         self.channel, self.name, self.connection = channel, name, connection
         self.fd, self.own = fd, own
-        #: Whether it talks to others of its kind without the server (`shortcut`).
-        self.is_direct = False
         self.node: BusNode | None = None
         self.queue: deque[bytes] = deque()
         self.is_woken = False
@@ -212,20 +210,14 @@ class ServedChannel:
             return True
         now = self._clock.now() + self._epoch_ns
         one = pack_record(now, identifier, flags, length, data)
-        is_direct = member.is_direct
         for other in self.members:
-            if other is not member and (other.fd or not flags & FD) and not (is_direct and other.is_direct):
+            if other is not member and (other.fd or not flags & FD):
                 other.deliver(one)
-        if not is_direct:
-            self.counted(member, member.sent + 1)
-            if member.own:
-                member.deliver(pack_record(now, identifier, flags | OWN, length, data))
+        self.frames += 1
+        member.sent += 1
+        if member.own:
+            member.deliver(pack_record(now, identifier, flags | OWN, length, data))
         return True
-
-    def counted(self, member: BusClient, sent: int) -> None:
-        """A member has sent so many frames, without physics."""
-        self.frames += max(0, sent - member.sent)
-        member.sent = sent
 
     def _heard(self, member: BusClient, frame: Frame, instant: int) -> None:
         last, when, one = self._last

@@ -99,9 +99,6 @@ class ServerLink:
             self.member.is_woken = False
         send = self.stream.send
         while True:
-            if not self._rest and not self._hand_over():
-                self.block(True)
-                return
             data = self._rest or self.output()
             if not data:
                 break
@@ -114,10 +111,6 @@ class ServerLink:
                 self.block(True)
                 return
         self.block(False)
-
-    def _hand_over(self) -> bool:
-        """Send what goes before all else; False when the socket is full."""
-        return True
 
     def block(self, is_blocked: bool) -> None:
         """Remember whether the socket is full."""
@@ -140,8 +133,6 @@ class PacketLink(ServerLink):
         self._buffer = b""
         self._aside: deque[bytes] = deque(maxlen=_ASIDE)
         self._looks = False
-        #: Sockets to hand over, each with its packet.
-        self.passing: deque[tuple[bytes, socket.socket]] = deque()
         self._taken = self._told_taken = self._told_dropped = self._told_rejected = 0
         self._last: tuple[str, Any] = ("", None)
 
@@ -174,12 +165,6 @@ class PacketLink(ServerLink):
             self.put(_status(self.server.status()))
         elif self.member is None:
             raise PacketError(f"a packet of kind {kind} before an introduction")
-        elif kind == packets.COUNT:
-            sent, received, dropped = packets.read_report(body)
-            if self.member.is_direct:
-                self.member.channel.counted(self.member, sent)
-                self.member.received, self.member.dropped = received, dropped
-                self._told_dropped = dropped
         elif kind == packets.RESTART:
             if self.member.node is not None:
                 self.member.node.restart()
@@ -212,14 +197,9 @@ class PacketLink(ServerLink):
                 own=bool(hello.flags & packets.HEARS_OWN),
                 restart_ns=None if hello.restart_ms == packets.NO_RESTART else hello.restart_ms * 1_000_000,
             )
-            self.member.is_direct = bool(
-                hello.flags & packets.DIRECT and self.kind == "unix" and not channel.physics
-            )
         self._looks = bool(hello.flags & packets.LOOKS)
-        self.server.introduced(self)
+        self.is_introduced = True
         flags = packets.PHYSICS if channel.physics else 0
-        if self.member is not None and self.member.is_direct:
-            flags |= packets.DIRECT
         self.put(packets.Welcome(channel.name, flags, MAILBOXES, channel.bitrate, data_bitrate).packet())
 
     def refuse(self, why: str) -> None:
@@ -244,17 +224,6 @@ class PacketLink(ServerLink):
         self._told_taken, self._told_dropped = self._taken, self.member.dropped
         self._told_rejected = self.member.rejected
         self.put(packets.report(self._taken, self.member.rejected, self.member.dropped))
-
-    def _hand_over(self) -> bool:
-        while self.passing:
-            packet, sock = self.passing[0]
-            try:
-                socket.send_fds(self.stream, [packet], [sock.fileno()])
-            except BlockingIOError:
-                return False
-            self.passing.popleft()
-            sock.close()
-        return True
 
     def put(self, packet: bytes) -> None:
         """Send a packet besides frames."""

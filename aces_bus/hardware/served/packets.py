@@ -8,7 +8,6 @@ records of frames one behind another, of 24 and 80 bytes: so many frames cost on
 
 A client says `HELLO`; the server answers `WELCOME`, or `REFUSED` with the reason as text, and closes. Then frames go both
 ways. `REPORT` tells a client how many of its frames the bus has taken, so that it can stop when its mailboxes are full.
-`NEIGHBOUR`, `AUDIENCE` and `COUNT` are of `shortcut`.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from struct import Struct, error
 from typing import TYPE_CHECKING, NamedTuple
 
 from ...errors import AcesError, CallerError
-from ...frames import FD_LENGTHS, Frame
+from ...frames import FD_LENGTHS, Frame, message_to_frame
 
 if TYPE_CHECKING:
     from can import Message
@@ -29,8 +28,6 @@ MAGIC = b"ACES"
 MOST = 0xFFFF
 
 HELLO, WELCOME, REFUSED, CLASSIC, LONG, REPORT, EVENT, RESTART, ABORT, QUERY, STATUS = range(1, 12)
-NEIGHBOUR, AUDIENCE, COUNT = range(12, 15)
-_LAST = COUNT
 #: Those that hold frames.
 FRAMES = (CLASSIC, LONG)
 
@@ -44,9 +41,9 @@ LONG_PACKET = Struct("<HBxqIBB2x64s")
 
 EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, OWN = 1, 2, 4, 8, 16, 32, 64
 
-#: Of a client: does not send; takes FD; wants its own frames back; is no node and only asks; can talk to others directly.
-LISTEN_ONLY, TAKES_FD, HEARS_OWN, LOOKS, DIRECT = 1, 2, 4, 8, 16
-#: Of a server: the bus has bit rates and arbitration. `DIRECT` is said by it too.
+#: Of a client: does not send; takes FD; wants its own frames back; is no node and only asks.
+LISTEN_ONLY, TAKES_FD, HEARS_OWN, LOOKS = 1, 2, 4, 8
+#: Of a server: the bus has bit rates and arbitration.
 PHYSICS = 1
 
 _HELLO = Struct("<4sBBxxIII")
@@ -84,7 +81,7 @@ def split_packets(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
     at, end = 0, len(data)
     while end - at >= 4:
         size, kind = HEAD.unpack_from(data, at)
-        if not 1 <= kind <= _LAST:
+        if not 1 <= kind <= STATUS:
             raise PacketError(f"a packet of kind {kind}, which does not exist")
         if end - at - 4 < size:
             break
@@ -109,18 +106,6 @@ def unpack_records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int,
                 continue
         _check(identifier, flags, length, most)
         yield found
-
-
-def single(data: bytes) -> tuple[int, int, int, int, bytes] | None:
-    """The only frame in a piece of a stream, when it is a plain one: what comes one by one is read quickly."""
-    if len(data) != CLASSIC_PACKET.size:
-        return None
-    size, kind, time_ns, identifier, flags, length, padded = CLASSIC_PACKET.unpack(data)
-    if size != 24 or kind != CLASSIC or length > 8 or flags > EXTENDED:
-        return None
-    if identifier > (0x1FFF_FFFF if flags else 0x7FF):
-        return None
-    return time_ns, identifier, flags, length, padded
 
 
 def _check(identifier: int, flags: int, length: int, most: int) -> None:
@@ -208,16 +193,7 @@ def message_packet(message: Message, time_ns: int = 0) -> bytes:
             return CLASSIC_PACKET.pack(24, CLASSIC, time_ns, identifier, flags, length, data)
     if message.is_error_frame:
         raise CallerError("an error frame is not sent but made by faults")
-    frame = Frame(  # says what is wrong
-        identifier,
-        bytes(data),
-        is_extended_id=message.is_extended_id,
-        is_remote_frame=message.is_remote_frame,
-        is_fd=message.is_fd,
-        bitrate_switch=message.bitrate_switch,
-        error_state_indicator=message.error_state_indicator,
-        dlc=length if message.is_remote_frame else None,
-    )
+    frame = message_to_frame(message)  # refuses what cannot exist
     if not 0 <= frame.length <= (64 if frame.is_fd else 8):
         raise CallerError(f"a frame of {frame.length} bytes cannot be sent")
     one = frame_record(frame, time_ns)
@@ -290,13 +266,8 @@ def report(taken: int, rejected: int, dropped: int) -> bytes:
     return packet(REPORT, _REPORT.pack(taken, rejected, dropped))
 
 
-def count(sent: int, received: int, dropped: int) -> bytes:
-    """How many frames a client has sent to, received from and lost to its neighbours, since it joined."""
-    return packet(COUNT, _REPORT.pack(sent, received, dropped))
-
-
 def read_report(body: bytes) -> tuple[int, int, int]:
-    """The three numbers of a report or a count."""
+    """The three numbers of a report."""
     if len(body) != _REPORT.size:
         raise PacketError(f"a report of {len(body)} bytes")
     taken, rejected, dropped = _REPORT.unpack(body)

@@ -33,7 +33,6 @@ from .address import (
 from .channel import ServedChannel
 from .links import PacketLink, ServerLink, peer_of
 from .packets import PacketError
-from .shortcut import introduce
 from .socketcand import SocketcandLink
 
 #: Clients at once; `select` knows 1,024 files.
@@ -263,9 +262,6 @@ class BusServer:
         self._blocked.pop(link.fd, None)
         if link.member is not None:
             link.member.channel.leave(link.member)
-        if isinstance(link, PacketLink):
-            for _, sock in link.passing:
-                sock.close()
         link.stream.close()
 
     def blocked(self, link: ServerLink) -> None:
@@ -305,14 +301,6 @@ class BusServer:
     def _impatient(self, link: ServerLink) -> None:
         if link.member is None and not link.is_closed and not link.is_introduced:
             self._cut(link, f"it did not say within {INTRODUCTION_S} s who it is")
-
-    def introduced(self, link: ServerLink) -> None:
-        """A client has said who it is, and is not answered yet."""
-        link.is_introduced = True
-        member = link.member
-        if member is not None and not member.channel.physics:
-            for other in introduce(link, [one for one in self._links.values() if one is not link]):
-                self._guarded(other, other.flush)  # before the newcomer knows that it is there
 
     def find(self, name: str) -> ServedChannel:
         """A channel by its name."""

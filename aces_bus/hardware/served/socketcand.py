@@ -108,7 +108,7 @@ class SocketcandLink(ServerLink):
     def _open(self, name: str) -> None:
         channel = self.server.find(name)
         self.member = channel.join(self.name, self, fd=channel.fd)
-        self.server.introduced(self)
+        self.is_introduced = True
         self._say(b"< ok >")
 
     def _act(self, name: str, rest: list[str]) -> None:
