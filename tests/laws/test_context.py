@@ -20,9 +20,9 @@ from aces_bus.protocol import Message, Request, StreamScanner, Variant, as_dict
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.protocol.declare.order import ordered
 from aces_bus.testing import laws
-from aces_bus.testing._play import image_of
-from aces_bus.testing._source import spread
-from aces_bus.testing._values import draw_packet
+from aces_bus.testing.packets import draw_packet
+from aces_bus.testing.source import spread
+from aces_bus.testing.trial import image_of
 from tests.laws.wires import PROTOCOLS
 
 IS_LONG = settings().max_examples > 100

@@ -31,7 +31,7 @@ packet("Reset", match={"kind": 2}, dialect="b")
 #: What is above a thousand does not come back.
 CLIPPED = """
 from construct import Adapter, Byte, Int16ul, Struct
-from aces_bus.protocol import Capture, Protocol
+from aces_bus.protocol import IdField, Protocol
 
 bad = Protocol("bad", link="can")
 
@@ -42,7 +42,7 @@ class Clipped(Adapter):
     def _encode(self, obj, context, path):
         return obj
 
-bad.message("Level", id=0x100 + Capture("tank", range(4)), payload=Struct("level" / Clipped(Int16ul), "other" / Byte))
+bad.message("Level", id=0x100 + IdField("tank", range(4)), payload=Struct("level" / Clipped(Int16ul), "other" / Byte))
 """
 
 

@@ -29,7 +29,7 @@ from ..protocol.declare.delimited import (
 from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
-from ._source import ChoiceSource, edge_number, spread
+from .source import ChoiceSource, edge_number, spread
 
 #: How many times bytes are tried that a construct may read.
 ATTEMPTS = 60

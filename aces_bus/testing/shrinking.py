@@ -20,9 +20,9 @@ from ..errors import AcesError
 from ..frames import Frame
 from ..protocol.declare.framing import Framing, Verdict
 from ..protocol.declare.message import Message
-from ._bench import Bench
-from ._scenes import Scene, rechecked
-from ._values import DrawnPacket
+from .bench import Bench
+from .packets import DrawnPacket
+from .scenes import Scene, rechecked
 
 Cuts = tuple[int, ...]
 #: From how many words on a scene may fail only because it is long: then one that is cut may fail, too, and be short.

@@ -21,8 +21,8 @@ from ..protocol.keys import key_of
 from ..protocol.live.scanner import Scanner
 from ..protocol.plan.flatten import flatten
 from ..protocol.record import Meta, Unknown, as_dict
-from ._play import ScannedItem, comparable, copy_item, join_losses
-from ._scenes import Scene, Way, Wire, wire_variants
+from .scenes import Scene, Way, Wire, wire_variants
+from .trial import ScannedItem, comparable, copy_item, join_losses
 
 #: raw, everything
 MODES = ((True, True), (False, True), (False, False))

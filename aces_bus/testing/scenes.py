@@ -17,8 +17,8 @@ from ..protocol.declare.framing import Framing
 from ..protocol.declare.message import Direction, Message
 from ..protocol.declare.protocol import Variant
 from ..protocol.live.stream import WORTH
-from ._source import ChoiceSource, spread
-from ._values import DrawnPacket, draw_packet, image_frame
+from .packets import DrawnPacket, draw_packet, image_frame
+from .source import ChoiceSource, spread
 
 Way = Direction | Literal["both"] | None
 #: One variant, or several on one wire.

@@ -23,9 +23,9 @@ import msgspec
 from ..errors import AcesError, CallerError, CaptureError
 from ..frame_table import Channels, FrameTable
 from ..frames import Frame
-from ._bench import Bench
-from ._scenes import Scene, Way, Wire, wire_variants
-from ._values import DrawnPacket
+from .bench import Bench
+from .packets import DrawnPacket
+from .scenes import Scene, Way, Wire, wire_variants
 
 VERSION = 1
 #: A scene file larger than this is none of ours.

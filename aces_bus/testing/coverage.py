@@ -18,8 +18,8 @@ from ..protocol.declare.framing import Framing
 from ..protocol.declare.head import enumeration_of
 from ..protocol.declare.message import Message
 from ..protocol.record import Unknown
-from ._bench import Bench
-from ._trial import Trial
+from .bench import Bench
+from .trial import Trial
 
 #: (protocol, kind, name): kind is "message", "field", "value" or "template".
 Feature = tuple[str, str, str]

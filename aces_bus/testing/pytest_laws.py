@@ -32,14 +32,14 @@ except ImportError as missing:
 from ..errors import CallerError, UnknownNameError
 from ..protocol.declare.protocol import Protocol
 from ..protocol.live.scanner import load_protocol
-from ._bench import Bench
-from ._drawing import scene_drawing
-from ._saved import save_scene
-from ._trial import Trial
+from .bench import Bench
+from .drawing import scene_drawing
 from .fuzz import judged, shrink
 from .laws import LAWS, Law, Scene, Way, Wire, wires
 from .plugin import FAILURES
+from .saved import save_scene
 from .strategies import arguments
+from .trial import Trial
 
 #: About how many bytes a scene has.
 SIZE = 200

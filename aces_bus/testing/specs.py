@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from ..errors import SpecError
 from ..protocol.declare.protocol import Protocol
-from ._source import ChoiceSource
+from .source import ChoiceSource
 
 Link = Literal["can", "serial"]
 HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"
@@ -219,13 +219,13 @@ def _can(source: ChoiceSource) -> Iterator[str]:
         if how == 0:
             identifier = hex(base + source.integer(0, 63))
         elif how == 1:
-            identifier = f'{base:#x} + Capture("node", range({source.integer(1, 48)}))'
+            identifier = f'{base:#x} + IdField("node", range({source.integer(1, 48)}))'
         elif how == 2:
-            node = f'Capture("node", range({source.integer(1, 16)}))'
+            node = f'IdField("node", range({source.integer(1, 16)}))'
             identifier = f"{node} << {source.integer(4, 6)} | {source.integer(0, 15)}"
         else:
             first, second = source.integer(0, 30), source.integer(31, 63)
-            identifier = f'{base:#x} + Capture("node", ({first}, {second}))'
+            identifier = f'{base:#x} + IdField("node", ({first}, {second}))'
         more = ", extended=True" if extended else ""
         more += ", fd=True" if fd else ""
         more += source.choice(("", "", ', direction="to device"', ', direction="from device"'))
@@ -300,7 +300,7 @@ def _serial(source: ChoiceSource) -> Iterator[str]:
             (
                 str(source.integer(0, 255)),
                 str(source.integer(0, 9)),
-                f'0x20 + Capture("node", range({source.integer(2, 9)}))',
+                f'0x20 + IdField("node", range({source.integer(2, 9)}))',
             )
         )
         payload = _payload(source, source.integer(1, 20))
