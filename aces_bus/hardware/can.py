@@ -14,8 +14,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import msgspec
-
 from ..errors import CallerError
 from ..frames import Frame, message_to_frame
 from ..recordings.filters import CanFilter
@@ -29,7 +27,7 @@ from .backends import (
     reader_of,
     silence,
 )
-from .gate import POLL_S, Gate
+from .gate import POLL_S, Gate, Received
 from .inbox import LIMIT, Inbox, Listener
 from .outbox import Report
 from .simulated.bus import arbitration
@@ -49,17 +47,10 @@ LINGER = 50_000_000
 FULL_S, FULL_TIMES = 0.001, 1000
 
 
-class Received(msgspec.Struct, frozen=True, gc=False):
-    """A frame and when the host read it: `host_ns`, of the monotonic clock."""
-
-    frame: Frame
-    host_ns: int
-
-
 Open = Callable[[], Any]
 
 
-class CanGate(Gate[Received]):
+class CanGate(Gate[Frame]):
     """One CAN bus and its only owner.
 
     with CanGate({"interface": "socketcan", "channel": "can0"}) as gate:
@@ -126,17 +117,17 @@ class CanGate(Gate[Received]):
     def _shut(self, bus: Any) -> None:
         bus.shutdown()
 
-    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received]:
+    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received[Frame]]:
         """A queue of what arrives from now on, at most `limit` frames; `close` it to leave."""
-        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.frame))
+        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.content))
 
     def listen(
         self,
-        listener: Callable[[list[Received]], None],
+        listener: Callable[[list[Received[Frame]]], None],
         *,
         limit: int = LIMIT,
         filter: CanFilter | None = None,
-    ) -> Listener[Received]:
+    ) -> Listener[Received[Frame]]:
         """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
         return self._listened(self.subscribe(limit=limit, filter=filter), listener)
 
@@ -175,7 +166,7 @@ class CanGate(Gate[Received]):
 
     def _hand_over(self, message: Any) -> Exception | None:
         """A frame and all that wait behind it; what reading them raised."""
-        batch: list[Received] = []
+        batch: list[Received[Frame]] = []
         failed: Exception | None = None
         for left in reversed(range(BATCH)):
             host = self.clock.now()
@@ -193,7 +184,7 @@ class CanGate(Gate[Received]):
                 break
         self.counters.received += len(batch)
         self._put(batch)
-        if any(item.frame.is_error_frame for item in batch):
+        if any(item.content.is_error_frame for item in batch):
             self._look_at_state()
         for source in (self._read, self._bus):  # our own readers know, and the served bus
             lost = getattr(source, "take_dropped", None)

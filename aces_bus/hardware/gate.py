@@ -19,6 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
+import msgspec
+
 from ..errors import CallerError
 from ..runtime import Clock, RealClock
 from .events import BusEvent, BusEvents, Handler, Kind
@@ -81,6 +83,18 @@ _BINS: dict[Fate, str] = {
 }
 
 
+class Received(msgspec.Struct, Generic[Item], frozen=True, gc=False):
+    """What a gate received (a frame, bytes of a line, a datagram), and the host's monotonic clock when it was read (ns).
+
+    `is_own`: bytes that this gate has sent. `source`: who sent a datagram.
+    """
+
+    content: Item
+    host_ns: int
+    is_own: bool = False
+    source: tuple[str, int] | None = None
+
+
 class Gate(ABC, Generic[Item]):
     """One bus and its only owner; a context manager. See `CanGate`, `SerialGate` and `DatagramGate`."""
 
@@ -97,8 +111,8 @@ class Gate(ABC, Generic[Item]):
         self.events = BusEvents()
         self.state: Literal["new", "open", "lost", "closed"] = "new"
         self._bus: Any = None
-        self._inboxes: tuple[Inbox[Item], ...] = ()
-        self._listeners: list[Listener[Item]] = []
+        self._inboxes: tuple[Inbox[Received[Item]], ...] = ()
+        self._listeners: list[Listener[Received[Item]]] = []
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -394,15 +408,19 @@ class Gate(ABC, Generic[Item]):
 
     # ------------------------------------------------------------------ who wants to know
 
-    def _subscribed(self, limit: int, wanted: Callable[[Item], bool] | None) -> Inbox[Item]:
-        inbox: Inbox[Item] = Inbox(limit, wanted, self._leave, self._overflowed)
+    def _subscribed(
+        self, limit: int, wanted: Callable[[Received[Item]], bool] | None
+    ) -> Inbox[Received[Item]]:
+        inbox: Inbox[Received[Item]] = Inbox(limit, wanted, self._leave, self._overflowed)
         with self._lock:
             self._inboxes += (inbox,)
         if self.state == "closed":
             inbox.end()
         return inbox
 
-    def _listened(self, inbox: Inbox[Item], listener: Callable[[list[Item]], None]) -> Listener[Item]:
+    def _listened(
+        self, inbox: Inbox[Received[Item]], listener: Callable[[list[Received[Item]]], None]
+    ) -> Listener[Received[Item]]:
         def failed(error: BaseException) -> None:
             self._tell("listener", f"{type(error).__name__}: {error}")
 
@@ -410,11 +428,13 @@ class Gate(ABC, Generic[Item]):
         self._listeners.append(made)
         return made
 
-    def subscribe(self, *, limit: int = LIMIT) -> Inbox[Item]:
+    def subscribe(self, *, limit: int = LIMIT) -> Inbox[Received[Item]]:
         """A queue of what arrives from now on, at most `limit` items; `close` it to leave."""
         return self._subscribed(limit, None)
 
-    def listen(self, listener: Callable[[list[Item]], None], *, limit: int = LIMIT) -> Listener[Item]:
+    def listen(
+        self, listener: Callable[[list[Received[Item]]], None], *, limit: int = LIMIT
+    ) -> Listener[Received[Item]]:
         """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
         return self._listened(self._subscribed(limit, None), listener)
 
@@ -422,7 +442,7 @@ class Gate(ABC, Generic[Item]):
         """Call `handler` at once with everything that happens to the bus."""
         self.events.add(handler)
 
-    def _leave(self, inbox: Inbox[Item]) -> None:
+    def _leave(self, inbox: Inbox[Received[Item]]) -> None:
         with self._lock:
             self._inboxes = tuple(one for one in self._inboxes if one is not inbox)
 
@@ -430,7 +450,7 @@ class Gate(ABC, Generic[Item]):
         self.counters.dropped += count
         self._tell("dropped", f"{count} {self.items} came faster than a reader takes them", count)
 
-    def _put(self, batch: list[Item]) -> None:
+    def _put(self, batch: list[Received[Item]]) -> None:
         """Hand over what has arrived."""
         for inbox in self._inboxes:
             inbox.put(batch)

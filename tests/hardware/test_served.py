@@ -165,7 +165,7 @@ def test_a_gate_finds_the_server_again() -> None:
                 assert told.wait_for(lambda: "reopened" in kinds, PATIENCE)
             with can.Bus("unix:can0", "aces") as bus:
                 bus.send(message(0x42))
-                assert [item.frame.arbitration_id for item in inbox.get(PATIENCE)] == [0x42]
+                assert [item.content.arbitration_id for item in inbox.get(PATIENCE)] == [0x42]
     finally:
         gate.stop()
 

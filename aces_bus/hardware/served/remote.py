@@ -136,8 +136,8 @@ class ServedBus(VirtualBus):
     def _understand(self, kind: int, body: bytes) -> None:
         if kind in FRAMES:
             for time_ns, identifier, flags, length, data in packets.unpack_records(kind, body):
-                frame = packets.record_to_frame(identifier, flags, length, data)
-                self._keep(frame_to_message(frame, time_ns / 1e9, self.channel, is_rx=not flags & OWN))
+                found = packets.record_to_frame(identifier, flags, length, data)
+                self._keep(frame_to_message(found, time_ns / 1e9, self.channel, is_rx=not flags & OWN))
         elif kind == packets.REPORT:
             self._taken, self.rejected, dropped = packets.read_report(body)
             self.dropped += dropped - self._dropped_there
