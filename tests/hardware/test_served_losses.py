@@ -48,7 +48,7 @@ def test_who_does_not_read_loses_the_oldest(opened: Open, monkeypatch: pytest.Mo
         while not kept or kept[-1] != count - 1:
             for kind, body in slow.read():
                 if kind == packets.REPORT:
-                    dropped = packets.read_report(body)[2]
+                    dropped = packets.read_value(body, packets.TransmitReport).dropped
                 else:
                     kept += [int.from_bytes(one[-1][:4], "big") for one in packets.unpack_records(kind, body)]
         assert kept == sorted(kept)
@@ -74,18 +74,20 @@ GARBAGE = [
     packets.packet(packets.CLASSIC, bytes(24)),
     packets.packet(packets.HELLO, b"short"),
     packets.packet(packets.HELLO, bytes(20)),
-    packets.Hello("nowhere").packet(),
-    packets.Hello(bitrate=123).packet(),
-    packets.Hello(flags=packets.TAKES_FD).packet(),
-    packets.Hello().packet() * 2,
-    packets.Hello().packet() + packets.packet(packets.CLASSIC, bytes(23)),
-    packets.Hello().packet()
+    packets.value_packet(packets.Hello("nowhere")),
+    packets.value_packet(packets.Hello(bitrate=123)),
+    packets.value_packet(packets.Hello(fd=True)),
+    packets.value_packet(packets.Hello()) * 2,
+    packets.value_packet(packets.Hello()) + packets.packet(packets.CLASSIC, bytes(23)),
+    packets.value_packet(packets.Hello())
     + packets.packet(packets.CLASSIC, packets.CLASSIC_RECORD.pack(0, 0x800, 0, 0, b"")),
-    packets.Hello().packet() + packets.packet(packets.CLASSIC, packets.CLASSIC_RECORD.pack(0, 1, 4, 0, b"")),
-    packets.Hello().packet()
+    packets.value_packet(packets.Hello())
+    + packets.packet(packets.CLASSIC, packets.CLASSIC_RECORD.pack(0, 1, 4, 0, b"")),
+    packets.value_packet(packets.Hello())
     + packets.packet(packets.CLASSIC, packets.CLASSIC_RECORD.pack(0, 1, 0, 200, b"")),
-    packets.Hello().packet() + packets.packet(packets.LONG, packets.LONG_RECORD.pack(0, 1, 8, 63, b"")),
-    packets.Hello().packet() + packets.packet(packets.EVENT, bytes(9)),
+    packets.value_packet(packets.Hello())
+    + packets.packet(packets.LONG, packets.LONG_RECORD.pack(0, 1, 8, 63, b"")),
+    packets.value_packet(packets.Hello()) + packets.packet(packets.EVENT, bytes(9)),
     packets.packet(packets.QUERY),
 ]
 

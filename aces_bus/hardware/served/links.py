@@ -11,6 +11,7 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ..simulated.bus import SimulatedBusEvent
@@ -158,7 +159,7 @@ class PacketLink(ServerLink):
 
     def _other(self, kind: int, body: bytes) -> None:
         if kind == packets.HELLO:
-            self._introduced(packets.read_hello(body))
+            self._introduced(packets.read_value(body, packets.Hello))
         elif kind == packets.QUERY:
             if not self._looks and self.member is None:
                 raise PacketError("a question before an introduction")
@@ -180,27 +181,27 @@ class PacketLink(ServerLink):
             raise PacketError("a second introduction")
         channel = self.server.find(hello.channel or self._only)
         data_bitrate = channel.data_bitrate or 0
-        if not hello.flags & packets.LOOKS:
+        if not hello.looks:
             for what, theirs, ours in (
                 ("bit/s", hello.bitrate, channel.bitrate),
                 ("bit/s of data", hello.data_bitrate, data_bitrate),
             ):
                 if theirs and theirs != ours:
                     raise PacketError(f"{channel.name} is served with {ours:,} {what}, not {theirs:,}")
-            if hello.flags & packets.TAKES_FD and not channel.fd:
+            if hello.fd and not channel.fd:
                 raise PacketError(f"{channel.name} is served without CAN FD; serve it with --fd")
             self.member = channel.join(
                 self.name,
                 self,
-                listen_only=bool(hello.flags & packets.LISTEN_ONLY),
-                fd=bool(hello.flags & packets.TAKES_FD),
-                own=bool(hello.flags & packets.HEARS_OWN),
-                restart_ns=None if hello.restart_ms == packets.NO_RESTART else hello.restart_ms * 1_000_000,
+                listen_only=hello.listen_only,
+                fd=hello.fd,
+                own=hello.own,
+                restart_ns=None if hello.restart_ms is None else hello.restart_ms * 1_000_000,
             )
-        self._looks = bool(hello.flags & packets.LOOKS)
+        self._looks = hello.looks
         self.is_introduced = True
-        flags = packets.PHYSICS if channel.physics else 0
-        self.put(packets.Welcome(channel.name, flags, MAILBOXES, channel.bitrate, data_bitrate).packet())
+        welcome = packets.Welcome(channel.name, MAILBOXES, channel.physics, channel.bitrate, data_bitrate)
+        self.put(packets.value_packet(welcome))
 
     def refuse(self, why: str) -> None:
         """Say why this connection ends; nothing else is sent after it."""
@@ -217,13 +218,14 @@ class PacketLink(ServerLink):
                 self._report()
         elif (event.kind, event.frame) != self._last:  # the same thing again and again is told once
             self._last = (event.kind, event.frame)
-            self.put(packets.event(event.kind, event.instant + self.server.epoch_ns, event.frame))
+            self.put(packets.value_packet(replace(event, instant=event.instant + self.server.epoch_ns)))
 
     def _report(self) -> None:
         assert self.member is not None
         self._told_taken, self._told_dropped = self._taken, self.member.dropped
         self._told_rejected = self.member.rejected
-        self.put(packets.report(self._taken, self.member.rejected, self.member.dropped))
+        report = packets.TransmitReport(self._taken, self.member.rejected, self.member.dropped)
+        self.put(packets.value_packet(report))
 
     def put(self, packet: bytes) -> None:
         """Send a packet besides frames."""

@@ -54,15 +54,17 @@ class ServedBus(VirtualBus):
         timeout: float = ANSWER_S,
         **more: Any,
     ) -> None:
-        flags = (
-            (packets.LISTEN_ONLY if listen_only else 0)
-            | (packets.TAKES_FD if fd else 0)
-            | (packets.HEARS_OWN if receive_own_messages else 0)
-        )
-        restart = packets.NO_RESTART if restart_ms is None else max(0, round(restart_ms))
         try:
             address = parse_address(channel)
-            hello = packets.Hello(address.channel, flags, int(bitrate or 0), int(data_bitrate or 0), restart)
+            hello = packets.Hello(
+                address.channel,
+                int(bitrate or 0),
+                int(data_bitrate or 0),
+                listen_only=bool(listen_only),
+                fd=bool(fd),
+                own=bool(receive_own_messages),
+                restart_ms=None if restart_ms is None else max(0, round(restart_ms)),
+            )
             self._stream = ServerConnection(address, hello, timeout)
         except AcesError as error:
             raise CanInitializationError(f"{channel}: {error}") from error
@@ -73,7 +75,7 @@ class ServedBus(VirtualBus):
         welcome = self._stream.welcome
         #: What the bus has: bit/s.
         self.bitrate, self.data_bitrate = welcome.bitrate, welcome.data_bitrate or None
-        self._window = welcome.mailboxes if welcome.flags & packets.PHYSICS else 0
+        self._window = welcome.mailboxes if welcome.physics else 0
         #: Of `dropped`, those that were lost at the server. Frames that the bus refused.
         self._dropped_there = self.rejected = 0
         self._sent = self._taken = 0
@@ -139,14 +141,15 @@ class ServedBus(VirtualBus):
                 found = packets.record_to_frame(identifier, flags, length, data)
                 self._keep(frame_to_message(found, time_ns / 1e9, self.channel, is_rx=not flags & OWN))
         elif kind == packets.REPORT:
-            self._taken, self.rejected, dropped = packets.read_report(body)
-            self.dropped += dropped - self._dropped_there
-            self._dropped_there = dropped
+            report = packets.read_value(body, packets.TransmitReport)
+            self._taken, self.rejected = report.taken, report.rejected
+            self.dropped += report.dropped - self._dropped_there
+            self._dropped_there = report.dropped
         elif kind == packets.EVENT:
-            name, time_ns, frame = packets.read_event(body)
-            if name in _STATES:
-                self._state = name
-            self._note(SimulatedBusEvent(name, time_ns, frame))
+            event = packets.read_value(body, SimulatedBusEvent)
+            if event.kind in _STATES:
+                self._state = event.kind
+            self._note(event)
         elif kind == packets.STATUS:
             self._status.append(read_status(body))
         elif kind == packets.REFUSED:

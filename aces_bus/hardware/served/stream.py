@@ -51,7 +51,7 @@ class ServerConnection:
         try:
             self._socket.setblocking(False)
             self.number = self._socket.fileno()
-            self.write(hello.packet(), timeout)
+            self.write(packets.value_packet(hello), timeout)
             self.welcome = self._answer(time.monotonic() + timeout)
         except EOFError as error:
             self.close()
@@ -70,7 +70,7 @@ class ServerConnection:
                 if kind == packets.REFUSED:
                     raise PacketError(body.decode("utf-8", "replace"))
                 if kind == packets.WELCOME:
-                    welcome = packets.read_welcome(body)
+                    welcome = packets.read_value(body, packets.Welcome)
                 else:
                     self.early.append((kind, body))
         return welcome
@@ -127,7 +127,7 @@ class ServerConnection:
 
 def ask(address: ServedAddress, timeout: float = 1.0) -> dict[str, Any]:
     """A server's status, without joining a bus. Raises `OSError` or `PacketError`."""
-    stream = ServerConnection(address, packets.Hello(address.channel, packets.LOOKS), timeout)
+    stream = ServerConnection(address, packets.Hello(address.channel, looks=True), timeout)
     try:
         stream.write(packets.packet(packets.QUERY), timeout)
         until = time.monotonic() + timeout
