@@ -14,8 +14,7 @@ from .._lazy import lazy_names
 if TYPE_CHECKING:
     from .can import CanGate
     from .datagram import DatagramGate
-    from .events import BusEvent
-    from .gate import Received
+    from .gate import BusEvent, Received
     from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
@@ -54,8 +53,7 @@ __getattr__, __dir__ = lazy_names(
     {
         ".can": "CanGate",
         ".datagram": "DatagramGate",
-        ".events": "BusEvent",
-        ".gate": "Received",
+        ".gate": "BusEvent Received",
         ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",

@@ -28,8 +28,7 @@ from .backends import (
     silence,
 )
 from .gate import POLL_S, Gate, Received
-from .inbox import LIMIT, Inbox, Listener
-from .outbox import Report
+from .queues import LIMIT, Inbox, Listener, Report
 from .simulated.bus import arbitration
 
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.

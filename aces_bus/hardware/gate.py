@@ -8,7 +8,9 @@
 
 While a bus is lost nothing waits for it: an old set-point, sent when it is back, would move a robot. What is urgent (a
 stop) waits, and is the first to leave.
-"""
+
+Events are the shortcut from the hardware to whoever must know at once: a handler is called on the thread where it happens,
+before anything else is done about it, and must be quick. One that raises is counted, and stops nothing."""
 
 from __future__ import annotations
 
@@ -23,10 +25,77 @@ import msgspec
 
 from ..errors import CallerError
 from ..runtime import Clock, RealClock
-from .events import BusEvent, BusEvents, Handler, Kind
-from .inbox import LIMIT, Inbox, Listener
-from .outbox import AGE_S, Fate, Outbox, Report
-from .outbox import OutboxItem as Outgoing
+from .queues import AGE_S, LIMIT, Fate, Inbox, Listener, Outbox, OutboxItem, Report
+
+Kind = Literal[
+    "opened",
+    "lost",
+    "reopened",
+    "closed",
+    "error-active",
+    "error-passive",
+    "bus-off",
+    "dropped",
+    "clock",
+    "bad input",
+    "listener",
+    "send failed",
+    "not sent",
+]
+
+
+class BusEvent(msgspec.Struct, frozen=True):
+    """Something that happened to a bus.
+
+    `kind`: "opened"; "lost" (unplugged, the server is gone); "reopened"; "closed"; "error-active", "error-passive" and
+    "bus-off" (the controller's state); "dropped" (frames lost: `count` of them, `detail` says where); "clock" (the adapter's
+    stamps went back); "bad input" (the adapter said what cannot be understood); "listener" (one raised: its exception in
+    `detail`); "send failed" (the backend refused a word); "not sent" (`count` frames, bytes or datagrams were too old, were
+    given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which). `time_ns` is the host's
+    monotonic clock, `bus` the name of the gate.
+    """
+
+    kind: Kind
+    time_ns: int
+    bus: str
+    detail: str = ""
+    count: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.bus}: {self.kind}" + (f": {self.detail}" if self.detail else "")
+
+
+Handler = Callable[[BusEvent], None]
+
+
+class BusEvents:
+    """The handlers of one bus. `failures` counts what they raised."""
+
+    def __init__(self) -> None:
+        self._handlers: tuple[Handler, ...] = ()
+        self._lock = threading.Lock()
+        self.failures = 0
+
+    def add(self, handler: Handler) -> None:
+        """Call `handler` with every event from now on."""
+        with self._lock:
+            self._handlers += (handler,)
+
+    def remove(self, handler: Handler) -> None:
+        """Do not call it any more."""
+        with self._lock:
+            self._handlers = tuple(one for one in self._handlers if one is not handler)
+
+    def tell(self, event: BusEvent) -> None:
+        """Call all handlers, whatever they do."""
+        for handler in self._handlers:
+            try:
+                handler(event)
+            except KeyboardInterrupt:  # the user's, and only on the main thread
+                raise
+            except BaseException:  # whatever a handler may raise, SystemExit too: rule 2
+                self.failures += 1
+
 
 Item = TypeVar("Item")
 
@@ -119,7 +188,7 @@ class Gate(ABC, Generic[Item]):
         self._outgoing = threading.Condition(threading.Lock())
         self._outbox: Outbox[Any] = Outbox()
         #: What the transmit thread has in hand.
-        self._in_hand: Outgoing[Any] | None = None
+        self._in_hand: OutboxItem[Any] | None = None
         self._transmitter: threading.Thread | None = None
         self._is_closing = False
         #: How long a bus stays open after the last word (ns), where its backend may hold it and does not say so.
@@ -317,8 +386,8 @@ class Gate(ABC, Generic[Item]):
         """Queue a word; False when the bus is lost and it is dropped. Raises `CallerError` as `send`."""
         self._check_may_send()
         until = self.clock.now() + round((AGE_S if age_s is None else age_s) * 1e9)
-        item = Outgoing(word, size, until, urgent=urgent, topic=topic, report=report)
-        overtaken: list[Outgoing[Any]] = []
+        item = OutboxItem(word, size, until, urgent=urgent, topic=topic, report=report)
+        overtaken: list[OutboxItem[Any]] = []
         with self._outgoing:
             self._check_may_send()  # it may have been closed meanwhile
             is_taken = urgent or self.state == "open"
@@ -371,14 +440,14 @@ class Gate(ABC, Generic[Item]):
                     if not self._outbox:
                         self._outgoing.notify_all()
 
-    def _expire(self, first: Outgoing[Any]) -> None:
+    def _expire(self, first: OutboxItem[Any]) -> None:
         """This one is too old, and others may be."""
         now = self.clock.now()
         with self._outgoing:
             others = self._outbox.take(lambda item: item.until < now and not item.urgent)
         self._settle_all([first, *others], "expired", "too old, they do not leave late")
 
-    def _settle(self, item: Outgoing[Any], fate: Fate, why: str) -> bool:
+    def _settle(self, item: OutboxItem[Any], fate: Fate, why: str) -> bool:
         """Count what became of a word, once, and report it."""
         with self._outgoing:
             if item.fate is not None:
@@ -393,7 +462,7 @@ class Gate(ABC, Generic[Item]):
                 self.events.failures += 1
         return True
 
-    def _settle_all(self, items: list[Outgoing[Any]], fate: Fate, why: str) -> None:
+    def _settle_all(self, items: list[OutboxItem[Any]], fate: Fate, why: str) -> None:
         """The same became of several, which is one event."""
         count = sum(item.size for item in items if self._settle(item, fate, why))
         if count:

@@ -18,9 +18,8 @@ from ..frames import Frame
 from ..runtime import EventClock, Loop
 from .can import CanGate
 from .datagram import DatagramGate
-from .events import BusEvent
-from .gate import Gate, Received
-from .outbox import AGE_S
+from .gate import BusEvent, Gate, Received
+from .queues import AGE_S
 from .serial import SerialGate
 from .simulated.bus import SimulatedBus, SimulatedBusEvent
 from .simulated.datagrams import SimulatedDatagrams

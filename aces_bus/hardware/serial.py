@@ -12,7 +12,7 @@ from typing import Any
 from ..errors import CallerError
 from ..runtime import Clock
 from .gate import POLL_S, Gate, Received
-from .outbox import Report
+from .queues import Report
 
 #: Bytes that wait to be sent, at most.
 OUTBOX = 1 << 20

@@ -20,8 +20,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from ..errors import CallerError
-from .clock import Clock
-from .loop import EventClock
+from .clock import Clock, EventClock
 
 #: Latenesses kept for the median and the percentiles: the last ones.
 KEPT = 8192

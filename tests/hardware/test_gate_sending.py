@@ -18,7 +18,7 @@ from aces_bus.hardware import gate as gate_module
 from aces_bus.hardware.datagram import DatagramGate
 from aces_bus.hardware.gate import GateCounters
 from aces_bus.hardware.served import BusServer, ServedChannel, packets
-from aces_bus.hardware.served.links import PacketLink
+from aces_bus.hardware.served.channel import PacketLink
 
 from .test_gate import Adapter, Bench
 

@@ -27,7 +27,7 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.hardware import BusEvent, CanGate, Received
-from aces_bus.hardware.socketcan import SocketcanReader
+from aces_bus.hardware.backends import SocketcanReader
 from aces_bus.recordings import open_recording, parse_filter
 
 NAMED = os.environ.get("ACES_SOCKETCAN", "")

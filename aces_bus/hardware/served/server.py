@@ -30,8 +30,7 @@ from .address import (
     runtime_folder,
     write_note,
 )
-from .channel import ServedChannel
-from .links import PacketLink, ServerLink, peer_of
+from .channel import PacketLink, ServedChannel, ServerLink, peer_of
 from .packets import PacketError
 from .socketcand import SocketcandLink
 

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 
 from ...frames import FD_LENGTHS
 from ..simulated.bus import SimulatedBusEvent
-from .channel import MAILBOXES
-from .links import ServerLink
+from .channel import MAILBOXES, ServerLink
 from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, REMOTE, PacketError, unpacked
 
 if TYPE_CHECKING:
