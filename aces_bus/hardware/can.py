@@ -41,7 +41,7 @@ STRANGE = 20
 OUTBOX = 4096
 #: Backends that have given a frame away when `send` returns; others' adapters may hold it a moment longer (ns).
 PROMPT = frozenset({"aces", "aces_bus", "socketcan", "udp_multicast", "virtual"})
-LINGER = 50_000_000
+LINGER_NS = 50_000_000
 #: Seconds between attempts to send when the system's queue, often of ten frames, is full; and how many there are.
 FULL_S, FULL_TIMES = 0.001, 1000
 
@@ -109,7 +109,7 @@ class CanGate(Gate[Frame]):
         self._controller = "error-active"
         kinds = {self._interface, *type(bus).__module__.split(".")}
         self._is_echoing = not kinds.isdisjoint(ECHOES)
-        self.linger_ns = LINGER if kinds.isdisjoint(PROMPT) else 0
+        self.linger_ns = LINGER_NS if kinds.isdisjoint(PROMPT) else 0
         self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
         return bus
 

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from ...errors import AcesError, CallerError
 from ...runtime import VirtualClock
@@ -42,13 +42,12 @@ INTRODUCTION_S = 30
 _IDLE_S = 60.0
 
 
-class _Listener:
-    """A listening socket, and what its connections speak."""
+class _Listener(NamedTuple):
+    """A listening socket, and what its connections speak; `only`: the channel that it is of."""
 
-    def __init__(self, sock: socket.socket, kind: str, only: str = "") -> None:
-        sock.setblocking(False)
-        self.socket, self.kind, self.only = sock, kind, only
-        self.fd = sock.fileno()
+    socket: socket.socket
+    kind: str
+    only: str
 
 
 class BusServer:
@@ -160,8 +159,8 @@ class BusServer:
         return os.path.join(os.path.abspath(unix), f"{name}.sock")
 
     def _listen(self, sock: socket.socket, kind: str, only: str = "") -> None:
-        listener = _Listener(sock, kind, only)
-        self._listeners[listener.fd] = listener
+        sock.setblocking(False)
+        self._listeners[sock.fileno()] = _Listener(sock, kind, only)
 
     # ------------------------------------------------------------------ running
 
