@@ -8,6 +8,8 @@ A python-can message is mutable and costs 1.7 µs to make; captures of millions 
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 
 from .errors import CallerError
@@ -55,3 +57,26 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     def length(self) -> int:
         """Number of data bytes; of a remote frame, the number it asks for."""
         return self.dlc if self.is_remote_frame and self.dlc is not None else len(self.data)
+
+
+def message_to_frame(
+    message: Any, timestamp: float | None = None, channel: str | None = None, is_rx: bool | None = None
+) -> Frame:
+    """The frame that a python-can message (or another frame) carries; time, channel and direction are the arguments.
+
+    Raises `CallerError` for a message that cannot exist on a bus.
+    """
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        timestamp,
+        channel,
+        message.is_extended_id,
+        message.is_remote_frame,
+        message.is_error_frame,
+        message.is_fd,
+        message.bitrate_switch,
+        message.error_state_indicator,
+        is_rx,
+        message.dlc if message.is_remote_frame else None,
+    )

@@ -55,7 +55,7 @@ class Port(Protocol):
 
         One that has not left after `age_ns` does not leave (0: the bus's own limit). `urgent`: a stop, which goes before
         all others, instead of those that wait with the same `topic`, and waits for a bus that is lost. `report(fate, why)`
-        is called once, on the clock's thread, with what became of it: "sent", or why not (see `aces_bus.hardware.outbox`).
+        is called once, on the clock's thread, with what became of it: "sent", or why not (see `aces_bus.hardware.queues`).
         """
         ...
 

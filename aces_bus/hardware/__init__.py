@@ -1,8 +1,8 @@
 """The hardware floor: one bus, its words, its time. Nothing here knows a protocol.
 
-Gatekeepers own a bus and let many listen: `CanGate`, `SerialGate`, `DatagramGate`. The virtual bus has physics (`SimulatedBus`)
-and is a python-can backend, `can.Bus(interface="aces")`. Names are imported on use: python-can is not loaded before it is
-needed.
+Gatekeepers own a bus and let many listen: `CanGate`, `SerialGate`, `DatagramGate`. The virtual bus has physics
+(`SimulatedBus`) and is a python-can backend, `can.Bus(interface="aces")`. Names are imported on use: python-can is not
+loaded before it is needed.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 from .._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .can import CanGate, Received
-    from .datagram import Datagram, DatagramGate
-    from .events import BusEvent
+    from .can import CanGate
+    from .datagram import DatagramGate
+    from .gate import BusEvent, Received
     from .ports import CanPort, DatagramPort, SerialPort, port_of
-    from .serial import ReceivedBytes, SerialGate
+    from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
     from .simulated.bus import Babbler, BusNode, ListeningNode, SimulatedBus, SimulatedBusEvent
     from .simulated.datagrams import SimulatedDatagrams
@@ -31,14 +31,12 @@ __all__ = [
     "BusNode",
     "CanGate",
     "CanPort",
-    "Datagram",
     "DatagramGate",
     "DatagramPort",
     "Faults",
     "FrameBits",
     "ListeningNode",
     "Received",
-    "ReceivedBytes",
     "SerialGate",
     "SerialPort",
     "SimulatedBus",
@@ -53,11 +51,11 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        ".can": "CanGate Received",
-        ".datagram": "Datagram DatagramGate",
-        ".events": "BusEvent",
+        ".can": "CanGate",
+        ".datagram": "DatagramGate",
+        ".gate": "BusEvent Received",
         ".ports": "CanPort DatagramPort SerialPort port_of",
-        ".serial": "ReceivedBytes SerialGate",
+        ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",
         ".simulated.bus": "Babbler BusNode ListeningNode SimulatedBus SimulatedBusEvent",
         ".simulated.datagrams": "SimulatedDatagrams",

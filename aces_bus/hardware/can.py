@@ -14,10 +14,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import msgspec
-
 from ..errors import CallerError
-from ..frames import Frame
+from ..frames import Frame, message_to_frame
 from ..recordings.filters import CanFilter
 from ..runtime import Clock
 from .backends import (
@@ -29,9 +27,8 @@ from .backends import (
     reader_of,
     silence,
 )
-from .gate import POLL_S, Gate
-from .inbox import LIMIT, Inbox, Listener
-from .outbox import Report
+from .gate import POLL_S, Gate, Received
+from .queues import LIMIT, Inbox, Listener, Report
 from .simulated.bus import arbitration
 
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
@@ -44,22 +41,15 @@ STRANGE = 20
 OUTBOX = 4096
 #: Backends that have given a frame away when `send` returns; others' adapters may hold it a moment longer (ns).
 PROMPT = frozenset({"aces", "aces_bus", "socketcan", "udp_multicast", "virtual"})
-LINGER = 50_000_000
+LINGER_NS = 50_000_000
 #: Seconds between attempts to send when the system's queue, often of ten frames, is full; and how many there are.
 FULL_S, FULL_TIMES = 0.001, 1000
-
-
-class Received(msgspec.Struct, frozen=True, gc=False):
-    """A frame and when the host read it: `host_ns`, of the monotonic clock."""
-
-    frame: Frame
-    host_ns: int
 
 
 Open = Callable[[], Any]
 
 
-class CanGate(Gate[Received]):
+class CanGate(Gate[Frame]):
     """One CAN bus and its only owner.
 
     with CanGate({"interface": "socketcan", "channel": "can0"}) as gate:
@@ -119,24 +109,24 @@ class CanGate(Gate[Received]):
         self._controller = "error-active"
         kinds = {self._interface, *type(bus).__module__.split(".")}
         self._is_echoing = not kinds.isdisjoint(ECHOES)
-        self.linger_ns = LINGER if kinds.isdisjoint(PROMPT) else 0
+        self.linger_ns = LINGER_NS if kinds.isdisjoint(PROMPT) else 0
         self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
         return bus
 
     def _shut(self, bus: Any) -> None:
         bus.shutdown()
 
-    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received]:
+    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received[Frame]]:
         """A queue of what arrives from now on, at most `limit` frames; `close` it to leave."""
-        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.frame))
+        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.content))
 
     def listen(
         self,
-        listener: Callable[[list[Received]], None],
+        listener: Callable[[list[Received[Frame]]], None],
         *,
         limit: int = LIMIT,
         filter: CanFilter | None = None,
-    ) -> Listener[Received]:
+    ) -> Listener[Received[Frame]]:
         """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
         return self._listened(self.subscribe(limit=limit, filter=filter), listener)
 
@@ -175,7 +165,7 @@ class CanGate(Gate[Received]):
 
     def _hand_over(self, message: Any) -> Exception | None:
         """A frame and all that wait behind it; what reading them raised."""
-        batch: list[Received] = []
+        batch: list[Received[Frame]] = []
         failed: Exception | None = None
         for left in reversed(range(BATCH)):
             host = self.clock.now()
@@ -193,7 +183,7 @@ class CanGate(Gate[Received]):
                 break
         self.counters.received += len(batch)
         self._put(batch)
-        if any(item.frame.is_error_frame for item in batch):
+        if any(item.content.is_error_frame for item in batch):
             self._look_at_state()
         for source in (self._read, self._bus):  # our own readers know, and the served bus
             lost = getattr(source, "take_dropped", None)
@@ -287,26 +277,9 @@ class CanGate(Gate[Received]):
         Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.
         """
         self._check_may_send()
-        made = frame if isinstance(frame, Frame) else self._as_frame(frame)
+        made = frame if isinstance(frame, Frame) else message_to_frame(frame)
         return self._queue(
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
-        )
-
-    @staticmethod
-    def _as_frame(message: Any) -> Frame:
-        return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            None,
-            None,
-            message.is_extended_id,
-            message.is_remote_frame,
-            False,
-            message.is_fd,
-            message.bitrate_switch,
-            message.error_state_indicator,
-            None,
-            message.dlc if message.is_remote_frame else None,
         )
 
     def _may_leave(self) -> bool:
@@ -317,25 +290,14 @@ class CanGate(Gate[Received]):
         return f"{word.arbitration_id:#x}"
 
     def _put_out(self, word: Frame) -> None:
-        import can
+        from .python_can import frame_to_message
 
         if self._pause:
             self._due = max(self._due, self.clock.now()) + self._pause
         if self._is_echoing:
             self._echoes.append((arbitration(word), word.data))
         try:
-            self._give(
-                can.Message(
-                    arbitration_id=word.arbitration_id,
-                    data=word.data,
-                    dlc=word.length,
-                    is_extended_id=word.is_extended_id,
-                    is_remote_frame=word.is_remote_frame,
-                    is_fd=word.is_fd,
-                    bitrate_switch=word.bitrate_switch,
-                    error_state_indicator=word.error_state_indicator,
-                )
-            )
+            self._give(frame_to_message(word))
         except Exception:
             if self._is_echoing:
                 self._is_echo(word)  # it will not come back
@@ -369,17 +331,5 @@ def _frame_of(message: Any) -> Frame:
     data = bytes(message.data)
     if len(data) < message.dlc and not message.is_remote_frame and (message.is_fd or len(data) < 8):
         raise ValueError(f"{len(data)} data bytes of {message.dlc} arrived")  # slcan: a line cut short
-    return Frame(
-        message.arbitration_id,
-        data,
-        message.timestamp,
-        message.channel if message.channel is None else str(message.channel),
-        message.is_extended_id,
-        message.is_remote_frame,
-        message.is_error_frame,
-        message.is_fd,
-        message.bitrate_switch,
-        message.error_state_indicator,
-        message.is_rx,
-        message.dlc if message.is_remote_frame else None,
-    )
+    channel = message.channel if message.channel is None else str(message.channel)
+    return message_to_frame(message, message.timestamp, channel, message.is_rx)

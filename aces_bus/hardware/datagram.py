@@ -9,12 +9,10 @@ from __future__ import annotations
 import socket
 from typing import Any
 
-import msgspec
-
 from ..errors import CallerError
 from ..runtime import Clock
-from .gate import POLL_S, Gate
-from .outbox import Report
+from .gate import POLL_S, Gate, Received
+from .queues import Report
 
 Address = tuple[str, int]
 
@@ -23,15 +21,7 @@ MOST = 65_507
 OUTBOX = 4096
 
 
-class Datagram(msgspec.Struct, frozen=True, gc=False):
-    """A datagram: its bytes, who sent it, and the host's monotonic clock when it was read (ns)."""
-
-    data: bytes
-    source: tuple[str, int]
-    host_ns: int
-
-
-class DatagramGate(Gate[Datagram]):
+class DatagramGate(Gate[bytes]):
     """One UDP socket and its only owner.
 
     `bind` is (address, port) to receive at; port 0 takes a free one, which `address` then tells. `peer` is where `send`
@@ -102,7 +92,7 @@ class DatagramGate(Gate[Datagram]):
                 self._tell("bad input", f"a datagram of {source[0]}:{source[1]}, who is not the peer")
                 continue
             self.counters.received += 1
-            self._put([Datagram(data, source, self.clock.now())])
+            self._put([Received(data, self.clock.now(), source=source)])
 
     def send(
         self,

@@ -8,7 +8,9 @@
 
 While a bus is lost nothing waits for it: an old set-point, sent when it is back, would move a robot. What is urgent (a
 stop) waits, and is the first to leave.
-"""
+
+Events are the shortcut from the hardware to whoever must know at once: a handler is called on the thread where it happens,
+before anything else is done about it, and must be quick. One that raises is counted, and stops nothing."""
 
 from __future__ import annotations
 
@@ -19,11 +21,81 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
+import msgspec
+
 from ..errors import CallerError
 from ..runtime import Clock, RealClock
-from .events import BusEvent, BusEvents, Handler, Kind
-from .inbox import LIMIT, Inbox, Listener
-from .outbox import AGE_S, Fate, Outbox, OutboxItem, Report
+from .queues import AGE_S, LIMIT, Fate, Inbox, Listener, Outbox, OutboxItem, Report
+
+Kind = Literal[
+    "opened",
+    "lost",
+    "reopened",
+    "closed",
+    "error-active",
+    "error-passive",
+    "bus-off",
+    "dropped",
+    "clock",
+    "bad input",
+    "listener",
+    "send failed",
+    "not sent",
+]
+
+
+class BusEvent(msgspec.Struct, frozen=True):
+    """Something that happened to a bus.
+
+    `kind`: "opened"; "lost" (unplugged, the server is gone); "reopened"; "closed"; "error-active", "error-passive" and
+    "bus-off" (the controller's state); "dropped" (frames lost: `count` of them, `detail` says where); "clock" (the adapter's
+    stamps went back); "bad input" (the adapter said what cannot be understood); "listener" (one raised: its exception in
+    `detail`); "send failed" (the backend refused a word); "not sent" (`count` frames, bytes or datagrams were too old, were
+    given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which). `time_ns` is the host's
+    monotonic clock, `bus` the name of the gate.
+    """
+
+    kind: Kind
+    time_ns: int
+    bus: str
+    detail: str = ""
+    count: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.bus}: {self.kind}" + (f": {self.detail}" if self.detail else "")
+
+
+Handler = Callable[[BusEvent], None]
+
+
+class BusEvents:
+    """The handlers of one bus. `failures` counts what they raised."""
+
+    def __init__(self) -> None:
+        self._handlers: tuple[Handler, ...] = ()
+        self._lock = threading.Lock()
+        self.failures = 0
+
+    def add(self, handler: Handler) -> None:
+        """Call `handler` with every event from now on."""
+        with self._lock:
+            self._handlers += (handler,)
+
+    def remove(self, handler: Handler) -> None:
+        """Do not call it any more."""
+        with self._lock:
+            self._handlers = tuple(one for one in self._handlers if one is not handler)
+
+    def tell(self, event: BusEvent) -> None:
+        """Call all handlers, whatever they do."""
+        for handler in self._handlers:
+            try:
+                handler(event)
+            except KeyboardInterrupt:  # the user's, and only on the main thread
+                raise
+            except BaseException:  # whatever a handler may raise, SystemExit too: rule 2
+                self.failures += 1
+
 
 Item = TypeVar("Item")
 
@@ -80,6 +152,18 @@ _BINS: dict[Fate, str] = {
 }
 
 
+class Received(msgspec.Struct, Generic[Item], frozen=True, gc=False):
+    """What a gate received (a frame, bytes of a line, a datagram), and the host's monotonic clock when it was read (ns).
+
+    `is_own`: bytes that this gate has sent. `source`: who sent a datagram.
+    """
+
+    content: Item
+    host_ns: int
+    is_own: bool = False
+    source: tuple[str, int] | None = None
+
+
 class Gate(ABC, Generic[Item]):
     """One bus and its only owner; a context manager. See `CanGate`, `SerialGate` and `DatagramGate`."""
 
@@ -96,8 +180,8 @@ class Gate(ABC, Generic[Item]):
         self.events = BusEvents()
         self.state: Literal["new", "open", "lost", "closed"] = "new"
         self._bus: Any = None
-        self._inboxes: tuple[Inbox[Item], ...] = ()
-        self._listeners: list[Listener[Item]] = []
+        self._inboxes: tuple[Inbox[Received[Item]], ...] = ()
+        self._listeners: list[Listener[Received[Item]]] = []
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -393,15 +477,19 @@ class Gate(ABC, Generic[Item]):
 
     # ------------------------------------------------------------------ who wants to know
 
-    def _subscribed(self, limit: int, wanted: Callable[[Item], bool] | None) -> Inbox[Item]:
-        inbox: Inbox[Item] = Inbox(limit, wanted, self._leave, self._overflowed)
+    def _subscribed(
+        self, limit: int, wanted: Callable[[Received[Item]], bool] | None
+    ) -> Inbox[Received[Item]]:
+        inbox: Inbox[Received[Item]] = Inbox(limit, wanted, self._leave, self._overflowed)
         with self._lock:
             self._inboxes += (inbox,)
         if self.state == "closed":
             inbox.end()
         return inbox
 
-    def _listened(self, inbox: Inbox[Item], listener: Callable[[list[Item]], None]) -> Listener[Item]:
+    def _listened(
+        self, inbox: Inbox[Received[Item]], listener: Callable[[list[Received[Item]]], None]
+    ) -> Listener[Received[Item]]:
         def failed(error: BaseException) -> None:
             self._tell("listener", f"{type(error).__name__}: {error}")
 
@@ -409,11 +497,13 @@ class Gate(ABC, Generic[Item]):
         self._listeners.append(made)
         return made
 
-    def subscribe(self, *, limit: int = LIMIT) -> Inbox[Item]:
+    def subscribe(self, *, limit: int = LIMIT) -> Inbox[Received[Item]]:
         """A queue of what arrives from now on, at most `limit` items; `close` it to leave."""
         return self._subscribed(limit, None)
 
-    def listen(self, listener: Callable[[list[Item]], None], *, limit: int = LIMIT) -> Listener[Item]:
+    def listen(
+        self, listener: Callable[[list[Received[Item]]], None], *, limit: int = LIMIT
+    ) -> Listener[Received[Item]]:
         """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
         return self._listened(self._subscribed(limit, None), listener)
 
@@ -421,7 +511,7 @@ class Gate(ABC, Generic[Item]):
         """Call `handler` at once with everything that happens to the bus."""
         self.events.add(handler)
 
-    def _leave(self, inbox: Inbox[Item]) -> None:
+    def _leave(self, inbox: Inbox[Received[Item]]) -> None:
         with self._lock:
             self._inboxes = tuple(one for one in self._inboxes if one is not inbox)
 
@@ -429,7 +519,7 @@ class Gate(ABC, Generic[Item]):
         self.counters.dropped += count
         self._tell("dropped", f"{count} {self.items} came faster than a reader takes them", count)
 
-    def _put(self, batch: list[Item]) -> None:
+    def _put(self, batch: list[Received[Item]]) -> None:
         """Hand over what has arrived."""
         for inbox in self._inboxes:
             inbox.put(batch)

@@ -9,23 +9,24 @@ A wire is simulated and needs no thread; a gate has threads, whose words are han
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 from msgspec.structs import replace
 
 from ..errors import CallerError
 from ..frames import Frame
 from ..runtime import EventClock, Loop
-from .can import CanGate, Received
-from .datagram import Datagram, DatagramGate
-from .events import BusEvent
-from .outbox import AGE_S
-from .serial import ReceivedBytes, SerialGate
-from .simulated.bus import BusNode, SimulatedBus, SimulatedBusEvent
+from .can import CanGate
+from .datagram import DatagramGate
+from .gate import BusEvent, Gate, Received
+from .queues import AGE_S
+from .serial import SerialGate
+from .simulated.bus import SimulatedBus, SimulatedBusEvent
 from .simulated.datagrams import SimulatedDatagrams
 from .simulated.frame_time import INTERMISSION, frame_bits
 from .simulated.serial_line import BITS, SimulatedSerialLine
 
+Word = TypeVar("Word")
 Handler = Callable[[Any, int], Any]
 #: Told what became of a word ("sent", "failed", "expired", "dropped", "unsent"), and why.
 Told = Callable[[str, str], Any]
@@ -34,12 +35,73 @@ BusHandler = Callable[[str, str], Any]
 #: What of a simulated node is told; the others ("bit error", "no acknowledge") come by thousands, and are counted.
 STATES = ("error-active", "error-passive", "bus-off", "recovered")
 #: How long after bus-off a simulated station comes back (ns): SocketCAN's usual restart-ms, and what boards do.
-RESTART = 100_000_000
+RESTART_NS = 100_000_000
 #: How long a frame whose sender wants to know may wait in a simulated node's mailbox (ns).
-LEAVES = round(AGE_S * 1e9)
+MAILBOX_AGE_NS = round(AGE_S * 1e9)
 
 
-class CanPort:
+class BasePort(Generic[Word]):
+    """What ports of all kinds have in common. `_send` is set when a port is opened; a gate's words go to its `Loop`."""
+
+    def __init__(self, bus: Any, loop: Loop | None, name: str) -> None:
+        self._gate: Gate[Word] | None = bus if isinstance(bus, Gate) else None
+        self.clock: EventClock = bus.clock if self._gate is None else _loop_of(loop)
+        self.name = name
+        self._send: Callable[..., bool]
+        self._inbox: Any = None
+
+    def _listen(self, gate: Gate[Word], handle: Handler) -> None:
+        """Open a gate, and have `handle` called on the clock's thread with what it receives."""
+        clock = self.clock
+
+        def heard(items: list[Received[Word]]) -> None:
+            clock.call_soon(lambda: self._hand_over(items, handle))
+
+        self._send = _sender(gate, clock)
+        gate.__enter__()
+        self._inbox = gate.listen(heard)
+
+    def _hand_over(self, items: list[Received[Word]], handle: Handler) -> None:
+        for item in items:
+            handle(item.content, item.host_ns)
+
+    def on_event(self, handler: BusHandler) -> None:
+        """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
+        clock = self.clock
+
+        def happened(event: BusEvent) -> None:
+            clock.call_soon(lambda: handler(event.kind, event.detail))
+
+        if self._gate is not None:
+            self._gate.on_event(happened)
+
+    def send(
+        self,
+        word: Word,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Told | None = None,
+    ) -> bool:
+        """Send a frame, bytes or a datagram; False when it cannot be sent. See `aces_bus.device.port.Port`."""
+        return self._send(word, age_ns, urgent, topic, report)
+
+    def close(self) -> None:
+        """Receive no more; a gate is stopped."""
+        if self._gate is None:
+            self._detach()
+            return
+        if self._inbox is not None:
+            self._inbox.inbox.close()
+        self._gate.stop()
+
+    def _detach(self) -> None:
+        """Take the node off its simulated bus."""
+        raise NotImplementedError
+
+
+class CanPort(BasePort[Frame]):
     """A CAN bus: a node on a `SimulatedBus`, or a `CanGate` with the `Loop` that its frames are handed to."""
 
     link: Literal["can"] = "can"
@@ -53,62 +115,43 @@ class CanPort:
         name: str = "",
         bitrate: int | None = None,
     ) -> None:
+        super().__init__(bus, loop, name or getattr(bus, "name", "") or "can")
         self._bus = bus
         self._handler: BusHandler | None = None
         self._costs: dict[tuple[int, bool, bool], int] = {}
+        self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
         if isinstance(bus, SimulatedBus):
-            self.clock: EventClock = bus.clock
-            self.bitrate = bus.bitrate
-            self.data_bitrate = bus.data_bitrate
-        else:
-            self.clock = _loop_of(loop)
-            self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
-        self.name = name or getattr(bus, "name", "") or "can"
-        self._inbox: Any = None
+            self.bitrate, self.data_bitrate = bus.bitrate, bus.data_bitrate
 
     def open(self, received: Handler) -> None:
-        """Begin to hear."""
-        if isinstance(self._bus, SimulatedBus):
-            self.node = self._bus.attach(
-                self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART
-            )
-            self.node.hears_sent = False
-            self._send: Callable[..., bool] = _on_wire(self.node)
+        """Begin to receive."""
+        if not isinstance(self._bus, SimulatedBus):
+            self._listen(self._bus, received)
             return
-        loop, handle = self.clock, received
+        self.node = self._bus.attach(
+            self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART_NS
+        )
+        self.node.hears_sent = False
+        send = self.node.send
 
-        def heard(items: list[Received]) -> None:
-            def hand_over() -> None:
-                for item in items:
-                    handle(_nameless(item.frame), item.host_ns)
+        def give(word: Frame, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
+            # Its frames wait in its mailboxes, as in a controller's.
+            return send(word) if report is None else send(word, report, age_ns or MAILBOX_AGE_NS)
 
-            loop.call_soon(hand_over)
+        self._send = give
 
-        self._send = _sender(self._bus, loop)
-        self._bus.__enter__()
-        self._inbox = self._bus.listen(heard)
+    def _hand_over(self, items: list[Received[Frame]], handle: Handler) -> None:
+        for item in items:
+            handle(_nameless(item.content), item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
         self._handler = handler
-        if isinstance(self._bus, CanGate):
-            _forward(self._bus, self.clock, handler)
+        super().on_event(handler)
 
     def _happened(self, event: SimulatedBusEvent) -> None:
         if self._handler is not None and event.kind in STATES:
             self._handler(event.kind, "")
-
-    def send(
-        self,
-        word: Frame,
-        age_ns: int = 0,
-        *,
-        urgent: bool = False,
-        topic: object = None,
-        report: Told | None = None,
-    ) -> bool:
-        """Send a frame; False when it cannot be (mailboxes full, bus-off, lost). See `aces_bus.device.port.Port`."""
-        return self._send(word, age_ns, urgent, topic, report)
 
     def wire_ns(self, word: Frame) -> int:
         """How long a frame occupies the bus at most, its intermission included."""
@@ -127,17 +170,11 @@ class CanPort:
         pause = INTERMISSION * 1_000_000_000 // self.bitrate
         return frame_bits(word).duration_ns(self.bitrate, self.data_bitrate) + pause
 
-    def close(self) -> None:
-        """Hear no more; a gate is stopped."""
-        if isinstance(self._bus, SimulatedBus):
-            self._bus.detach(self.node)
-        else:
-            if self._inbox is not None:
-                self._inbox.inbox.close()
-            self._bus.stop()
+    def _detach(self) -> None:
+        self.node.wire.detach(self.node)
 
 
-class SerialPort:
+class SerialPort(BasePort[bytes]):
     """A serial line: a node on a `SimulatedSerialLine`, or a `SerialGate` with its `Loop`."""
 
     link: Literal["serial"] = "serial"
@@ -151,76 +188,43 @@ class SerialPort:
         baud: int | None = None,
         half_duplex: bool | None = None,
     ) -> None:
+        super().__init__(line, loop, name or getattr(line, "name", "") or "serial")
         self._line = line
+        self.baud, self.half_duplex = baud or 115_200, bool(half_duplex)
         if isinstance(line, SimulatedSerialLine):
-            self.clock: EventClock = line.clock
             self.baud, self.half_duplex = line.baud, line.half_duplex
-        else:
-            self.clock = _loop_of(loop)
-            self.baud = baud or 115_200
-            self.half_duplex = bool(half_duplex)
-        self.name = name or getattr(line, "name", "") or "serial"
-        self._inbox: Any = None
 
     def open(self, received: Handler) -> None:
-        """Begin to hear."""
-        if isinstance(self._line, SimulatedSerialLine):
-            # An adapter for half-duplex lines takes its own echo out.
-            self.node = self._line.attach(self.name, received, echo=False, whole=True)
+        """Begin to receive."""
+        if not isinstance(self._line, SimulatedSerialLine):
+            self._listen(self._line, received)
             return
-        loop, handle = self.clock, received
+        # An adapter for half-duplex lines takes its own echo out.
+        self.node = self._line.attach(self.name, received, echo=False, whole=True)
 
-        def heard(items: list[ReceivedBytes]) -> None:
-            def hand_over() -> None:
-                for item in items:
-                    handle(item.data, item.host_ns)
-
-            loop.call_soon(hand_over)
-
-        self._send = _sender(self._line, loop)
-        self._line.__enter__()
-        self._inbox = self._line.listen(heard)
-
-    def on_event(self, handler: BusHandler) -> None:
-        """Call `handler(kind, detail)` on the clock's thread with what happens to the line."""
-        if isinstance(self._line, SerialGate):
-            _forward(self._line, self.clock, handler)
-
-    def send(
-        self,
-        word: bytes,
-        age_ns: int = 0,
-        *,
-        urgent: bool = False,
-        topic: object = None,
-        report: Told | None = None,
-    ) -> bool:
-        """Send bytes; False when they cannot be (the line is lost, too much waits). See `aces_bus.device.port.Port`."""
-        if isinstance(self._line, SimulatedSerialLine):
+        def give(word: bytes, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
             end = self.node.send(word)
             if report is not None:
                 self.clock.call_at(end, lambda: report("sent", ""))
             return True
-        return self._send(word, age_ns, urgent, topic, report)
+
+        self._send = give
 
     def wire_ns(self, word: bytes) -> int:
         """How long bytes occupy the line."""
         return len(word) * BITS * 1_000_000_000 // self.baud
 
-    def close(self) -> None:
-        """Hear no more; a gate is stopped."""
-        if isinstance(self._line, SimulatedSerialLine):
-            self.node.is_connected = False
-            if self.node in self._line.nodes:
-                self._line.nodes.remove(self.node)
-        else:
-            if self._inbox is not None:
-                self._inbox.inbox.close()
-            self._line.stop()
+    def _detach(self) -> None:
+        self.node.is_connected = False
+        if self.node in self.node.wire.nodes:
+            self.node.wire.nodes.remove(self.node)
 
 
-class DatagramPort:
-    """Datagrams: a node on a `SimulatedDatagrams`, or a `DatagramGate` with its `Loop`. They cost no time worth counting."""
+class DatagramPort(BasePort[bytes]):
+    """Datagrams: a node on `SimulatedDatagrams`, or a `DatagramGate` with its `Loop`. They occupy no line.
+
+    What is sent goes to the gate's peer, or to who sent last; it is refused while there is neither.
+    """
 
     link: Literal["datagram"] = "datagram"
     half_duplex = False
@@ -228,77 +232,53 @@ class DatagramPort:
     def __init__(
         self, network: SimulatedDatagrams | DatagramGate, loop: Loop | None = None, *, name: str = ""
     ) -> None:
+        super().__init__(network, loop, name or getattr(network, "name", "") or "udp")
         self._network = network
-        self.clock: EventClock = network.clock if isinstance(network, SimulatedDatagrams) else _loop_of(loop)
-        self.name = name or getattr(network, "name", "") or "udp"
-        self._inbox: Any = None
         self._last_source: tuple[str, int] | None = None
 
     def open(self, received: Handler) -> None:
-        """Begin to hear."""
-        if isinstance(self._network, SimulatedDatagrams):
-            self.node = self._network.attach(self.name, received)
+        """Begin to receive."""
+        network = self._network
+        if isinstance(network, SimulatedDatagrams):
+            self.node = network.attach(self.name, received)
+
+            def give(word: bytes, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
+                self.node.send(word)
+                if report is not None:
+                    report("sent", "")
+                return True
+
+            self._send = give
             return
-        loop, handle = self.clock, received
+        self._listen(network, received)
+        send = self._send
 
-        def heard(items: list[Datagram]) -> None:
-            def hand_over() -> None:
-                for item in items:
-                    self._last_source = item.source
-                    handle(item.data, item.host_ns)
+        def answer(word: bytes, *options: Any) -> bool:
+            to = network.peer or self._last_source
+            return to is not None and send(word, *options, to)
 
-            loop.call_soon(hand_over)
+        self._send = answer
 
-        self._send = _sender(self._network, loop)
-        self._network.__enter__()
-        self._inbox = self._network.listen(heard)
-
-    def on_event(self, handler: BusHandler) -> None:
-        """Call `handler(kind, detail)` on the clock's thread with what happens to the socket."""
-        if isinstance(self._network, DatagramGate):
-            _forward(self._network, self.clock, handler)
-
-    def send(
-        self,
-        word: bytes,
-        age_ns: int = 0,
-        *,
-        urgent: bool = False,
-        topic: object = None,
-        report: Told | None = None,
-    ) -> bool:
-        """Send a datagram: to the peer, or to whom was heard last; False when there is neither. See `Port`."""
-        if isinstance(self._network, SimulatedDatagrams):
-            self.node.send(word)
-            if report is not None:
-                report("sent", "")
-            return True
-        to = self._network.peer or self._last_source
-        if to is None:
-            return False
-        return self._send(word, age_ns, urgent, topic, report, to)
+    def _hand_over(self, items: list[Received[bytes]], handle: Handler) -> None:
+        for item in items:
+            self._last_source = item.source
+            handle(item.content, item.host_ns)
 
     def wire_ns(self, word: bytes) -> int:
         """Nothing worth counting."""
         return 0
 
-    def close(self) -> None:
-        """Hear no more; a gate is stopped."""
-        if isinstance(self._network, SimulatedDatagrams):
-            if self.node in self._network.nodes:
-                self._network.nodes.remove(self.node)
-        else:
-            if self._inbox is not None:
-                self._inbox.inbox.close()
-            self._network.stop()
+    def _detach(self) -> None:
+        if self.node in self.node.wire.nodes:
+            self.node.wire.nodes.remove(self.node)
 
 
-def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Callable[..., bool]:
+def _sender(gate: Any, clock: EventClock) -> Callable[..., bool]:
     """What sends through a gate; False: it does not take the word.
 
     On a bus that is lost words do not wait, but for stops: sent when it is back, an old set-point would move a robot.
     """
-    send: Callable[..., bool] = gate.send
+    send = gate.send
 
     def on_clock(report: Told) -> Told:
         return lambda fate, why: clock.call_soon(lambda: report(fate, why))
@@ -307,7 +287,7 @@ def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Cal
         if gate.state != "open" and not urgent:
             return False
         try:
-            return send(
+            is_taken: bool = send(
                 word,
                 *to,
                 age_s=age_ns / 1e9 if age_ns else None,
@@ -315,18 +295,9 @@ def _sender(gate: CanGate | SerialGate | DatagramGate, clock: EventClock) -> Cal
                 topic=topic,
                 report=None if report is None else on_clock(report),
             )
+            return is_taken
         except CallerError:  # too much waits already, or not of this bus's kind
             return False
-
-    return give
-
-
-def _on_wire(node: BusNode) -> Callable[..., bool]:
-    """What sends from a simulated node, whose frames wait in its mailboxes as in a controller's."""
-    send = node.send
-
-    def give(word: Frame, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
-        return send(word) if report is None else send(word, report, age_ns or LEAVES)
 
     return give
 
@@ -345,15 +316,6 @@ def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
 def _nameless(frame: Frame) -> Frame:
     """A frame without its channel's name: what is sent has none, and answers belong to requests of the same channel."""
     return frame if frame.channel is None else replace(frame, channel=None)
-
-
-def _forward(gate: Any, clock: EventClock, handler: BusHandler) -> None:
-    """A gate's events, from its threads to the loop."""
-
-    def told(event: BusEvent) -> None:
-        clock.call_soon(lambda: handler(event.kind, event.detail))
-
-    gate.on_event(told)
 
 
 def _loop_of(loop: Loop | None) -> Loop:

@@ -17,7 +17,7 @@ from ..frame_table import NO_TIME, to_ns
 from ..frames import Frame
 from ..recordings import CanRecording, open_recording
 from ..runtime import Clock, RealClock, VirtualClock
-from .simulated.backend import frame_to_message
+from .python_can import frame_to_message
 
 Frames = CanRecording | Iterable[Frame]
 
@@ -171,9 +171,8 @@ class ReplayBus(BusABC):
             self._look()
         except AcesError as error:
             raise CanOperationError(str(error)) from error
-        message = frame_to_message(frame, frame.timestamp or 0.0, frame.channel or self._path)
-        message.is_rx = frame.is_rx is not False
-        return message, False
+        stamp, channel = frame.timestamp or 0.0, frame.channel or self._path
+        return frame_to_message(frame, stamp, channel, is_rx=frame.is_rx is not False), False
 
     def _wait(self, until: int | None, now: int) -> None:
         self._closed.wait(None if until is None else max(0, until - now) / 1e9)

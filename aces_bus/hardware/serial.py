@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
-
 from ..errors import CallerError
 from ..runtime import Clock
-from .gate import POLL_S, Gate
-from .outbox import Report
+from .gate import POLL_S, Gate, Received
+from .queues import Report
 
 #: Bytes that wait to be sent, at most.
 OUTBOX = 1 << 20
@@ -26,22 +24,14 @@ ENOUGH = 2
 ECHO_S = 0.5
 
 
-class ReceivedBytes(msgspec.Struct, frozen=True, gc=False):
-    """Bytes of a line, and the host's monotonic clock when they were read (ns). `is_own`: sent by this gate."""
-
-    data: bytes
-    host_ns: int
-    is_own: bool = False
-
-
-class SerialGate(Gate[ReceivedBytes]):
+class SerialGate(Gate[bytes]):
     """One serial line and its only owner.
 
     with SerialGate("/dev/ttyUSB0", baud=57_600, half_duplex=True) as gate:
         inbox = gate.subscribe()
         gate.send(packet)
         for item in inbox.get(1.0):
-            records += scanner.feed(item.data, item.host_ns / 1e9)
+            records += scanner.feed(item.content, item.host_ns / 1e9)
 
     `url` is what pyserial opens: a port, `socket://host:port`, `rfc2217://…`, `loop://`. `baud` in bit/s. `half_duplex`: one
     pair of wires for both ways; `echo` says whether the adapter hears itself (None: on a half-duplex line that is found out
@@ -131,7 +121,7 @@ class SerialGate(Gate[ReceivedBytes]):
         if data:
             self._heard_at = now
             self.counters.received += len(data)
-            self._put([ReceivedBytes(data, now)])
+            self._put([Received(data, now)])
 
     def _find_out(self, data: bytes, now: int) -> bytes:
         """Whether these bytes are our own, coming back; what of them is others'."""
@@ -215,7 +205,7 @@ class SerialGate(Gate[ReceivedBytes]):
                 self._echo_until = self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
         self._bus.write(word)
         if self.keep_own:
-            self._put([ReceivedBytes(word, self.clock.now(), True)])
+            self._put([Received(word, self.clock.now(), True)])
 
     def _still_held(self) -> int:
         try:

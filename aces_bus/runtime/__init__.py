@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .clock import Clock, RealClock, Timer, VirtualClock
-from .loop import EventClock, Loop
+from .clock import Clock, EventClock, Loop, RealClock, Timer, VirtualClock
 from .tasks import Task, Tasks, ThreadTasks, VirtualTasks
 
 __all__ = [

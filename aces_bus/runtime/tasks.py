@@ -20,8 +20,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from ..errors import CallerError
-from .clock import Clock
-from .loop import EventClock
+from .clock import Clock, EventClock
 
 #: Latenesses kept for the median and the percentiles: the last ones.
 KEPT = 8192
@@ -70,6 +69,15 @@ class Task:
             self.worst_busy_ns = busy
         if busy > self.period_ns:
             self.overruns += 1
+
+    def next_due(self, due: int, now: int) -> int:
+        """The deadline after `due`; those that have passed at `now` are left out and counted."""
+        following = due + self.period_ns
+        if following <= now:
+            passed = (now - following) // self.period_ns + 1
+            self.missed += passed
+            following += passed * self.period_ns
+        return following
 
     def jitter_ns(self, share: float = 0.5) -> int:
         """The lateness that this share of the last ticks did not exceed: 0.5 is the median."""
@@ -141,13 +149,7 @@ class VirtualTasks(Tasks):
             if not self._is_running:
                 return
             task.tick(due, self.clock, self.failed)
-            following = due + task.period_ns
-            now = self.clock.now()
-            if following <= now:
-                passed = (now - following) // task.period_ns + 1
-                task.missed += passed
-                following += passed * task.period_ns
-            self._plan(number, task, following)
+            self._plan(number, task, task.next_due(due, self.clock.now()))
 
         self._timers[number] = self.clock.call_at(due, tick)
 
@@ -202,12 +204,7 @@ class ThreadTasks(Tasks):
             if left > 0 and self._wait(left):
                 break
             task.tick(due, self.clock, self.failed)
-            due += task.period_ns
-            now = self.clock.now()
-            if due <= now:
-                passed = (now - due) // task.period_ns + 1
-                task.missed += passed
-                due += passed * task.period_ns
+            due = task.next_due(due, self.clock.now())
         if due <= self._stopped_at:  # woken too late for what was due before the end
             task.missed += (self._stopped_at - due) // task.period_ns + 1
 

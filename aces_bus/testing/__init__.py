@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from . import fuzz as fuzz
     from . import laws as laws
-    from ._pytest_laws import law_tests as law_tests
+    from .pytest_laws import law_tests as law_tests
 
 __all__ = ["fuzz", "law_tests", "laws"]
 
@@ -26,7 +26,7 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     if name == "law_tests":
-        return import_module("._pytest_laws", __name__).law_tests
+        return import_module(".pytest_laws", __name__).law_tests
     if name in ("fuzz", "laws", "strategies"):
         return import_module(f".{name}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -25,10 +25,10 @@ from ..hardware.simulated.faults import NO_FAULTS, Faults
 from ..hardware.simulated.serial_line import Noise
 from ..robot.buses import VirtualRobot
 from ..robot.file import parse_robot
-from ..robot.rig import Simulation, simulate
+from ..robot.rig import simulate
 
 #: Seconds of virtual time in which whatever is polled must have been heard.
-SETTLE = 3.0
+SETTLE_S = 3.0
 
 
 class TestBench:
@@ -126,7 +126,7 @@ def check_quiet_before(stand: TestBench) -> None:
 def check_heard(stand: TestBench) -> None:
     """Every signal that is read is known and finite soon after the bus was opened, and stays fresh."""
     with stand.made() as robot:
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
             for one in device.signals.values():
                 if one.name not in device.readable or stand.is_excused("heard", one.name):
@@ -225,18 +225,18 @@ def check_limits(stand: TestBench) -> None:
 def check_silence(stand: TestBench) -> None:
     """A device that says nothing is told by name, its values go stale, the others stay fresh; it comes back."""
     with stand.made() as robot:
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
         for device, twin in stand.mine(robot):
             if not known_signals(device):
                 continue
             twin.fault("silent")
-            robot.advance(SETTLE)
+            robot.advance(SETTLE_S)
             if device.polls:
                 assert robot.events.count("silent", device.name) >= 1, (
                     f"nobody noticed that {device.name} is silent"
                 )
             for one in known_signals(device):
-                if one.stale_after_ns is not None and one.stale_after_ns < SETTLE * 1e9:
+                if one.stale_after_ns is not None and one.stale_after_ns < SETTLE_S * 1e9:
                     assert one.value is UNKNOWN, f"{one.name} passes for fresh at {one.age_ns} ns"
             for other, _ in stand.mine(robot):
                 if other is not device and other.polls:
@@ -263,7 +263,7 @@ MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
 def check_misbehaviour(stand: TestBench) -> None:
     """Late, doubled, short, lost and wrong answers are told by name and survived; afterwards all is as before."""
     with stand.made() as robot:
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
         for device, twin in stand.mine(robot):
             if not known_signals(device):
                 continue
@@ -277,7 +277,7 @@ def check_misbehaviour(stand: TestBench) -> None:
                         f"{device.name} is {fault}, and that is told as {told or 'nothing'}"
                     )
                 else:
-                    robot.advance(SETTLE)
+                    robot.advance(SETTLE_S)
                 twin.fault(fault, on=False)
                 _recover(robot, device)
                 assert not device.is_silent, f"{device.name} is silent after having been {fault}"
@@ -288,27 +288,31 @@ def check_misbehaviour(stand: TestBench) -> None:
 
 
 def _told(robot: VirtualRobot, kinds: Sequence[str]) -> set[str]:
-    """What is told until it is one of these kinds, at most for `SETTLE`."""
+    """What is reported until it is one of these kinds, at most for `SETTLE_S`."""
     before = dict(robot.events.counts)
+    _until(robot, lambda: not _kinds_since(robot, before).isdisjoint(kinds))
+    return _kinds_since(robot, before)
 
-    def told() -> set[str]:
-        counts = robot.events.counts.items()
-        return {kind for (kind, who), count in counts if count > before.get((kind, who), 0)}
 
-    _until(robot, lambda: not told().isdisjoint(kinds))
-    return told()
+def _kinds_since(robot: VirtualRobot, before: Mapping[tuple[str, str], int]) -> set[str]:
+    """The kinds of events that were counted since the counts were `before`."""
+    return {kind for (kind, who), n in robot.events.counts.items() if n > before.get((kind, who), 0)}
+
+
+def _bus_errors(robot: VirtualRobot) -> int:
+    return sum(wire.load.errors for wire in robot.wires.values() if isinstance(wire, SimulatedBus))
 
 
 def _until(robot: VirtualRobot, is_so: Callable[[], bool]) -> None:
-    """Wait until something is so, at most `SETTLE`; what was under way has a second to end in any case."""
-    end = robot.clock.now() + SETTLE * 1e9
+    """Wait until something is so, at most `SETTLE_S`; what was under way has a second to end in any case."""
+    end = robot.clock.now() + SETTLE_S * 1e9
     robot.advance(1.0)
     while robot.clock.now() < end and not is_so():
         robot.advance(0.5)
 
 
 def _recover(robot: VirtualRobot, device: Device) -> None:
-    """Wait until a device is heard again, at most `SETTLE`."""
+    """Wait until a device is heard again, at most `SETTLE_S`."""
     since = robot.clock.now()
 
     def is_back() -> bool:
@@ -321,29 +325,21 @@ def _recover(robot: VirtualRobot, device: Device) -> None:
 def check_two_of_one(stand: TestBench) -> None:
     """A second device with the same number is noticed, and survived."""
     with stand.made() as robot:
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
         if not any(device.polls for device, _ in stand.mine(robot)):
             return
         double = simulate(robot.robot, robot.ports("double"), seed=2, load=stand.load)
         for twin in double.twins.values():
             twin.reply_delay_ns += 200_000
-        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, SimulatedBus))
-        before = dict(robot.events.counts)
+        errors, before = _bus_errors(robot), dict(robot.events.counts)
         double.open()
-        robot.advance(SETTLE)
-        _closed(double)
-        told = {kind for (kind, who), n in robot.events.counts.items() if n > before.get((kind, who), 0)}
-        errors = sum(w.load.errors for w in robot.wires.values() if isinstance(w, SimulatedBus)) - errors
-        assert told & {"duplicate reply", "malformed", "silent", "late reply"} or errors, (
-            "nobody noticed the second device"
-        )
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
+        double.close()
+        noticed = _kinds_since(robot, before) & {"duplicate reply", "malformed", "silent", "late reply"}
+        assert noticed or _bus_errors(robot) > errors, "nobody noticed the second device"
+        robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
             assert not device.is_silent, f"{device.name} is silent after the second one has gone"
-
-
-def _closed(simulation: Simulation) -> None:
-    simulation.close()
 
 
 def check_reboot(stand: TestBench) -> None:
@@ -351,7 +347,7 @@ def check_reboot(stand: TestBench) -> None:
     with stand.made() as robot:
         robot.advance(1.0)
         enable(robot)
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
         for device, twin in stand.mine(robot):
             twin.power(False)
             robot.advance(0.5)
@@ -372,7 +368,7 @@ def check_absent(stand: TestBench) -> None:
             assert not known_signals(device), f"{device.name} was heard without being there"
         for twin in robot.twins.values():
             twin.power(True)
-        robot.advance(SETTLE)
+        robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
             if device.polls:
                 assert known_signals(device), f"{device.name} came and was not heard"
@@ -382,16 +378,8 @@ def check_absent(stand: TestBench) -> None:
 def check_actions(stand: TestBench) -> None:
     """Every action that needs no argument ends, with success or with a device's error; so does stopping."""
     with stand.made() as robot:
-        robot.advance(SETTLE)
-        for device, _ in stand.mine(robot):
-            for action in device.actions:
-                method = getattr(device, action)
-                if stand.is_excused("actions", f"{device.name} {action}") or _needs_arguments(method):
-                    continue
-                run(method())
-                robot.advance(0.1)
-            run(device.stop_motion())
-        _no_bug(robot)
+        robot.advance(SETTLE_S)
+        _run_actions(stand, robot, pause_s=0.1, may_excuse=True)
 
 
 def check_actions_of_the_absent(stand: TestBench) -> None:
@@ -400,13 +388,22 @@ def check_actions_of_the_absent(stand: TestBench) -> None:
         for twin in robot.twins.values():
             twin.power(False)
         robot.advance(0.2)
-        for device, _ in stand.mine(robot):
-            for action in device.actions:
-                method = getattr(device, action)
-                if not _needs_arguments(method):
-                    run(method())
-            run(device.stop_motion())
-        _no_bug(robot)
+        _run_actions(stand, robot)
+
+
+def _run_actions(
+    stand: TestBench, robot: VirtualRobot, pause_s: float = 0.0, *, may_excuse: bool = False
+) -> None:
+    """Every action that needs no argument, then stopping; `pause_s` lies behind each of them."""
+    for device, _ in stand.mine(robot):
+        for action in device.actions:
+            method = getattr(device, action)
+            is_excused = may_excuse and stand.is_excused("actions", f"{device.name} {action}")
+            if not is_excused and not _needs_arguments(method):
+                run(method())
+                robot.advance(pause_s)
+        run(device.stop_motion())
+    _no_bug(robot)
 
 
 def _needs_arguments(method: Callable[..., Any]) -> bool:
@@ -420,7 +417,7 @@ def _needs_arguments(method: Callable[..., Any]) -> bool:
 def check_noise(stand: TestBench) -> None:
     """On a wire with faults nothing raises, everything is counted, and what gets through is heard."""
     with stand.made(faults=Faults(seed=3, corrupt=0.05), noise=Noise(seed=3, flip=0.002)) as robot:
-        robot.advance(2 * SETTLE)
+        robot.advance(2 * SETTLE_S)
         for device, _ in stand.mine(robot):
             if device.polls:
                 assert known_signals(device), f"nothing of {device.name} gets through the noise"

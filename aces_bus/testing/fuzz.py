@@ -24,14 +24,14 @@ from typing import Any
 
 from ..errors import CallerError
 from ..protocol.declare.protocol import Protocol, Variant
-from ._bench import Bench
-from ._coverage import Coverage
-from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_stream
-from ._shrink import Calls, shrunk
-from ._source import Dice
-from ._trial import LawError, Trial
-from ._values import UndrawableError
+from .bench import Bench
+from .coverage import Coverage
 from .laws import LAWS, Law, wires
+from .packets import UndrawableError
+from .scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_stream
+from .shrinking import Calls, shrunk
+from .source import Dice
+from .trial import LawError, Trial
 
 #: Examples of one wire in a row.
 BLOCK = 32

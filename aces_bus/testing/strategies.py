@@ -2,7 +2,7 @@
 
 1. Values are valid by construction; damage comes after, on purpose.
 2. One message is drawn number by number, and shrinks to the simplest numbers. A wire is made of one string of bytes (see
-   `aces_bus.testing._source`), which is cheap enough for hundreds of thousands of examples, and shrinks as bytes do.
+   `aces_bus.testing.source`), which is cheap enough for hundreds of thousands of examples, and shrinks as bytes do.
 
 Needs the extra `[testing]`.
 """
@@ -20,11 +20,11 @@ except ImportError as missing:
 
 from ..protocol.declare.message import Message
 from ..protocol.declare.protocol import Protocol, Variant
-from ._protocols import Link, draw_spec, protocol_of
-from ._scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream
-from ._source import Drawn, Entropy
-from ._values import DrawnPacket, draw_packet, draw_values
 from .laws import Law, draw_arguments
+from .packets import DrawnPacket, draw_packet, draw_values
+from .scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream
+from .source import Drawn, Entropy
+from .specs import Link, draw_spec, protocol_of
 
 
 def _drawn(draw: Any) -> Drawn:
@@ -84,7 +84,7 @@ def cuts(scene: Scene) -> st.SearchStrategy[tuple[int, ...]]:
 def arguments(
     law: Law, wire: Wire, direction: Way = None, *, size: int = 400
 ) -> st.SearchStrategy[tuple[Any, ...]]:
-    """What `law.holds(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
+    """What `law(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
     return entropy(size // 3).map(lambda source: draw_arguments(law, wire, direction, source, size=size))
 
 

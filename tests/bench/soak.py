@@ -68,7 +68,7 @@ class Receiver:
         self._next: dict[int, int] = {}
 
     def __call__(self, items: list[Any]) -> None:
-        frames = [item.frame for item in items]
+        frames = [item.content for item in items]
         self.messages += len(self.scanner.feed(frames))
         self.frames += len(frames)
         following = self._next

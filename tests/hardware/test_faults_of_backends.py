@@ -28,8 +28,8 @@ import pytest
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.hardware.backends import check_server
-from aces_bus.hardware.can import CanGate, Received
-from aces_bus.hardware.events import BusEvent
+from aces_bus.hardware.can import CanGate
+from aces_bus.hardware.gate import BusEvent, Received
 from aces_bus.recordings import CanRecording, open_recording, parse_filter
 from aces_bus.recordings.write import open_writer
 
@@ -60,16 +60,16 @@ class Seen:
         return [event for event in self.events if event.kind == kind]
 
 
-def take(inbox: Any, count: int) -> list[Received]:
+def take(inbox: Any, count: int) -> list[Received[Frame]]:
     """So many frames, or fewer when they do not come."""
-    found: list[Received] = []
+    found: list[Received[Frame]] = []
     while len(found) < count and (more := inbox.get(PATIENCE_S)):
         found += more
     return found
 
 
-def numbers(items: list[Received]) -> list[int]:
-    return [item.frame.arbitration_id for item in items]
+def numbers(items: list[Received[Frame]]) -> list[int]:
+    return [item.content.arbitration_id for item in items]
 
 
 # ---------------------------------------------------------------------- slcan, on a pseudo-terminal
@@ -252,7 +252,11 @@ def test_socketcand_server_that_hangs_up_and_comes_back(server: Server) -> None:
         assert server.is_ready.acquire(timeout=PATIENCE_S)
         server.say(b"< frame 123 1.5 0A0B >")
         (item,) = take(inbox, 1)
-        assert (item.frame.arbitration_id, item.frame.data, item.frame.timestamp) == (0x123, b"\x0a\x0b", 1.5)
+        assert (item.content.arbitration_id, item.content.data, item.content.timestamp) == (
+            0x123,
+            b"\x0a\x0b",
+            1.5,
+        )
         server.refuses = 3
         reads, openings = count_calls(gate, "_read"), count_calls(gate, "_opened")
         server.clients[-1].close()
@@ -334,7 +338,7 @@ def test_a_listener_that_raises_ends_nothing(kind: type[BaseException]) -> None:
     """Neither others nor itself, whatever it raises; python-can's Notifier ends for all."""
     calls: list[int] = []
 
-    def faulty(items: list[Received]) -> None:
+    def faulty(items: list[Received[Frame]]) -> None:
         calls.extend(numbers(items))
         raise kind("listener")
 
@@ -391,7 +395,7 @@ def test_a_backend_that_uses_one_message_for_all() -> None:
         inbox = gate.subscribe()
         told.set()
         got = take(inbox, most)
-    assert [(item.frame.arbitration_id, item.frame.data[0]) for item in got] == [
+    assert [(item.content.arbitration_id, item.content.data[0]) for item in got] == [
         (number, number % 256) for number in range(1, most + 1)
     ]
 

@@ -12,8 +12,8 @@ import pytest
 
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
-from aces_bus.hardware.can import CanGate, Received
-from aces_bus.hardware.events import BusEvent
+from aces_bus.hardware.can import CanGate
+from aces_bus.hardware.gate import BusEvent, Received
 from aces_bus.hardware.simulated.backend import AcesBus
 from aces_bus.recordings import parse_filter
 
@@ -110,9 +110,9 @@ def bench() -> Iterator[Bench]:
         yield made
 
 
-def take(inbox: Any, count: int) -> list[Received]:
+def take(inbox: Any, count: int) -> list[Received[Frame]]:
     """So many items, or fewer when they do not come."""
-    found: list[Received] = []
+    found: list[Received[Frame]] = []
     while len(found) < count and (more := inbox.get(5.0)):
         found += more
     return found
@@ -124,13 +124,13 @@ def test_every_subscriber_gets_every_frame(bench: Bench) -> None:
     for number in range(3):
         bench.adapter.words.put(message(0x100 + number, bytes([number]), 5.0 + number))
     got = take(one, 3)
-    assert [(item.frame.arbitration_id, item.frame.timestamp) for item in got] == [
+    assert [(item.content.arbitration_id, item.content.timestamp) for item in got] == [
         (256, 5.0),
         (257, 6.0),
         (258, 7.0),
     ]
     assert [item.host_ns for item in got] == sorted(item.host_ns for item in got)
-    assert [item.frame.arbitration_id for item in take(two, 1)] == [0x101]
+    assert [item.content.arbitration_id for item in take(two, 1)] == [0x101]
     assert bench.gate.counters.received == 3
 
 
@@ -143,14 +143,14 @@ def test_more_frames_than_a_batch_holds_lose_none() -> None:
     inbox = gate.subscribe()
     with gate:
         got = take(inbox, 1000)
-    assert [item.frame.arbitration_id for item in got] == list(range(1000))
+    assert [item.content.arbitration_id for item in got] == list(range(1000))
 
 
 def test_a_reader_that_raises_costs_nobody_else(bench: Bench) -> None:
     """Its exception is an event, it is called again, and others hear everything."""
     calls: queue.Queue[int] = queue.Queue()
 
-    def faulty(items: list[Received]) -> None:
+    def faulty(items: list[Received[Frame]]) -> None:
         calls.put(len(items))
         raise RuntimeError("user code")
 
@@ -185,7 +185,7 @@ def test_a_slow_reader_loses_the_oldest_and_is_told(bench: Bench) -> None:
     for number in range(25):
         bench.adapter.words.put(message(number))
     assert len(take(include_unknown, 25)) == 25
-    assert [item.frame.arbitration_id for item in inbox.get(5)] == list(range(15, 25))
+    assert [item.content.arbitration_id for item in inbox.get(5)] == list(range(15, 25))
     assert inbox.dropped == bench.gate.counters.dropped == 15
     assert sum(event.count for event in bench.seen.of("dropped")) == 15
 
@@ -203,7 +203,7 @@ def test_an_adapter_that_says_nonsense(bench: Bench, word: Exception) -> None:
     inbox = bench.gate.subscribe()
     bench.adapter.words.put(word)
     bench.adapter.words.put(message(7))
-    assert [item.frame.arbitration_id for item in take(inbox, 1)] == [7]
+    assert [item.content.arbitration_id for item in take(inbox, 1)] == [7]
     assert type(word).__name__ in bench.seen.wait("bad input").detail
     assert len(bench.adapters) == 1
 
@@ -225,7 +225,7 @@ def test_an_impossible_frame_is_counted(bench: Bench) -> None:
     inbox = bench.gate.subscribe()
     bench.adapter.words.put(bad)
     bench.adapter.words.put(message(2))
-    assert [item.frame.arbitration_id for item in take(inbox, 1)] == [2]
+    assert [item.content.arbitration_id for item in take(inbox, 1)] == [2]
     assert bench.gate.counters.bad_input == 1
 
 
@@ -239,7 +239,7 @@ def test_unplugged_and_back(bench: Bench) -> None:
     bench.refuse = None
     bench.seen.wait("reopened")
     bench.adapter.words.put(message(9))
-    assert [item.frame.arbitration_id for item in take(inbox, 1)] == [9]
+    assert [item.content.arbitration_id for item in take(inbox, 1)] == [9]
     assert (bench.gate.state, bench.gate.counters.reopened) == ("open", 1)
 
 
@@ -350,7 +350,7 @@ def test_a_backend_by_its_keywords(listen_only: bool) -> None:
         with gate, AcesBus("gate") as third:
             inbox = gate.subscribe()
             other.send(message(0x55))
-            assert [item.frame.arbitration_id for item in take(inbox, 1)] == [0x55]
+            assert [item.content.arbitration_id for item in take(inbox, 1)] == [0x55]
             if not listen_only:
                 gate.send(Frame(0x66))
                 got = third.recv(5)

@@ -18,7 +18,7 @@ from aces_bus.hardware import gate as gate_module
 from aces_bus.hardware.datagram import DatagramGate
 from aces_bus.hardware.gate import GateCounters
 from aces_bus.hardware.served import BusServer, ServedChannel, packets
-from aces_bus.hardware.served.links import PacketLink
+from aces_bus.hardware.served.channel import PacketLink
 
 from .test_gate import Adapter, Bench
 
@@ -307,7 +307,7 @@ def test_a_server_hears_out_who_has_gone() -> None:
     try:
         ours.setblocking(False)
         link = PacketLink(server, ours, "test", "unix", "can0")
-        link.take(packets.Hello("can0", 0, 0, 0, packets.NO_RESTART).packet())
+        link.take(packets.value_packet(packets.Hello("can0")))
         node = channel.wire.nodes[0]
         message = can.Message(arbitration_id=5, is_extended_id=False, data=b"\x0e")
         theirs.send(packets.message_packet(message, 0))

@@ -97,7 +97,7 @@ def test_a_gate_on_a_replay(log: Path) -> None:
     with gate:
         found = []
         while items := inbox.get(5):
-            found += [item.frame.arbitration_id for item in items]
+            found += [item.content.arbitration_id for item in items]
         assert found == [1, 2, 3]
         assert inbox.is_closed
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.hardware.datagram import Datagram, DatagramGate
-from aces_bus.hardware.events import BusEvent
-from aces_bus.hardware.serial import ReceivedBytes, SerialGate
+from aces_bus.hardware.datagram import DatagramGate
+from aces_bus.hardware.gate import BusEvent, Received
+from aces_bus.hardware.serial import SerialGate
 
 
 class Line:
@@ -63,7 +63,7 @@ def heard(inbox: Any, size: int) -> bytes:
     """So many bytes, or fewer when they do not come."""
     data = b""
     while len(data) < size and (items := inbox.get(5.0)):
-        data += b"".join(item.data for item in items)
+        data += b"".join(item.content for item in items)
     return data
 
 
@@ -125,7 +125,7 @@ def test_turnaround(line: Line) -> None:
     with SerialGate(line.path, turnaround=0.05) as gate:
         inbox = gate.subscribe()
         os.write(line.master, b"\x01")
-        item: ReceivedBytes = inbox.get(5)[0]
+        item: Received[bytes] = inbox.get(5)[0]
         gate.send(b"\x02")
         assert os.read(line.master, 1) == b"\x02"
         assert gate.clock.now() - item.host_ns >= 50_000_000
@@ -137,7 +137,7 @@ def test_own_bytes_can_be_kept(line: Line) -> None:
         inbox = gate.subscribe()
         gate.send(b"\x02")
         (item,) = inbox.get(5)
-        assert (item.data, item.is_own) == (b"\x02", True)
+        assert (item.content, item.is_own) == (b"\x02", True)
 
 
 def test_unplugged_and_back(line: Line, tmp_path: Any) -> None:
@@ -182,7 +182,7 @@ def test_a_listener_that_raises(line: Line) -> None:
     gate = SerialGate(line.path)
     gate.on_event(seen)
 
-    def faulty(items: list[ReceivedBytes]) -> None:
+    def faulty(items: list[Received[bytes]]) -> None:
         raise RuntimeError("user code")
 
     with gate:
@@ -199,10 +199,10 @@ def test_datagrams_go_both_ways() -> None:
         at_robot, at_host = robot.subscribe(), host.subscribe()
         host.send(b"GET")
         (got,) = at_robot.get(5)
-        assert (got.data, got.source) == (b"GET", host.address)
+        assert (got.content, got.source) == (b"GET", host.address)
         robot.send(b"", got.source)
         (answer,) = at_host.get(5)
-        assert answer.data == b""
+        assert answer.content == b""
 
 
 def test_strangers_are_counted() -> None:
@@ -216,8 +216,8 @@ def test_strangers_are_counted() -> None:
             stranger.send(b"x", gate.address)
             assert "who is not the peer" in seen.wait("bad input").detail
             peer.send(b"y", gate.address)
-            items: list[Datagram] = inbox.get(5)
-            assert [item.data for item in items] == [b"y"]
+            items: list[Received[bytes]] = inbox.get(5)
+            assert [item.content for item in items] == [b"y"]
 
 
 def test_datagrams_that_cannot_be_sent() -> None:

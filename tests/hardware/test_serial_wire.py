@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
-from aces_bus.hardware.simulated.pty import PtyPort
-from aces_bus.hardware.simulated.serial_line import Noise, SerialNode, SimulatedSerialLine
+from aces_bus.hardware.simulated.serial_line import Noise, PtyPort, SerialNode, SimulatedSerialLine
 from aces_bus.runtime import VirtualClock
 
 Bytes = list[tuple[bytes, int]]

@@ -13,7 +13,7 @@ import pytest
 
 from aces_bus.frames import Frame
 from aces_bus.hardware.can import CanGate
-from aces_bus.hardware.served import ServedChannel
+from aces_bus.hardware.served import ServedChannel, remote, stream
 from aces_bus.hardware.served import channel as channel_module
 from aces_bus.hardware.served.address import parse_host
 from aces_bus.hardware.simulated.faults import Faults
@@ -165,7 +165,7 @@ def test_a_gate_finds_the_server_again() -> None:
                 assert told.wait_for(lambda: "reopened" in kinds, PATIENCE)
             with can.Bus("unix:can0", "aces") as bus:
                 bus.send(message(0x42))
-                assert [item.frame.arbitration_id for item in inbox.get(PATIENCE)] == [0x42]
+                assert [item.content.arbitration_id for item in inbox.get(PATIENCE)] == [0x42]
     finally:
         gate.stop()
 
@@ -175,13 +175,12 @@ def test_waiting_costs_nothing(opened: Open, monkeypatch: pytest.MonkeyPatch) ->
     with serve():
         bus = opened()
         waits: list[float | None] = []
-        wait = bus._waiter.wait
 
-        def noted(timeout: float | None) -> list[int]:
+        def noted(number: int, timeout: float | None) -> bool:
             waits.append(timeout)
-            return wait(timeout)
+            return stream.wait(number, timeout)
 
-        monkeypatch.setattr(bus._waiter, "wait", noted)
+        monkeypatch.setattr(remote, "wait", noted)
         start = time.monotonic()
         assert bus.recv(0.4) is None
         assert time.monotonic() - start >= 0.4

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.hardware.socketcan import SocketcanReader
+from aces_bus.hardware.backends import SocketcanReader
 
 if not hasattr(socket, "CMSG_SPACE") or not hasattr(socket, "AF_UNIX"):
     pytest.skip("no SocketCAN on this system", allow_module_level=True)

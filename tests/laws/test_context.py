@@ -11,9 +11,9 @@ from hypothesis import settings
 from aces_bus.protocol import Reference, StreamScanner
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.testing import laws
-from aces_bus.testing._play import told_by
-from aces_bus.testing._source import spread
-from aces_bus.testing._values import draw_packet
+from aces_bus.testing.packets import draw_packet
+from aces_bus.testing.source import spread
+from aces_bus.testing.trial import told_by
 from tests.laws.wires import PROTOCOLS
 
 IS_LONG = settings().max_examples > 100

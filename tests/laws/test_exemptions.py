@@ -9,7 +9,7 @@ from construct import Byte, Construct, Float16l, Float32l, Struct, VarInt
 
 from aces_bus.protocol import Message, Protocol, SignMagnitude
 from aces_bus.testing import laws
-from aces_bus.testing._exemptions import KINDS, Kind, are_excused
+from aces_bus.testing.exemptions import KINDS, Kind, are_excused
 from tests.laws.wires import REGISTERED
 from tests.specs.catalogue import SPECS
 

@@ -21,11 +21,11 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from aces_bus.protocol import make_scanner
 from aces_bus.testing import laws, strategies
-from aces_bus.testing._bench import Bench
-from aces_bus.testing._saved import load_scene, save_scene
-from aces_bus.testing._source import spread
+from aces_bus.testing.bench import Bench
 from aces_bus.testing.fuzz import shrink
 from aces_bus.testing.laws import LAWS, Law
+from aces_bus.testing.saved import load_scene, save_scene
+from aces_bus.testing.source import spread
 from tests import kept
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 

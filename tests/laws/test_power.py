@@ -30,9 +30,9 @@ from aces_bus.protocol.declare import ambiguity, checks, fields
 from aces_bus.protocol.generate import load
 from aces_bus.protocol.live import can, find, stream
 from aces_bus.protocol.live.decide import Decider
-from aces_bus.testing import _laws_of_content, laws
-from aces_bus.testing._source import spread
+from aces_bus.testing import laws
 from aces_bus.testing.laws import LAWS, Law, Way
+from aces_bus.testing.source import spread
 
 IS_LONG = settings().max_examples > 100
 Plant = Callable[[pytest.MonkeyPatch], None]
@@ -101,7 +101,7 @@ def fails(law: Law, made: Protocol, direction: Way = None, tries: int = 120) -> 
     for number in range(1, tries):
         given = laws.draw_arguments(law, variant, direction, spread(number, 400))
         try:
-            law.holds(variant, direction, *given)
+            law(variant, direction, *given)
         except AssertionError as error:
             return str(error)
     return ""
@@ -227,7 +227,7 @@ def some_bytes_raise(patch: pytest.MonkeyPatch) -> None:
 
 
 def the_checker_is_blind(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(_laws_of_content, "conflict", lambda one, other: None)
+    patch.setattr(laws, "conflict", lambda one, other: None)
 
 
 @pytest.mark.parametrize(

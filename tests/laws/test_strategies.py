@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from aces_bus.protocol import CanScanner, Protocol, Scanner, StreamScanner, Unknown, make_scanner
 from aces_bus.testing import laws, strategies
-from aces_bus.testing._play import comparable
-from aces_bus.testing._source import Entropy, spread
-from aces_bus.testing._values import DrawnPacket, UndrawableError, draw_packet
+from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_packet
+from aces_bus.testing.source import Entropy, spread
+from aces_bus.testing.trial import comparable
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 IS_LONG = settings().max_examples > 100
@@ -126,7 +126,7 @@ def test_without_hypothesis_the_extra_is_named() -> None:
     program = (
         "import sys; sys.modules['hypothesis'] = None\n"
         "from aces_bus.testing import laws\n"
-        "for name in ('strategies', '_pytest_laws'):\n"
+        "for name in ('strategies', 'pytest_laws'):\n"
         "    try:\n"
         "        __import__('aces_bus.testing.' + name)\n"
         "    except ImportError as error:\n"

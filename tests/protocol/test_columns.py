@@ -33,7 +33,7 @@ from aces_bus.protocol import (
 from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
 from aces_bus.protocol.columns.table import Column, MessageTable
 from aces_bus.testing import _columns, laws
-from aces_bus.testing._source import spread
+from aces_bus.testing.source import spread
 from tests.laws.wires import CASES, MIXED, Case
 
 #: Bytes of a scene, or sixteenths of a frame.

@@ -13,8 +13,8 @@ from aces_bus.protocol.explain import Attempt, Tracer
 from aces_bus.protocol.explain.template import Template
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.testing import laws
-from aces_bus.testing._play import ScannedItem, comparable, image_of, join_losses
-from aces_bus.testing._source import spread
+from aces_bus.testing.source import spread
+from aces_bus.testing.trial import ScannedItem, comparable, image_of, join_losses
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
 from tests.laws.wires import CASES, MIXED, Case

@@ -28,8 +28,8 @@ from aces_bus.protocol.exchange.export_wireshark import print_dissector
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
 from aces_bus.recordings.write.pcapng import PcapngWriter
-from aces_bus.testing._source import spread
-from aces_bus.testing._values import UndrawableError, draw_packet
+from aces_bus.testing.packets import UndrawableError, draw_packet
+from aces_bus.testing.source import spread
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
 from tests.laws.corners import CORNERS

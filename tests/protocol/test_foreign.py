@@ -17,7 +17,7 @@ from aces_bus.protocol.exchange.names import python_name
 from aces_bus.protocol.exchange.problems import EXCERPT
 from aces_bus.protocol.plan.flatten import flatten
 from aces_bus.testing import laws
-from aces_bus.testing._source import spread
+from aces_bus.testing.source import spread
 from tests.protocol.test_dbc_equal import agree
 
 cantools = pytest.importorskip("cantools")
@@ -49,7 +49,7 @@ def laws_hold(found: ImportedProtocol, scenes: int = 4) -> None:
         if law.streams_only:
             continue
         for seed in range(scenes):
-            law.holds(variant, "both", *laws.draw_arguments(law, variant, "both", spread(seed)))
+            law(variant, "both", *laws.draw_arguments(law, variant, "both", spread(seed)))
 
 
 # ---------------------------------------------------------------------- what a DBC says

@@ -27,7 +27,7 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.hardware import BusEvent, CanGate, Received
-from aces_bus.hardware.socketcan import SocketcanReader
+from aces_bus.hardware.backends import SocketcanReader
 from aces_bus.recordings import open_recording, parse_filter
 
 NAMED = os.environ.get("ACES_SOCKETCAN", "")
@@ -120,8 +120,8 @@ def flexible(identifier: int, data: bytes, flags: int = 0) -> bytes:
     return struct.pack("=IBB2x64s", identifier, len(data), flags, data)
 
 
-def take(inbox: Any, count: int) -> list[Received]:
-    found: list[Received] = []
+def take(inbox: Any, count: int) -> list[Received[Frame]]:
+    found: list[Received[Frame]] = []
     while len(found) < count and (more := inbox.get(PATIENCE_S)):
         found += more
     return found
@@ -167,11 +167,11 @@ def test_every_kind_of_frame_is_received(wire: socket.socket) -> None:
         for raw in sent:
             wire.send(raw)
         got = take(inbox, len(sent))
-    plain = [msgspec.structs.replace(item.frame, timestamp=None, channel=None, is_rx=None) for item in got]
+    plain = [msgspec.structs.replace(item.content, timestamp=None, channel=None, is_rx=None) for item in got]
     assert plain == list(sent.values())
-    assert {item.frame.channel for item in got} == {BUS}
-    assert {item.frame.is_rx for item in got} == {False}  # sent on this machine
-    stamps = [item.frame.timestamp or 0.0 for item in got]
+    assert {item.content.channel for item in got} == {BUS}
+    assert {item.content.is_rx for item in got} == {False}  # sent on this machine
+    stamps = [item.content.timestamp or 0.0 for item in got]
     assert stamps == sorted(stamps)
     assert abs(stamps[0] - began) < PATIENCE_S
     assert gate.counters.received == len(sent)
@@ -184,8 +184,8 @@ def test_filters_of_the_kernel_and_ours(wire: socket.socket) -> None:
         inbox, narrow = gate.subscribe(), gate.subscribe(filter=parse_filter("102:7FF"))
         for identifier in (0x101, 0x201, 0x8000_0102, 0x102):
             wire.send(classic(identifier))
-        assert [item.frame.arbitration_id for item in take(inbox, 2)] == [0x101, 0x102]
-        assert [item.frame.arbitration_id for item in take(narrow, 1)] == [0x102]
+        assert [item.content.arbitration_id for item in take(inbox, 2)] == [0x101, 0x102]
+        assert [item.content.arbitration_id for item in take(narrow, 1)] == [0x102]
         assert gate.counters.received == 2
 
 
@@ -198,7 +198,7 @@ def test_frames_of_all_interfaces(wire: socket.socket) -> None:
         inbox = gate.subscribe()
         wire.send(classic(1))
         more.send(Frame(2))
-        got = {(item.frame.channel, item.frame.arbitration_id) for item in take(inbox, 2)}
+        got = {(item.content.channel, item.content.arbitration_id) for item in take(inbox, 2)}
     assert got == {(BUS, 1), (OTHER, 2)}
 
 
@@ -215,8 +215,8 @@ def test_error_frames_tell_the_controllers_state(wire: socket.socket) -> None:
         wire.send(classic(0x2000_0004, b"\0\x01" + bytes(6)))
         assert "adapter's buffer" in seen.wait("dropped").detail
         got = take(inbox, 4)
-    assert [item.frame.arbitration_id for item in got] == [0x04, 0x40, 0x100, 0x04]
-    assert all(item.frame.is_error_frame for item in got)
+    assert [item.content.arbitration_id for item in got] == [0x04, 0x40, 0x100, 0x04]
+    assert all(item.content.is_error_frame for item in got)
 
 
 def test_what_the_gate_sends_is_on_the_bus() -> None:
@@ -332,7 +332,7 @@ def test_an_interface_that_goes_down_and_comes_back(wire: socket.socket) -> None
         seen.wait("reopened")
         wire.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # the stranger's socket was told, too
         wire.send(classic(2))
-        assert take(inbox, 1)[0].frame.arbitration_id == 2
+        assert take(inbox, 1)[0].content.arbitration_id == 2
     assert [event.kind for event in seen.events] == ["lost", "reopened", "closed"]
 
 
@@ -351,7 +351,7 @@ def test_an_adapter_that_is_unplugged_and_plugged_in_again() -> None:
         seen.wait("reopened")
         with CanGate({"interface": "socketcan", "channel": OTHER}) as stranger:
             stranger.send(Frame(5))
-            assert take(inbox, 1)[0].frame.arbitration_id == 5
+            assert take(inbox, 1)[0].content.arbitration_id == 5
     kinds = [event.kind for event in seen.events]
     assert kinds == ["lost", "reopened", "closed"]
 

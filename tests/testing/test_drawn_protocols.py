@@ -8,9 +8,9 @@ from hypothesis import given, settings
 
 from aces_bus.protocol import Protocol, make_scanner
 from aces_bus.testing import laws, strategies
-from aces_bus.testing._protocols import Link, draw_spec, protocol_of
-from aces_bus.testing._source import spread
 from aces_bus.testing.fuzz import Fuzzer
+from aces_bus.testing.source import spread
+from aces_bus.testing.specs import Link, draw_spec, protocol_of
 
 #: Specs in the short run and in the long one: each is compiled, which costs more than fuzzing it.
 SHORT, LONG = 6, 300

@@ -14,11 +14,11 @@ from construct import Float32l, Int16ul, Struct
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.protocol import Protocol, load_protocol
 from aces_bus.testing import laws
-from aces_bus.testing._bench import Bench
-from aces_bus.testing._play import comparable
-from aces_bus.testing._pytest_laws import law_tests
-from aces_bus.testing._saved import load_scene, save_scene
-from aces_bus.testing._source import spread
+from aces_bus.testing.bench import Bench
+from aces_bus.testing.pytest_laws import law_tests
+from aces_bus.testing.saved import load_scene, save_scene
+from aces_bus.testing.source import spread
+from aces_bus.testing.trial import comparable
 
 ROOT = Path(__file__).resolve().parents[2]
 #: A spec whose adapter loses what is above ten.

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from aces_bus.protocol import Protocol
-from aces_bus.testing._bench import Bench
+from aces_bus.testing.bench import Bench
 from aces_bus.testing.fuzz import Failure, Fuzzer, judged
 from aces_bus.testing.laws import LAWS, Trial
 from tests.testing.encoder_faults import ENCODER_FAULTS

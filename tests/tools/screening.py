@@ -50,7 +50,7 @@ def encoder(board: int, first: int = 0, second: int = 0, at_ms: float = 0.0, **m
     return Frame(0x060 + board, data, 1000 + at_ms / 1000, **options)
 
 
-def heard(*frames: Frame, at_ms: float = 0.0) -> list[Received]:
+def heard(*frames: Frame, at_ms: float = 0.0) -> list[Received[Frame]]:
     """Frames as a gate gives them, read at one instant."""
     return [Received(frame, round(at_ms * MS)) for frame in frames]
 

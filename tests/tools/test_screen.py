@@ -17,9 +17,9 @@ import pytest
 
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
-from aces_bus.hardware import BusEvent, Received, ReceivedBytes
+from aces_bus.hardware import BusEvent, Received
 from aces_bus.hardware.gate import GateCounters
-from aces_bus.hardware.inbox import Inbox
+from aces_bus.hardware.queues import Inbox
 from aces_bus.runtime import VirtualClock
 from aces_tools.screen import check_screen, make_screen
 from tests.tools.screening import (
@@ -50,7 +50,7 @@ class Stage:
     app: Any
     pilot: Any
     gate: Gate
-    inbox: Inbox[Received]
+    inbox: Inbox[Received[Frame]]
 
     async def hear(self, *frames: Frame, seconds: float = 0.1) -> None:
         """Frames come, time goes on, a picture is made."""
@@ -97,7 +97,7 @@ def play(scene: Scene, size: tuple[int, int] = (100, 24), **more: Any) -> None:
     app_module = pytest.importorskip("aces_tools.screen.app")
 
     async def run() -> None:
-        gate, inbox = Gate(), Inbox[Received]()
+        gate, inbox = Gate(), Inbox[Received[Frame]]()
         app = app_module.LiveScreen(model(), gate, inbox, **more)
         async with app.run_test(size=size) as pilot:
             await scene(Stage(app, pilot, gate, inbox))
@@ -359,7 +359,7 @@ def test_a_screen_is_made_for_a_gate(kind: str) -> None:
     gate.events.tell(BusEvent("lost", 0, "bus"))
     app.model.take_events()
     assert app.model.event_counts == {"lost": 1}
-    item = ReceivedBytes(bytes([0xAA, 1, 2, 3, 4]), 5) if kind == "serial" else Received(encoder(0), 5)
+    item = Received(bytes([0xAA, 1, 2, 3, 4]), 5) if kind == "serial" else Received(encoder(0), 5)
     gate._put([item])
     asyncio.run(app.hear())
     assert only(app.model).name == ("Encoder" if kind == "can" else "Sample")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
-from aces_bus.hardware import Received, ReceivedBytes, frame_bits
+from aces_bus.hardware import Received, frame_bits
 from aces_bus.hardware.simulated.frame_time import INTERMISSION
 from aces_bus.protocol import make_scanner
 from aces_tools.screen.meter import Meter
@@ -124,7 +124,7 @@ def test_the_load_is_the_share_of_bit_times() -> None:
     for start in range(0, 5000, 100):
         made.feed(frames[start : start + 100])
     (channel,) = made.channels.values()
-    expected = (frame_bits(frames[0].frame).total + INTERMISSION) * 1000 / 1_000_000
+    expected = (frame_bits(frames[0].content).total + INTERMISSION) * 1000 / 1_000_000
     load = made.load(channel, frames[-1].host_ns)
     assert load is not None
     assert load == pytest.approx(expected, rel=0.02)
@@ -216,8 +216,8 @@ def test_rows_of_a_line_are_messages_by_whom_they_are_about() -> None:
     stream = ModelFeed(made)
     data = b"".join(bytes([0xAA, 1, n, 0, n]) for n in range(20))
     for at in range(0, len(data), 7):
-        stream.feed([ReceivedBytes(data[at : at + 7], at * MS)])
-    stream.feed([ReceivedBytes(b"\x00\x01", 200 * MS)])
+        stream.feed([Received(data[at : at + 7], at * MS)])
+    stream.feed([Received(b"\x00\x01", 200 * MS)])
     stream.idle(200 * MS + 5 * S)
     rows = {row.name: row for row in made.rows.values()}
     assert rows["Sample"].count == 20

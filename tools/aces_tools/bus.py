@@ -355,11 +355,11 @@ def _heard_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> Itera
         for _ in _seconds():
             busy = frames = errors = 0
             for item in inbox.get(0):
-                if item.frame.is_error_frame:
+                if item.content.is_error_frame:
                     errors += 1
                 else:
                     frames += 1
-                busy += frame_bits(item.frame).duration_ns(bitrate, data_bitrate) + pause
+                busy += frame_bits(item.content).duration_ns(bitrate, data_bitrate) + pause
             now = time.monotonic_ns()
             duration = max(1, now - start) / 1e9
             start = now

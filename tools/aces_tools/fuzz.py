@@ -29,7 +29,7 @@ from aces_bus.errors import CallerError
 from .console import say, terminal_width
 
 if TYPE_CHECKING:
-    from aces_bus.testing._coverage import Coverage
+    from aces_bus.testing.coverage import Coverage
 
     from .fuzzing.work import FoundFailure, FuzzJob, FuzzTask, TaskResult
 
@@ -279,7 +279,7 @@ class Tally:
 
     def coverage(self) -> Coverage:
         """What was reached, by all processes."""
-        from aces_bus.testing._coverage import Coverage
+        from aces_bus.testing.coverage import Coverage
 
         whole = Coverage()
         for done in self._latest.values():

@@ -129,9 +129,9 @@ class Told:
         return said
 
 
-def heard_frame(item: Received, name: str, epoch_ns: int) -> Frame:
+def heard_frame(item: Received[Frame], name: str, epoch_ns: int) -> Frame:
     """A frame as it was received, with the host's time and the bus's name where the adapter gives none."""
-    frame = item.frame
+    frame = item.content
     if frame.channel is None or not frame.timestamp:
         return msgspec.structs.replace(
             frame,

@@ -118,7 +118,7 @@ class RecordingFile:
 
             def chunks(items: Sequence[Any]) -> None:
                 for item in items:
-                    self._writer.write(Chunk(item.data, (item.host_ns + epoch_ns) / 1e9, direction))
+                    self._writer.write(Chunk(item.content, (item.host_ns + epoch_ns) / 1e9, direction))
 
             self._print = chunks
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -130,7 +130,7 @@ class RecordingFile:
         return 0 if self._inbox is None else int(self._inbox.dropped)
 
     def _size(self, items: Sequence[Any]) -> int:
-        return len(items) if self.link == "can" else sum(len(item.data) for item in items)
+        return len(items) if self.link == "can" else sum(len(item.content) for item in items)
 
     def _append(self) -> None:
         """What was printed, to the file: all of it, or none and `OSError`."""

@@ -100,19 +100,21 @@ class Replies:
         found: list[Any]
         if self._link == "can":
             found = self._scanner.feed(
-                [msgspec.structs.replace(item.frame, timestamp=seconds, channel=self._name)]
+                [msgspec.structs.replace(item.content, timestamp=seconds, channel=self._name)]
             )
         elif self._is_datagrams:
-            found = self._scanner.datagram(item.data, seconds)
+            found = self._scanner.datagram(item.content, seconds)
         else:
-            found = self._scanner.feed(item.data, seconds)
+            found = self._scanner.feed(item.content, seconds)
         return found
 
     def _unnamed(self, item: Any) -> None:
         if self._link == "can":
             data = self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
         else:
-            data = self._lines.chunks([Chunk(item.data, (item.host_ns + self._epoch_ns) / 1e9)], self._name)
+            data = self._lines.chunks(
+                [Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name
+            )
         self._print(data, 1)
 
     def _print(self, data: bytes, count: int) -> None:

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frames import Frame
+from aces_bus.frames import Frame, message_to_frame
 from aces_bus.protocol import Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
 from aces_bus.recordings.candump.line import read_line
@@ -353,29 +353,12 @@ def raw_word(text: str) -> Word:
         ) from None
     if frame.is_error_frame:
         raise CallerError(f"{text!r}: error frames are made by controllers; they cannot be sent")
-    return Frame(
-        frame.arbitration_id,
-        frame.data,
-        None,
-        None,
-        frame.is_extended_id,
-        frame.is_remote_frame,
-        False,
-        frame.is_fd,
-        frame.bitrate_switch,
-        frame.error_state_indicator,
-        None,
-        frame.dlc,
-    )
+    return message_to_frame(frame)
 
 
 def _word(made: Any) -> Word:
     """What an encoder made: a python-can message as a frame, bytes as they are."""
-    if isinstance(made, bytes):
-        return made
-    from aces_bus.hardware.simulated.backend import message_to_frame
-
-    return message_to_frame(made)
+    return made if isinstance(made, bytes) else message_to_frame(made)
 
 
 class _Untitled(LiveText):

@@ -64,7 +64,7 @@ class SimulatedRobot:
         if not names:
             return {}
         from aces_bus.hardware import SerialPort
-        from aces_bus.hardware.simulated.pty import PtyPort
+        from aces_bus.hardware.simulated.serial_line import PtyPort
         from aces_bus.robot import wire_of
         from aces_bus.robot.rig import spoken_on
         from aces_bus.runtime import VirtualClock

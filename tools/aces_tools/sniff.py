@@ -303,20 +303,22 @@ class Sniffing(LiveDecoding):
         """Bytes of a serial line, or a datagram."""
         seconds = (item.host_ns + self.epoch_ns) / 1e9
         if self.lines is not None:
-            self.scanner.feed(item.data, seconds)
+            self.scanner.feed(item.content, seconds)
             if self.times.start is None:
                 self.times.start = seconds
             if self.shows_losses:
                 self.printed += 1
                 if not self.is_quiet:
-                    self.output.write(self.lines.chunks([Chunk(item.data, seconds, self._stated)], self.name))
+                    self.output.write(
+                        self.lines.chunks([Chunk(item.content, seconds, self._stated)], self.name)
+                    )
             return
         if self.bus.kind == "datagram":
-            self._emit(self.scanner.datagram(item.data, seconds), self.total, is_can=False)
+            self._emit(self.scanner.datagram(item.content, seconds), self.total, is_can=False)
             return
         if not self.is_settled and item.host_ns - self.heard_at > self.gap_ns:
             self._emit(self.scanner.idle(seconds), self.total, is_can=False)
-        self._emit(self.scanner.feed(item.data, seconds), self.total, is_can=False)
+        self._emit(self.scanner.feed(item.content, seconds), self.total, is_can=False)
         self.heard_at, self.is_settled = item.host_ns, False
 
     def _silence(self) -> None:

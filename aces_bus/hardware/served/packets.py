@@ -5,32 +5,34 @@
 
 A packet is the length of its body (u16, little-endian), its kind (u8), a zero byte, and the body. `CLASSIC` and `LONG` hold
 records of frames one behind another, of 24 and 80 bytes: so many frames cost one call of the system, and one of `struct`.
+What else is said is MessagePack.
 
 A client says `HELLO`; the server answers `WELCOME`, or `REFUSED` with the reason as text, and closes. Then frames go both
 ways. `REPORT` tells a client how many of its frames the bus has taken, so that it can stop when its mailboxes are full.
-`NEIGHBOUR`, `AUDIENCE` and `COUNT` are of `shortcut`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from struct import Struct, error
-from typing import TYPE_CHECKING, NamedTuple
+from struct import Struct
+from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeVar
+
+import msgspec
 
 from ...errors import AcesError, CallerError
-from ...frames import FD_LENGTHS, Frame
+from ...frames import FD_LENGTHS, Frame, message_to_frame
+from ..simulated.bus import SimulatedBusEvent
 
 if TYPE_CHECKING:
     from can import Message
 
-VERSION = 1
-MAGIC = b"ACES"
+T = TypeVar("T")
+
+VERSION: Final = 2
 #: Of a body, in bytes.
 MOST = 0xFFFF
 
 HELLO, WELCOME, REFUSED, CLASSIC, LONG, REPORT, EVENT, RESTART, ABORT, QUERY, STATUS = range(1, 12)
-NEIGHBOUR, AUDIENCE, COUNT = range(12, 15)
-_LAST = COUNT
 #: Those that hold frames.
 FRAMES = (CLASSIC, LONG)
 
@@ -44,26 +46,6 @@ LONG_PACKET = Struct("<HBxqIBB2x64s")
 
 EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, OWN = 1, 2, 4, 8, 16, 32, 64
 
-#: Of a client: does not send; takes FD; wants its own frames back; is no node and only asks; can talk to others directly.
-LISTEN_ONLY, TAKES_FD, HEARS_OWN, LOOKS, DIRECT = 1, 2, 4, 8, 16
-#: Of a server: the bus has bit rates and arbitration. `DIRECT` is said by it too.
-PHYSICS = 1
-
-_HELLO = Struct("<4sBBxxIII")
-_WELCOME = Struct("<BBHII")
-_REPORT = Struct("<QQQ")
-_EVENT = Struct("<qB")
-NO_RESTART = 0xFFFF_FFFF
-
-#: Kinds of events, by their number in a packet.
-EVENTS = (
-    "no acknowledge",
-    "bit error",
-    "error-passive",
-    "error-active",
-    "bus-off",
-    "recovered",
-)
 _FD_LENGTHS = frozenset(FD_LENGTHS)
 
 
@@ -84,7 +66,7 @@ def split_packets(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
     at, end = 0, len(data)
     while end - at >= 4:
         size, kind = HEAD.unpack_from(data, at)
-        if not 1 <= kind <= _LAST:
+        if not 1 <= kind <= STATUS:
             raise PacketError(f"a packet of kind {kind}, which does not exist")
         if end - at - 4 < size:
             break
@@ -109,18 +91,6 @@ def unpack_records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int,
                 continue
         _check(identifier, flags, length, most)
         yield found
-
-
-def single(data: bytes) -> tuple[int, int, int, int, bytes] | None:
-    """The only frame in a piece of a stream, when it is a plain one: what comes one by one is read quickly."""
-    if len(data) != CLASSIC_PACKET.size:
-        return None
-    size, kind, time_ns, identifier, flags, length, padded = CLASSIC_PACKET.unpack(data)
-    if size != 24 or kind != CLASSIC or length > 8 or flags > EXTENDED:
-        return None
-    if identifier > (0x1FFF_FFFF if flags else 0x7FF):
-        return None
-    return time_ns, identifier, flags, length, padded
 
 
 def _check(identifier: int, flags: int, length: int, most: int) -> None:
@@ -208,16 +178,7 @@ def message_packet(message: Message, time_ns: int = 0) -> bytes:
             return CLASSIC_PACKET.pack(24, CLASSIC, time_ns, identifier, flags, length, data)
     if message.is_error_frame:
         raise CallerError("an error frame is not sent but made by faults")
-    frame = Frame(  # says what is wrong
-        identifier,
-        bytes(data),
-        is_extended_id=message.is_extended_id,
-        is_remote_frame=message.is_remote_frame,
-        is_fd=message.is_fd,
-        bitrate_switch=message.bitrate_switch,
-        error_state_indicator=message.error_state_indicator,
-        dlc=length if message.is_remote_frame else None,
-    )
+    frame = message_to_frame(message)  # refuses what cannot exist
     if not 0 <= frame.length <= (64 if frame.is_fd else 8):
         raise CallerError(f"a frame of {frame.length} bytes cannot be sent")
     one = frame_record(frame, time_ns)
@@ -227,97 +188,56 @@ def message_packet(message: Message, time_ns: int = 0) -> bytes:
 # ---------------------------------------------------------------------- the rest
 
 
-class Hello(NamedTuple):
-    """Who a client is. Rates in bit/s, 0: whatever the bus has. `restart_ms`: comes back from bus-off after so long."""
+class Hello(msgspec.Struct, frozen=True):
+    """Who a client is. Rates in bit/s, 0: whatever the bus has.
 
-    channel: str = ""
-    flags: int = 0
+    `fd`: takes CAN FD. `own`: receives its own frames, too. `looks`: joins no bus and only asks. `restart_ms`: comes back
+    from bus-off after so long; None: when it is restarted.
+    """
+
+    channel: Annotated[str, msgspec.Meta(max_length=64)] = ""
     bitrate: int = 0
     data_bitrate: int = 0
-    restart_ms: int = NO_RESTART
-
-    def packet(self) -> bytes:
-        """As a packet."""
-        body = _HELLO.pack(MAGIC, VERSION, self.flags, self.bitrate, self.data_bitrate, self.restart_ms)
-        return packet(HELLO, body + self.channel.encode())
-
-
-def read_hello(body: bytes) -> Hello:
-    """A client's introduction."""
-    try:
-        magic, version, flags, bitrate, data_bitrate, restart_ms = _HELLO.unpack_from(body)
-        channel = body[_HELLO.size :].decode()
-    except (error, UnicodeDecodeError) as problem:
-        raise PacketError(f"no introduction of a client: {problem}") from problem
-    if magic != MAGIC:
-        raise PacketError("no introduction of a client of a served bus")
-    if version != VERSION:
-        raise PacketError(f"a client of version {version}; this server speaks version {VERSION}")
-    if len(channel) > 64:
-        raise PacketError("a channel name of more than 64 characters")
-    return Hello(channel, flags, bitrate, data_bitrate, restart_ms)
+    listen_only: bool = False
+    fd: bool = False
+    own: bool = False
+    looks: bool = False
+    restart_ms: Annotated[int, msgspec.Meta(ge=0, le=0xFFFF_FFFF)] | None = None
+    version: Literal[2] = VERSION
 
 
-class Welcome(NamedTuple):
-    """What bus a client is on. `mailboxes`: frames it may have under way."""
+class Welcome(msgspec.Struct, frozen=True):
+    """What bus a client is on. `mailboxes`: frames it may have under way; `physics`: it has bit rates and arbitration."""
 
     channel: str
-    flags: int
     mailboxes: int
+    physics: bool
     bitrate: int
     data_bitrate: int
-
-    def packet(self) -> bytes:
-        """As a packet."""
-        body = _WELCOME.pack(VERSION, self.flags, self.mailboxes, self.bitrate, self.data_bitrate)
-        return packet(WELCOME, body + self.channel.encode())
+    version: Literal[2] = VERSION
 
 
-def read_welcome(body: bytes) -> Welcome:
-    """A server's answer."""
-    try:
-        version, flags, mailboxes, bitrate, data_bitrate = _WELCOME.unpack_from(body)
-        channel = body[_WELCOME.size :].decode()
-    except (error, UnicodeDecodeError) as problem:
-        raise PacketError(f"no answer of a served bus: {problem}") from problem
-    if version != VERSION:
-        raise PacketError(f"a server of version {version}; this client speaks version {VERSION}")
-    return Welcome(channel, flags, mailboxes, bitrate, data_bitrate)
-
-
-def report(taken: int, rejected: int, dropped: int) -> bytes:
+class TransmitReport(msgspec.Struct, frozen=True):
     """How many of a client's frames are off its mailboxes, how many of them unsent, and how many it did not get in time."""
-    return packet(REPORT, _REPORT.pack(taken, rejected, dropped))
+
+    taken: int
+    rejected: int
+    dropped: int
 
 
-def count(sent: int, received: int, dropped: int) -> bytes:
-    """How many frames a client has sent to, received from and lost to its neighbours, since it joined."""
-    return packet(COUNT, _REPORT.pack(sent, received, dropped))
+_KINDS = {Hello: HELLO, Welcome: WELCOME, TransmitReport: REPORT, SimulatedBusEvent: EVENT}
 
 
-def read_report(body: bytes) -> tuple[int, int, int]:
-    """The three numbers of a report or a count."""
-    if len(body) != _REPORT.size:
-        raise PacketError(f"a report of {len(body)} bytes")
-    taken, rejected, dropped = _REPORT.unpack(body)
-    return taken, rejected, dropped
+def value_packet(value: Hello | Welcome | TransmitReport | SimulatedBusEvent) -> bytes:
+    """One of these as a packet."""
+    return packet(_KINDS[type(value)], msgspec.msgpack.encode(value))
 
 
-def event(kind: str, time_ns: int, frame: Frame | None) -> bytes:
-    """Something that happened to the client's node."""
-    body = _EVENT.pack(time_ns, EVENTS.index(kind))
-    return packet(EVENT, body if frame is None else body + frame_record(frame, time_ns))
-
-
-def read_event(body: bytes) -> tuple[str, int, Frame | None]:
-    """(kind, time in ns since 1970, the frame it was about)."""
-    if len(body) < _EVENT.size:
-        raise PacketError(f"an event of {len(body)} bytes")
-    time_ns, number = _EVENT.unpack_from(body)
-    if number >= len(EVENTS):
-        raise PacketError(f"an event of kind {number}, which does not exist")
-    rest = body[_EVENT.size :]
-    frame = None
-    for _, identifier, flags, length, data in unpack_records(CLASSIC if len(rest) <= 24 else LONG, rest):
-        frame = record_to_frame(identifier, flags & ~OWN, length, data)
-    return EVENTS[number], time_ns, frame
+def read_value(body: bytes, wanted: type[T]) -> T:
+    """What `value_packet` packed."""
+    try:
+        return msgspec.msgpack.decode(body, type=wanted)
+    except (msgspec.MsgspecError, AcesError) as error:
+        raise PacketError(
+            f"no {wanted.__name__} of a served bus, in version {VERSION} of its packets: {error}"
+        ) from error

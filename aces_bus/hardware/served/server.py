@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from ...errors import AcesError, CallerError
 from ...runtime import VirtualClock
@@ -30,10 +30,8 @@ from .address import (
     runtime_folder,
     write_note,
 )
-from .channel import ServedChannel
-from .links import PacketLink, ServerLink, peer_of
+from .channel import PacketLink, ServedChannel, ServerLink, peer_of
 from .packets import PacketError
-from .shortcut import introduce
 from .socketcand import SocketcandLink
 
 #: Clients at once; `select` knows 1,024 files.
@@ -44,13 +42,12 @@ INTRODUCTION_S = 30
 _IDLE_S = 60.0
 
 
-class _Listener:
-    """A listening socket, and what its connections speak."""
+class _Listener(NamedTuple):
+    """A listening socket, and what its connections speak; `only`: the channel that it is of."""
 
-    def __init__(self, sock: socket.socket, kind: str, only: str = "") -> None:
-        sock.setblocking(False)
-        self.socket, self.kind, self.only = sock, kind, only
-        self.fd = sock.fileno()
+    socket: socket.socket
+    kind: str
+    only: str
 
 
 class BusServer:
@@ -162,8 +159,8 @@ class BusServer:
         return os.path.join(os.path.abspath(unix), f"{name}.sock")
 
     def _listen(self, sock: socket.socket, kind: str, only: str = "") -> None:
-        listener = _Listener(sock, kind, only)
-        self._listeners[listener.fd] = listener
+        sock.setblocking(False)
+        self._listeners[sock.fileno()] = _Listener(sock, kind, only)
 
     # ------------------------------------------------------------------ running
 
@@ -263,9 +260,6 @@ class BusServer:
         self._blocked.pop(link.fd, None)
         if link.member is not None:
             link.member.channel.leave(link.member)
-        if isinstance(link, PacketLink):
-            for _, sock in link.passing:
-                sock.close()
         link.stream.close()
 
     def blocked(self, link: ServerLink) -> None:
@@ -305,14 +299,6 @@ class BusServer:
     def _impatient(self, link: ServerLink) -> None:
         if link.member is None and not link.is_closed and not link.is_introduced:
             self._cut(link, f"it did not say within {INTRODUCTION_S} s who it is")
-
-    def introduced(self, link: ServerLink) -> None:
-        """A client has said who it is, and is not answered yet."""
-        link.is_introduced = True
-        member = link.member
-        if member is not None and not member.channel.physics:
-            for other in introduce(link, [one for one in self._links.values() if one is not link]):
-                self._guarded(other, other.flush)  # before the newcomer knows that it is there
 
     def find(self, name: str) -> ServedChannel:
         """A channel by its name."""

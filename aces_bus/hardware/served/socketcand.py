@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 
 from ...frames import FD_LENGTHS
 from ..simulated.bus import SimulatedBusEvent
-from .channel import MAILBOXES
-from .links import ServerLink
+from .channel import MAILBOXES, ServerLink
 from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, REMOTE, PacketError, unpacked
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ class SocketcandLink(ServerLink):
     def _open(self, name: str) -> None:
         channel = self.server.find(name)
         self.member = channel.join(self.name, self, fd=channel.fd)
-        self.server.introduced(self)
+        self.is_introduced = True
         self._say(b"< ok >")
 
     def _act(self, name: str, rest: list[str]) -> None:

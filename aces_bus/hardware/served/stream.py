@@ -11,7 +11,6 @@ import os
 import select
 import socket
 import time
-from collections import deque
 from typing import Any
 
 from ...errors import AcesError
@@ -21,54 +20,22 @@ from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
 ANSWER_S = 5.0
-#: Below this many seconds a wait is as long as it is said to be; above, up to a millisecond more.
-_PRECISE_S = 0.05
-#: Bytes that are read at once, and files that may come with them.
+#: Bytes that are read at once.
 _READ = 16_384
-_FILES = 16
 
 
-def wait(numbers: tuple[int, ...], timeout: float | None) -> list[int]:
-    """Which of these sockets have something to read, after up to `timeout` seconds (None: for ever)."""
-    if max(numbers) < 1000:
-        return select.select(numbers, (), (), timeout)[0]
-    poll = select.poll()  # takes any number, and rounds up to milliseconds
-    for number in numbers:
-        poll.register(number, select.POLLIN)
-    return [number for number, _ in poll.poll(None if timeout is None else timeout * 1000)]
-
-
-def wait_to_write(number: int, timeout: float | None) -> bool:
-    """Whether a socket takes something within `timeout` seconds (None: for ever)."""
+def wait(number: int, timeout: float | None, *, writing: bool = False) -> bool:
+    """Whether a socket has something to read (or room to write) within `timeout` seconds (None: however long it takes)."""
+    timeout = None if timeout is None else max(0.0, timeout)
     if number < 1000:
-        return bool(select.select((), (number,), (), timeout)[1])
-    poll = select.poll()
-    poll.register(number, select.POLLOUT)
+        numbers = (number,)
+        found = (
+            select.select((), numbers, (), timeout) if writing else select.select(numbers, (), (), timeout)
+        )
+        return bool(found[writing])
+    poll = select.poll()  # takes any number, and rounds up to milliseconds
+    poll.register(number, select.POLLOUT if writing else select.POLLIN)
     return bool(poll.poll(None if timeout is None else timeout * 1000))
-
-
-class Waiter:
-    """Waits for the same sockets again and again; one thread at a time. What the system has to know of them is told once."""
-
-    def __init__(self) -> None:
-        self._numbers: tuple[int, ...] = ()
-        self._poll: Any = None
-
-    def watch(self, numbers: tuple[int, ...]) -> None:
-        """Wait for these from now on."""
-        self._numbers = numbers
-        if hasattr(select, "poll"):
-            self._poll = select.poll()
-            for number in numbers:
-                self._poll.register(number, select.POLLIN)
-
-    def wait(self, timeout: float | None) -> list[int]:
-        """Which have something to read, after up to `timeout` seconds (None: for ever)."""
-        if self._poll is None or (timeout is not None and 0 < timeout < _PRECISE_S):
-            return wait(self._numbers, timeout)
-        return [
-            number for number, _ in self._poll.poll(None if timeout is None else max(0.0, timeout) * 1000)
-        ]
 
 
 class ServerConnection:
@@ -80,14 +47,11 @@ class ServerConnection:
     def __init__(self, address: ServedAddress, hello: packets.Hello, timeout: float = ANSWER_S) -> None:
         self._socket = address.connect(timeout)
         self._buffer = self._rest = b""
-        #: Files that came, for the packets that speak of them.
-        self.files: deque[int] = deque()
         self.early: list[tuple[int, bytes]] = []
-        self._takes_files = bool(address.path) and bool(hello.flags & packets.DIRECT)
         try:
             self._socket.setblocking(False)
             self.number = self._socket.fileno()
-            self.write(hello.packet(), timeout)
+            self.write(packets.value_packet(hello), timeout)
             self.welcome = self._answer(time.monotonic() + timeout)
         except EOFError as error:
             self.close()
@@ -100,13 +64,13 @@ class ServerConnection:
         welcome = None
         while welcome is None:
             left = until - time.monotonic()
-            if left <= 0 or not wait((self.number,), left):
+            if left <= 0 or not wait(self.number, left):
                 raise TimeoutError("no answer in time")
             for kind, body in self.read():
                 if kind == packets.REFUSED:
                     raise PacketError(body.decode("utf-8", "replace"))
                 if kind == packets.WELCOME:
-                    welcome = packets.read_welcome(body)
+                    welcome = packets.read_value(body, packets.Welcome)
                 else:
                     self.early.append((kind, body))
         return welcome
@@ -114,11 +78,7 @@ class ServerConnection:
     def read(self) -> list[tuple[int, bytes]]:
         """The packets that have come. Raises `EOFError` at the end."""
         try:
-            if self._takes_files:
-                data, files, _, _ = socket.recv_fds(self._socket, _READ, _FILES)
-                self.files.extend(files)
-            else:
-                data = self._socket.recv(_READ)
+            data = self._socket.recv(_READ)
         except BlockingIOError:
             return []
         if not data:
@@ -135,7 +95,7 @@ class ServerConnection:
             try:
                 count = self._socket.send(packet)
             except BlockingIOError:
-                if not wait_to_write(self.number, timeout):
+                if not wait(self.number, timeout, writing=True):
                     raise TimeoutError("the server takes nothing") from None
         if count < len(packet):
             self._rest = packet[count:]
@@ -143,7 +103,7 @@ class ServerConnection:
 
     def _push(self, timeout: float | None) -> None:
         while self._rest:
-            if not wait_to_write(self.number, timeout):
+            if not wait(self.number, timeout, writing=True):
                 raise TimeoutError("the server takes nothing")
             try:
                 self._rest = self._rest[self._socket.send(self._rest) :]
@@ -160,8 +120,6 @@ class ServerConnection:
     def close(self) -> None:
         """Give the socket back."""
         self._socket.close()
-        while self.files:
-            os.close(self.files.popleft())
 
 
 # ---------------------------------------------------------------------- finding servers
@@ -169,11 +127,11 @@ class ServerConnection:
 
 def ask(address: ServedAddress, timeout: float = 1.0) -> dict[str, Any]:
     """A server's status, without joining a bus. Raises `OSError` or `PacketError`."""
-    stream = ServerConnection(address, packets.Hello(address.channel, packets.LOOKS), timeout)
+    stream = ServerConnection(address, packets.Hello(address.channel, looks=True), timeout)
     try:
         stream.write(packets.packet(packets.QUERY), timeout)
         until = time.monotonic() + timeout
-        while (left := until - time.monotonic()) > 0 and wait((stream.number,), left):
+        while (left := until - time.monotonic()) > 0 and wait(stream.number, left):
             for kind, body in stream.read():
                 if kind == packets.STATUS:
                     return read_status(body)

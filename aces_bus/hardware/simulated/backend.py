@@ -22,28 +22,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
-from can import BusABC, BusState, CanInitializationError, CanOperationError, CanProtocol, Message
+from can import CanInitializationError, CanOperationError, Message
 
 from ...errors import CallerError
-from ...frames import Frame
+from ...frames import Frame, message_to_frame
 from ...runtime import VirtualClock
+from ..python_can import QUEUE, VirtualBus, copy_message, frame_to_message
 from ..served.address import is_served
 from .bus import BusNode, SimulatedBus, SimulatedBusEvent
 from .faults import NO_FAULTS, Faults
-
-#: Frames a receiver may leave unread; after that the oldest is dropped and counted.
-QUEUE = 65_536
-
-_STATES = {
-    "error-active": BusState.ACTIVE,
-    "error-passive": BusState.PASSIVE,
-    "bus-off": BusState.ERROR,
-}
 
 
 class Medium:
@@ -91,7 +82,7 @@ def virtual_clock(*channels: str, clock: VirtualClock | None = None) -> Generato
                 _clocks.pop(channel, None)
 
 
-class AcesBus(BusABC):
+class AcesBus(VirtualBus):
     """A node on a virtual bus.
 
     `channel`: its name. `bitrate`, `data_bitrate`: bit/s. `fd`: whether the node takes CAN FD. `physics`: see the module.
@@ -137,63 +128,42 @@ class AcesBus(BusABC):
                     f" not {settings}"
                 )
             medium.buses.append(self)
-        self.channel = name
-        self.channel_info = f"aces virtual bus {name}"
         self._medium = medium
         self._receive_own = receive_own_messages
-        self._listen_only = bool(listen_only)
-        self._queue: deque[Message] = deque()
-        self._most = int(rx_queue_size) or QUEUE
-        #: Frames lost because nobody read them in time.
-        self.dropped = 0
-        #: What happened to this node, the last 1,024 events.
-        self.events: deque[SimulatedBusEvent] = deque(maxlen=1024)
-        #: Called with each event, from within the simulation; it must not block.
-        self.on_event: Callable[[SimulatedBusEvent], None] | None = None
-        self._is_open = True
+        super().__init__(
+            name,
+            f"aces virtual bus {name}",
+            can_filters,
+            fd=fd,
+            listen_only=listen_only,
+            rx_queue_size=rx_queue_size,
+            **more,
+        )
         restart = None if restart_ms is None else round(restart_ms * 1e6)
         with medium.changed:
             self.node: BusNode = medium.wire.attach(
                 name, self._received, self._happened, listen_only=self._listen_only, fd=fd, restart_ns=restart
             )
         self.node.hears_sent = receive_own_messages
-        self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
-        self._fd = fd
-        super().__init__(name, can_filters, **more)
 
     # ------------------------------------------------------------------ from the wire
 
     def _received(self, frame: Frame, instant: int) -> None:
         self._keep(frame_to_message(frame, (instant + self._medium.epoch_ns) / 1e9, self.channel))
 
-    def _keep(self, message: Message) -> None:
-        queue = self._queue
-        if len(queue) >= self._most:
-            queue.popleft()
-            self.dropped += 1
-        queue.append(message)
-
     def _happened(self, event: SimulatedBusEvent) -> None:
-        if event.kind == "sent":
-            if self._receive_own and event.frame is not None:
-                stamp = (event.instant + self._medium.epoch_ns) / 1e9
-                own = frame_to_message(event.frame, stamp, self.channel)
-                own.is_rx = False
-                self._keep(own)
-            return
-        self.events.append(event)
-        if self.on_event is not None:
-            self.on_event(event)
+        if event.kind != "sent":
+            self._note(event)
+        elif self._receive_own and event.frame is not None:
+            stamp = (event.instant + self._medium.epoch_ns) / 1e9
+            self._keep(frame_to_message(event.frame, stamp, self.channel, is_rx=False))
 
     # ------------------------------------------------------------------ python-can's side
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
         """Queue a frame. Raises `CanOperationError` when the bus is closed, only listens, is off or cannot take more."""
-        self._check_open()
-        if self._listen_only:
-            raise CanOperationError(f"{self.channel_info} was opened to listen only")
-        if msg.is_fd and not self._fd:
-            raise CanOperationError(f"{self.channel_info} was not opened for CAN FD; open it with fd=True")
+        if self._why or self._listen_only or (msg.is_fd and not self._fd):
+            raise self._refusal()
         medium = self._medium
         if medium.is_virtual:  # one thread, by contract: no lock
             self._send(msg)
@@ -206,11 +176,13 @@ class AcesBus(BusABC):
     def _send(self, msg: Message) -> None:
         if not self._medium.physics:
             self._spread(msg)
-        elif not self.node.send(message_to_frame(msg)):
-            off = self.node.state == "bus-off"
-            raise CanOperationError(
-                f"{self.channel_info} {'is bus-off' if off else 'has no free mailbox; nobody acknowledges?'}"
-            )
+            return
+        try:
+            is_taken = self.node.send(message_to_frame(msg))
+        except CallerError as error:
+            raise CanOperationError(str(error)) from error
+        if not is_taken:
+            raise self._untaken(self.node.state)
 
     def _spread(self, msg: Message) -> None:
         """Without a wire: everybody has it at once."""
@@ -220,16 +192,15 @@ class AcesBus(BusABC):
                 continue
             if not bus._fd and msg.is_fd:
                 continue
-            copy = copy_message(msg, stamp, self.channel)
-            copy.is_rx = bus is not self
-            bus._keep(copy)
+            bus._keep(copy_message(msg, msg.dlc, stamp, self.channel, bus is not self))
 
     def recv(self, timeout: float | None = None) -> Message | None:
         """The next message that passes the filters; None when none came in `timeout` seconds (None: for ever)."""
         queue = self._queue
-        if queue and self._filters is None and not self._medium.physics and self._is_open:
+        if queue and self._filters is None and not self._medium.physics and not self._why:
             return queue.popleft()  # appended to and popped from in one step each: no lock needed
-        self._check_open()
+        if self._why:
+            raise self._unusable()
         medium = self._medium
         if medium.is_virtual:
             return self._recv_virtual(timeout)
@@ -245,7 +216,8 @@ class AcesBus(BusABC):
                 ends = [end for end in (following, until) if end is not None]
                 wait = None if not ends else max(0, min(ends) - time.monotonic_ns()) / 1e9
                 medium.changed.wait(wait)
-                self._check_open()
+                if self._why:
+                    raise self._unusable()
 
     def _recv_virtual(self, timeout: float | None) -> Message | None:
         clock = self._medium.clock
@@ -264,37 +236,15 @@ class AcesBus(BusABC):
             if found is not None:
                 return found
 
-    def _next(self) -> Message | None:
-        queue = self._queue
-        while queue:
-            message = queue.popleft()
-            if self._filters is None or self._matches_filters(message):
-                return message
-        return None
-
-    def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
-        return self.recv(timeout), True
-
-    def _apply_filters(self, filters: Any) -> None:
-        """Filters are applied on reading."""
-
     def flush_tx_buffer(self) -> None:
         """Drop what waits to be sent."""
         with self._medium.changed:
             self.node.abort()
 
-    @property
-    def state(self) -> BusState:
-        """Error active, passive or bus-off."""
+    def _node_state(self) -> str:
         with self._medium.changed:
             self._medium.move_on()
-            return _STATES[self.node.state]
-
-    @state.setter
-    def state(self, new_state: BusState) -> None:
-        raise NotImplementedError(
-            "the state is what the bus makes of the node; open it with listen_only, or restart it"
-        )
+            return self.node.state
 
     @property
     def load(self) -> float:
@@ -312,9 +262,9 @@ class AcesBus(BusABC):
     def shutdown(self) -> None:
         """Leave the bus; the last one out ends it."""
         super().shutdown()
-        if not self._is_open:
+        if self._why:
             return
-        self._is_open = False
+        self._why = "is closed"
         medium = self._medium
         with _media_lock, medium.changed:
             medium.wire.detach(self.node)
@@ -323,10 +273,6 @@ class AcesBus(BusABC):
                 del _media[self.channel]
             medium.changed.notify_all()
 
-    def _check_open(self) -> None:
-        if not self._is_open:
-            raise CanOperationError(f"{self.channel_info} is closed")
-
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         from ..served.stream import served_channels
@@ -334,55 +280,3 @@ class AcesBus(BusABC):
         with _media_lock:
             names = list(_media) or ["can0"]
         return [{"interface": "aces", "channel": name} for name in [*names, *served_channels()]]
-
-
-# ---------------------------------------------------------------------- frames and messages
-
-
-def message_to_frame(message: Message) -> Frame:
-    """A message as an immutable frame; raises `CanOperationError` for one that cannot exist."""
-    try:
-        return Frame(
-            message.arbitration_id,
-            bytes(message.data),
-            None,
-            None,
-            message.is_extended_id,
-            message.is_remote_frame,
-            message.is_error_frame,
-            message.is_fd,
-            message.bitrate_switch,
-            message.error_state_indicator,
-            None,
-            message.dlc if message.is_remote_frame else None,
-        )
-    except CallerError as error:
-        raise CanOperationError(str(error)) from error
-
-
-def frame_to_message(frame: Frame, seconds: float, channel: str) -> Message:
-    """A frame as a message of its own."""
-    return _message(frame, frame.length, seconds, channel)
-
-
-def copy_message(message: Message, seconds: float, channel: str) -> Message:
-    """A copy of a message with another time."""
-    return _message(message, message.dlc, seconds, channel)
-
-
-def _message(word: Frame | Message, dlc: int, seconds: float, channel: str) -> Message:
-    """A message with what a frame or another message carries: a constructor without its checks."""
-    made = Message.__new__(Message)
-    made.timestamp = seconds
-    made.arbitration_id = word.arbitration_id
-    made.is_extended_id = word.is_extended_id
-    made.is_remote_frame = word.is_remote_frame
-    made.is_error_frame = word.is_error_frame
-    made.channel = channel
-    made.dlc = dlc
-    made.data = bytearray(word.data)
-    made.is_fd = word.is_fd
-    made.is_rx = True
-    made.bitrate_switch = word.bitrate_switch
-    made.error_state_indicator = word.error_state_indicator
-    return made

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from ...runtime import VirtualClock
 
 #: A datagram of the local network arrives about this late (ns).
-DELAY = 100_000
+DELAY_NS = 100_000
 
 
 class DatagramNode:
@@ -32,7 +32,7 @@ class SimulatedDatagrams:
     """Who is attached hears all others. `drop` is the chance from 0 to 1 that a datagram is lost; see `lost`."""
 
     def __init__(
-        self, clock: VirtualClock, *, delay_ns: int = DELAY, drop: float = 0.0, seed: int = 0
+        self, clock: VirtualClock, *, delay_ns: int = DELAY_NS, drop: float = 0.0, seed: int = 0
     ) -> None:
         self.clock, self.delay_ns, self.drop = clock, delay_ns, drop
         self._random = random.Random(seed)

@@ -41,11 +41,12 @@ from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
 from aces_bus.plain_text import printable, printable_lines
 from aces_bus.protocol import Protocol, Variant, list_protocols
 from aces_bus.protocol.declare.place import SourceLine
+from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 
 from ..console import Output, say, wants_colour
 from ..output.text import Paint, make_paint, no_paint
-from ..protocols_arg import load_file, named_protocol, problems_of
+from ..protocols_arg import named_protocol, problems_of
 from .proving import finding_of_error, prove
 
 #: How long the laws are asked of a protocol, unless it is said.

@@ -44,8 +44,8 @@ def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
     proved = ProofResult()
     end = time.monotonic() + seconds
     try:
-        from aces_bus.testing._values import UndrawableError
         from aces_bus.testing.fuzz import Fuzzer
+        from aces_bus.testing.packets import UndrawableError
 
         try:
             fuzzer = Fuzzer([protocol], seed=SEED)
@@ -77,7 +77,7 @@ def example_numbers(benches: int) -> Iterator[int]:
 
 
 def _tell(proved: ProofResult, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
-    from aces_bus.testing._drawing import scene_drawing
+    from aces_bus.testing.drawing import scene_drawing
 
     message = next(
         (m for m in protocol.declared if re.search(rf"\b{re.escape(m.name)}\b", failure.text)),

@@ -24,10 +24,11 @@ from pathlib import Path
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol, list_protocols
+from aces_bus.protocol.files import load_file
 from aces_bus.protocol.generate.stubs import print_module, print_stub
 
 from ..console import say
-from ..protocols_arg import load_file, named_protocol
+from ..protocols_arg import named_protocol
 
 BESIDE = "beside the spec"
 

@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from aces_bus.testing._coverage import KINDS, Coverage
+from aces_bus.testing.coverage import KINDS, Coverage
 
 from .work import FoundFailure
 

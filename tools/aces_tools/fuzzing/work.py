@@ -19,11 +19,11 @@ from typing import Any
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.testing import laws
-from aces_bus.testing._coverage import Feature
-from aces_bus.testing._drawing import scene_drawing
-from aces_bus.testing._saved import load_scene, save_scene
+from aces_bus.testing.coverage import Feature
+from aces_bus.testing.drawing import scene_drawing
 from aces_bus.testing.fuzz import Failure, Fuzzer
 from aces_bus.testing.laws import Law, Way
+from aces_bus.testing.saved import load_scene, save_scene
 
 from ..protocols_arg import named_protocol
 

@@ -14,8 +14,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, cast
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-
-from ..protocols_arg import load_file
+from aces_bus.protocol.files import load_file
 
 if TYPE_CHECKING:
     from aces_bus.controller import ControllerLike, Player, Trajectory

@@ -297,13 +297,13 @@ class Model:
 
     # ------------------------------------------------------------------ CAN
 
-    def feed(self, items: Sequence[Received]) -> None:
+    def feed(self, items: Sequence[Received[Frame]]) -> None:
         """Frames as a gate hands them over, in order."""
         if not items:
             return
         touched: list[RepeatedFrame] = []
         rows, pages, scanner = self.rows, self._pages, self.scanner
-        frames = [item.frame for item in items]
+        frames = [item.content for item in items]
         records: Sequence[Any]
         if scanner is None:
             records = [None] * len(frames)

@@ -40,7 +40,9 @@ class ModelFeed:
         feed = self._scanner.datagram if self._are_datagrams else self._scanner.feed
         for item in items:
             self.idle(item.host_ns)
-            self._model.feed_records(feed(item.data, item.host_ns / 1e9), item.host_ns, BYTE * len(item.data))
+            self._model.feed_records(
+                feed(item.content, item.host_ns / 1e9), item.host_ns, BYTE * len(item.content)
+            )
             self._heard_ns, self._is_settled = item.host_ns, self._are_datagrams
 
     def idle(self, now_ns: int) -> None:

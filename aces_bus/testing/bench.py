@@ -20,9 +20,9 @@ from ..protocol.declare.protocol import Variant
 from ..protocol.encoder import Encoder
 from ..protocol.live.scanner import Scanner, make_scanner
 from ..protocol.reference import Reference, ReferenceItem
-from ._scenes import Scene, Way, Wire, cast, wire_variants
-from ._source import Dice
-from ._values import draw_packet
+from .packets import draw_packet
+from .scenes import Scene, Way, Wire, cast, wire_variants
+from .source import Dice
 
 #: Bytes of a usual packet.
 USUAL = 8

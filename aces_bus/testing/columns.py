@@ -19,8 +19,8 @@ from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
 from ..protocol.keys import key_of
 from ..protocol.live.scanner import Scanner
 from ..protocol.record import Meta, Unknown, as_dict
-from ._play import ScannedItem, comparable, copy_item, join_losses
-from ._scenes import Scene, Way, Wire, wire_variants
+from .scenes import Scene, Way, Wire, wire_variants
+from .trial import ScannedItem, comparable, copy_item, join_losses
 
 #: raw, everything
 MODES = ((True, True), (False, True), (False, False))

@@ -13,10 +13,11 @@ from typing import Any
 
 import construct as c
 
-from ..protocol.declare.bits import FLOATS, BitLayout, Bits
-from ..protocol.declare.fields import Multiplexed, SignMagnitude
+from ..protocol.declare.bits import FLOATS, Bits
+from ..protocol.declare.fields import SignMagnitude
 from ..protocol.declare.message import Message
 from ..protocol.plan import nodes as p
+from .constructs import parts_of
 
 
 @dataclass(frozen=True)
@@ -85,23 +86,9 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
         for kind in KINDS:
             if kind.concerns(con):
                 found[path, kind.name] = Exemption(path, kind)
-        if isinstance(con, SignMagnitude):
-            return
-        if isinstance(con, c.Renamed):
-            path = f"{path}.{con.name}" if path else con.name
-        if isinstance(con, BitLayout):
-            for slot in con.slots:
-                visit(slot.field, f"{path}.{slot.name}" if path else slot.name)
-        elif isinstance(con, Multiplexed):
-            visit(con.body, path)
-        elif isinstance(con, c.IfThenElse):
-            visit(con.thensubcon, path)
-            visit(con.elsesubcon, path)
-        elif isinstance(con, c.Switch):
-            for case in (*con.cases.values(), con.default):
-                visit(case, path)
-        for inner in (*getattr(con, "subcons", ()), *((con.subcon,) if hasattr(con, "subcon") else ())):
-            visit(inner, path)
+        if not isinstance(con, SignMagnitude):
+            for name, inner in parts_of(con):
+                visit(inner, f"{path}.{name}" if path and name else path or name)
 
     visit(message.payload, "")
     bits = _bits(message)

@@ -19,13 +19,14 @@ from typing import Any
 
 import construct as c
 import msgspec
+from msgspec import structs
 
 from ..errors import AcesError, CallerError, CaptureError
 from ..frame_table import Channels, FrameTable
 from ..frames import Frame
-from ._bench import Bench
-from ._scenes import Scene, Way, Wire, wire_variants
-from ._values import DrawnPacket
+from .bench import Bench
+from .packets import DrawnPacket
+from .scenes import Scene, Way, Wire, wire_variants
 
 VERSION = 1
 #: A scene file larger than this is none of ours.
@@ -119,11 +120,11 @@ def _write_frames(path: Path, scene: Scene) -> None:
     frames: list[Frame] = []
     for number, frame in enumerate([*scene.words, None]):
         while sent and sent[0][0] <= number:
-            frames.append(_changed(sent.pop(0)[1], is_rx=False))
+            frames.append(structs.replace(sent.pop(0)[1], is_rx=False))
         if frame is not None:
             frames.append(frame)
     timed = [
-        frame if frame.timestamp is not None else _changed(frame, timestamp=number / 1000)
+        frame if frame.timestamp is not None else structs.replace(frame, timestamp=number / 1000)
         for number, frame in enumerate(frames)
     ]
     with path.open("wb") as file:
@@ -131,12 +132,6 @@ def _write_frames(path: Path, scene: Scene) -> None:
         if timed:
             writer.write(FrameTable.from_frames(timed, Channels()))
         writer.close()
-
-
-def _changed(frame: Frame, **changed: Any) -> Frame:
-    about = {name: getattr(frame, name) for name in frame.__struct_fields__}
-    about.update(changed)
-    return Frame(**about)
 
 
 def scene_text(
@@ -163,8 +158,7 @@ def scene_text(
 
 
 def _frame(frame: Frame) -> dict[str, Any]:
-    about = {name: getattr(frame, name) for name in frame.__struct_fields__}
-    about["data"] = frame.data.hex()
+    about = structs.asdict(frame) | {"data": frame.data.hex()}
     usual = {"is_rx": None, "timestamp": None, "channel": None, "dlc": None}
     return {name: value for name, value in about.items() if value is not usual.get(name, False)}
 

@@ -17,8 +17,8 @@ from ..frames import Frame
 from ..protocol.declare.head import Head
 from ..protocol.declare.message import Message, Request
 from ..protocol.declare.protocol import Variant
-from ._source import ChoiceSource, edge_number, spread
-from ._walk import Hints, Room, drawer, hints
+from .constructs import Hints, Room, drawer, hints
+from .source import ChoiceSource, edge_number, spread
 
 #: How often a message is drawn again when its packet cannot be built.
 ATTEMPTS = 60

@@ -18,8 +18,8 @@ from ..protocol.declare.framing import Framing
 from ..protocol.declare.head import enumeration_of
 from ..protocol.declare.message import Message
 from ..protocol.record import Unknown
-from ._bench import Bench
-from ._trial import Trial
+from .bench import Bench
+from .trial import Trial
 
 #: (protocol, kind, name): kind is "message", "field", "value" or "template".
 Feature = tuple[str, str, str]
@@ -69,36 +69,27 @@ def _label(framing: Framing) -> str:
     return f"framing {framing.name}"
 
 
-def _fields(message: Message) -> dict[str, bool]:
-    """Names of a record's fields, and whether each may be absent."""
-    optional: set[str] = set()
+def _declared(message: Message) -> list[tuple[str, Any, bool]]:
+    """The payload's own fields: name, construct, and whether it may be absent."""
     payload: Any = message.payload
     if isinstance(payload, BitLayout):
-        optional |= {slot.name for slot in payload.slots if slot.mux is not None}
-    elif isinstance(payload, Delimited):
-        optional |= {item.name for item in payload.fields[payload.least :]}
-    else:
-        for item in payload.subcons:
-            if item.name and isinstance(getattr(item, "subcon", None), Multiplexed):
-                optional.add(item.name)
-    own = {f for f in message.fields if f not in message.request_fields}
-    return {name: name in optional for name in message.fields if name in own}
+        return [(slot.name, slot.field, slot.mux is not None) for slot in payload.slots]
+    if isinstance(payload, Delimited):
+        return [(item.name, item, n >= payload.least) for n, item in enumerate(payload.fields)]
+    items = [(item.name, item.subcon) for item in payload.subcons if item.name]
+    return [(name, con, isinstance(con, Multiplexed)) for name, con in items]
+
+
+def _fields(message: Message) -> dict[str, bool]:
+    """Names of a record's fields, and whether each may be absent."""
+    optional = {name for name, _, may_be_absent in _declared(message) if may_be_absent}
+    return {name: name in optional for name in message.fields if name not in message.request_fields}
 
 
 def _named(message: Message) -> dict[str, Mapping[int, str]]:
     """The named values of top-level fields."""
-    found: dict[str, Mapping[int, str]] = {}
-    payload: Any = message.payload
-    pairs: list[tuple[str, Any]] = []
-    if isinstance(payload, BitLayout):
-        pairs = [(slot.name, slot.field) for slot in payload.slots]
-    elif not isinstance(payload, Delimited):
-        pairs = [(item.name, item.subcon) for item in payload.subcons if item.name]
-    for name, con in pairs:
-        enumeration = enumeration_of(con)
-        if enumeration is not None and name in message.fields and len(enumeration.values) <= 64:
-            found[name] = enumeration.values
-    return found
+    found = {name: enumeration_of(con) for name, con, _ in _declared(message) if name in message.fields}
+    return {name: one.values for name, one in found.items() if one is not None and len(one.values) <= 64}
 
 
 class Coverage:

@@ -12,10 +12,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import shlex
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,15 +29,16 @@ except ImportError as missing:
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol.declare.protocol import Protocol
+from ..protocol.files import protocol_of_file
 from ..protocol.live.scanner import load_protocol
-from ._bench import Bench
-from ._drawing import scene_drawing
-from ._saved import save_scene
-from ._trial import Trial
+from .bench import Bench
+from .drawing import scene_drawing
 from .fuzz import judged, shrink
 from .laws import LAWS, Law, Scene, Way, Wire, wires
 from .plugin import FAILURES
+from .saved import save_scene
 from .strategies import arguments
+from .trial import Trial
 
 #: About how many bytes a scene has.
 SIZE = 200
@@ -166,16 +165,11 @@ def _protocol(spec: str | Path | Protocol, here: Path) -> tuple[Protocol, str]:
     file = next((p for p in (here / text, Path(text)) if p.is_file()), None)
     if file is None:
         raise CallerError(f"{text}: no such file, neither in {here} nor in the current folder")
-    found = {n: v for n, v in vars(_module(file.resolve())).items() if isinstance(v, Protocol)}
-    own = {n: p for n, p in found.items() if Path(p.place.file).resolve() == file.resolve()} or found
-    if attribute:
-        if attribute not in found:
-            raise UnknownNameError(f"protocol in {file}", attribute, found)
-        return found[attribute], f"{_shown(file)}:{attribute}"
-    if len({id(p) for p in own.values()}) != 1:
-        what = f"declares several protocols; say which: {', '.join(f'{text}:{n}' for n in own)}"
-        raise CallerError(f"{file}: {what if own else 'declares no Protocol at its top level'}")
-    return next(iter(own.values())), _shown(file)
+    names = [attribute] if attribute else []
+    protocol = protocol_of_file(_shown(file), names)
+    if names:  # the only protocol of the file has another name
+        raise UnknownNameError(f"protocol in {file}", attribute, [protocol.name])
+    return protocol, _shown(file) + (f":{attribute}" if attribute else "")
 
 
 def _shown(file: Path) -> str:
@@ -184,25 +178,6 @@ def _shown(file: Path) -> str:
         return str(file.resolve().relative_to(Path.cwd()))
     except ValueError:
         return str(file)
-
-
-def _module(file: Path) -> Any:
-    """A file as a module: the one that is imported already, or run now."""
-    for module in list(sys.modules.values()):
-        known = getattr(module, "__file__", None)
-        if known is not None and Path(known) == file:
-            return module
-    spec = importlib.util.spec_from_file_location(f"aces_spec_{file.stem}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[spec.name]
-        raise
-    return module
 
 
 __all__ = ["LawCase", "failure_of", "law_tests"]

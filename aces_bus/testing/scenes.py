@@ -11,14 +11,16 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Literal
 
+from msgspec.structs import replace
+
 from ..errors import AcesError
 from ..frames import FD_LENGTHS, Frame
 from ..protocol.declare.framing import Framing
 from ..protocol.declare.message import Direction, Message
 from ..protocol.declare.protocol import Variant
 from ..protocol.live.stream import WORTH
-from ._source import ChoiceSource, spread
-from ._values import DrawnPacket, draw_packet, image_frame
+from .packets import DrawnPacket, draw_packet, image_frame
+from .source import ChoiceSource, spread
 
 Way = Direction | Literal["both"] | None
 #: One variant, or several on one wire.
@@ -290,12 +292,6 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
     return Scene(tuple(frames), (), tuple(sent_at), tuple(packets))
 
 
-def _remade(frame: Frame, **changed: Any) -> Frame:
-    about = {name: getattr(frame, name) for name in frame.__struct_fields__}
-    about.update(changed)
-    return Frame(**about)
-
-
 def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
     """Frame data with the check that goes with them."""
     check = message.check
@@ -308,23 +304,23 @@ def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
 def _damaged(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
     data = frame.data
     if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
-        return _remade(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
+        return replace(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
     if how in (0, 1):
         shorter = _legal(source.integer(0, max(0, len(data) - 1)), fd=frame.is_fd)
-        return _remade(frame, data=data[:shorter]) if data else frame
+        return replace(frame, data=data[:shorter]) if data else frame
     if how in (2, 3):
         longer = _legal(source.integer(len(data), 64 if frame.is_fd else 8), fd=frame.is_fd)
-        return frame if frame.is_remote_frame else _remade(frame, data=(data + source.bytes(longer))[:longer])
+        return frame if frame.is_remote_frame else replace(frame, data=(data + source.bytes(longer))[:longer])
     if how in (4, 5):
-        return _remade(frame, data=_flipped(data, source)) if data else frame
+        return replace(frame, data=_flipped(data, source)) if data else frame
     if how == 6:
         limit = 0x1FFF_FFFF if frame.is_extended_id else 0x7FF
-        return _remade(
+        return replace(
             frame,
             arbitration_id=(frame.arbitration_id ^ 1 << source.integer(0, limit.bit_length() - 1)) & limit,
         )
     if how == 7:
-        return _remade(
+        return replace(
             frame,
             data=b"",
             is_remote_frame=True,
@@ -332,10 +328,10 @@ def _damaged(frame: Frame, message: Message, how: int, source: ChoiceSource) -> 
             dlc=source.choice((None, source.integer(0, 8))),
         )
     if how == 8:
-        return _remade(frame, is_remote_frame=False, is_fd=not frame.is_fd, data=data[:8], dlc=None)
+        return replace(frame, is_remote_frame=False, is_fd=not frame.is_fd, data=data[:8], dlc=None)
     if frame.is_extended_id:
-        return _remade(frame, is_extended_id=False, arbitration_id=frame.arbitration_id & 0x7FF)
-    return _remade(frame, is_extended_id=True)
+        return replace(frame, is_extended_id=False, arbitration_id=frame.arbitration_id & 0x7FF)
+    return replace(frame, is_extended_id=True)
 
 
 def _legal(size: int, *, fd: bool) -> int:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from ..errors import SpecError
 from ..protocol.declare.protocol import Protocol
-from ._source import ChoiceSource
+from .source import ChoiceSource
 
 Link = Literal["can", "serial"]
 HEAD = "from construct import *\nfrom aces_bus.protocol import *\n"

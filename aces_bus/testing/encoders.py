@@ -19,8 +19,7 @@ from ..errors import AcesError, FieldError, UnknownNameError
 from ..protocol.declare.fields import FlagSet
 from ..protocol.declare.message import Message
 from ..protocol.encoder import Encoder
-from ._play import image_of
-from ._trial import Trial
+from .trial import Trial, image_of
 
 #: What construct raises for a value that does not fit.
 REFUSALS = (AcesError, ConstructError, KeyError, TypeError, AttributeError, ValueError, ArithmeticError)

@@ -12,18 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import construct as c
+from msgspec import structs
 
 from ..errors import AcesError
 from ..frames import Frame
 from ..protocol.declare.framing import Framing, Verdict
 from ..protocol.declare.message import Message
-from ._bench import Bench
-from ._scenes import Scene, rechecked
-from ._values import DrawnPacket
+from .bench import Bench
+from .packets import DrawnPacket
+from .scenes import Scene, rechecked
 
+T = TypeVar("T")
 Cuts = tuple[int, ...]
 #: From how many words on a scene may fail only because it is long: then one that is cut may fail, too, and be short.
 LONG = 256
@@ -116,14 +118,17 @@ def _without_events(best: _Best) -> None:
         best.offer(best.scene, cuts)
     best.offer(replace(best.scene, idle_at=()))
     best.offer(replace(best.scene, sent_at=()))
-    for index in range(len(best.cuts) - 1, -1, -1):
-        best.offer(best.scene, best.cuts[:index] + best.cuts[index + 1 :])
-    for index in range(len(best.scene.idle_at) - 1, -1, -1):
-        idle = best.scene.idle_at
-        best.offer(replace(best.scene, idle_at=idle[:index] + idle[index + 1 :]))
-    for index in range(len(best.scene.sent_at) - 1, -1, -1):
-        sent = best.scene.sent_at
-        best.offer(replace(best.scene, sent_at=sent[:index] + sent[index + 1 :]))
+    for index in reversed(range(len(best.cuts))):
+        best.offer(best.scene, _but(best.cuts, index))
+    for index in reversed(range(len(best.scene.idle_at))):
+        best.offer(replace(best.scene, idle_at=_but(best.scene.idle_at, index)))
+    for index in reversed(range(len(best.scene.sent_at))):
+        best.offer(replace(best.scene, sent_at=_but(best.scene.sent_at, index)))
+
+
+def _but(items: tuple[T, ...], index: int, *others: T) -> tuple[T, ...]:
+    """Items without one, or with others in its place."""
+    return (*items[:index], *others, *items[index + 1 :])
 
 
 def _inside(best: _Best) -> Cuts:
@@ -179,12 +184,15 @@ def _of_bytes(bench: Bench, best: _Best) -> None:
     _zeroed(best)
     _repacked(bench, best)
     _events_repacked(bench, best)
-    for at in range(len(best.scene) - 1, -1, -1):
-        if at < len(best.scene) and best.scene.words[at]:
-            for value in (0, 1, best.scene.words[at] >> 1):
-                words = best.scene.words
-                if best.offer(replace(best.scene, words=words[:at] + bytes([value]) + words[at + 1 :])):
-                    break
+    for at in reversed(range(len(best.scene))):
+        any(best.offer(replace(best.scene, words=words)) for words in _lowered(best.scene.words, at))
+
+
+def _lowered(data: bytes, at: int) -> list[bytes]:
+    """Data with a smaller byte at a place."""
+    return [
+        data[:at] + bytes([value]) + data[at + 1 :] for value in (0, 1, data[at] >> 1) if value < data[at]
+    ]
 
 
 def _zeroed(best: _Best) -> None:
@@ -200,19 +208,10 @@ def _zeroed(best: _Best) -> None:
 
 
 def _repacked(bench: Bench, best: _Best) -> None:
-    """Packets with less in them."""
+    """Packets with less in them, each until nothing helps."""
     start = 0
     while start < len(best.scene) and best.calls.are_left:
-        for framing, message, size in _whole(bench, best.scene.words, start):
-            words = best.scene.words
-            packet = words[start : start + size]
-            for smaller in lesser(framing, message, packet):
-                if _replaced(best, start, size, smaller):
-                    break
-            else:
-                continue
-            break  # the same place once more, in its new form
-        else:
+        if not any(_replaced(best, start, *less) for less in _smaller(bench, best.scene.words, start)):
             start += 1
 
 
@@ -228,29 +227,26 @@ def _replaced(best: _Best, start: int, size: int, smaller: bytes) -> bool:
 def _events_repacked(bench: Bench, best: _Best) -> None:
     """What we sent, with less in it."""
     for index in range(len(best.scene.sent_at)):
-        again = True
-        while again and best.calls.are_left:
-            again = False
-            offset, word = best.scene.sent_at[index]
-            for framing, message, size in _whole(bench, word, 0):
-                for smaller in lesser(framing, message, word[:size]):
-                    sent = list(best.scene.sent_at)
-                    sent[index] = (offset, smaller)
-                    if best.offer(replace(best.scene, sent_at=tuple(sent))):
-                        again = True
-                        break
+        while any(
+            best.offer(_with_sent(best.scene, index, smaller))
+            for _, smaller in _smaller(bench, best.scene.sent_at[index][1], 0)
+        ):
+            pass
 
 
-def _whole(bench: Bench, words: bytes, start: int) -> list[tuple[Framing, Message, int]]:
-    """The framings that have a whole packet at `start`, one message of each, and the packet's size."""
-    found: list[tuple[Framing, Message, int]] = []
+def _with_sent(scene: Scene, index: int, word: Any) -> Scene:
+    return replace(scene, sent_at=_but(scene.sent_at, index, (scene.sent_at[index][0], word)))
+
+
+def _smaller(bench: Bench, words: bytes, start: int) -> Iterator[tuple[int, bytes]]:
+    """The size of each framing's whole packet at `start`, with packets that have less in them."""
     for (_, framing, messages), extras in zip(bench.framings, bench.extras, strict=True):
         judged = framing.judge(words, start, silent=True, extras=extras)
         if judged.verdict is Verdict.WHOLE:
             packet = words[start : start + judged.size]
             message = next((m for m in messages if bench.reads(m, packet)), messages[0])
-            found.append((framing, message, judged.size))
-    return found
+            for smaller in lesser(framing, message, packet):
+                yield judged.size, smaller
 
 
 def lesser(framing: Framing, message: Message, packet: bytes) -> Iterator[bytes]:
@@ -278,13 +274,11 @@ def lesser(framing: Framing, message: Message, packet: bytes) -> Iterator[bytes]
             yield from framed(head, body[:start] + body[start + size :])
         size //= 2
     for at in range(len(body)):
-        for value in (0, 1, body[at] >> 1):
-            if value < body[at]:
-                yield from framed(head, body[:at] + bytes([value]) + body[at + 1 :])
+        for less in _lowered(body, at):
+            yield from framed(head, less)
     for at in range(len(head)):
-        for value in (0, 1):
-            if value < head[at]:
-                yield from framed(head[:at] + bytes([value]) + head[at + 1 :], body)
+        for less in _lowered(head, at):
+            yield from framed(less, body)
 
 
 # ---------------------------------------------------------------------- frames
@@ -294,33 +288,22 @@ def _of_frames(bench: Bench, best: _Best) -> None:
     _delete(best)
     for index in range(len(best.scene)):
         for frame in simpler_frames(bench, best.scene.words[index]):
-            words = best.scene.words
-            best.offer(replace(best.scene, words=(*words[:index], frame, *words[index + 1 :])))
-        _frame_bytes(bench, best, index)
+            _offer_frame(best, index, frame)
+        for at in reversed(range(len(best.scene.words[index].data))):
+            frame = best.scene.words[index]
+            if at < len(frame.data):
+                any(
+                    _offer_frame(best, index, made)
+                    for data in _lowered(frame.data, at)
+                    for made in _with_data(bench, frame, data)
+                )
     for index in range(len(best.scene.sent_at)):
         for frame in simpler_frames(bench, best.scene.sent_at[index][1]):
-            sent = list(best.scene.sent_at)
-            sent[index] = (sent[index][0], frame)
-            best.offer(replace(best.scene, sent_at=tuple(sent)))
+            best.offer(_with_sent(best.scene, index, frame))
 
 
-def _frame_bytes(bench: Bench, best: _Best, index: int) -> None:
-    for at in range(len(best.scene.words[index].data) - 1, -1, -1):
-        frame = best.scene.words[index]
-        if at >= len(frame.data) or not frame.data[at]:
-            continue
-        for value in (0, 1, frame.data[at] >> 1):
-            data = frame.data[:at] + bytes([value]) + frame.data[at + 1 :]
-            if any(
-                best.offer(
-                    replace(
-                        best.scene,
-                        words=(*best.scene.words[:index], made, *best.scene.words[index + 1 :]),
-                    )
-                )
-                for made in _with_data(bench, frame, data)
-            ):
-                break
+def _offer_frame(best: _Best, index: int, frame: Frame) -> bool:
+    return best.offer(replace(best.scene, words=_but(best.scene.words, index, frame)))
 
 
 def _with_data(bench: Bench, frame: Frame, data: bytes) -> Iterator[Frame]:
@@ -328,37 +311,29 @@ def _with_data(bench: Bench, frame: Frame, data: bytes) -> Iterator[Frame]:
     for message in bench.by_name.values():
         if message.check is not None and message.identifier.match(frame.arbitration_id) is not None:
             if message.lengths is not None and len(data) in message.lengths:
-                yield _changed(frame, data=rechecked(message, frame.arbitration_id, data))
-    yield _changed(frame, data=data)
+                yield structs.replace(frame, data=rechecked(message, frame.arbitration_id, data))
+    yield structs.replace(frame, data=data)
 
 
 def simpler_frames(bench: Bench, frame: Frame) -> Iterator[Frame]:
     """The frame with less about it: no time, no channel, no data, a smaller identifier."""
     plain = {"timestamp": None, "channel": None, "is_rx": None}
-    yield _changed(frame, **plain)
+    yield structs.replace(frame, **plain)
     for name in plain:
-        yield _changed(frame, **{name: None})
+        yield structs.replace(frame, **{name: None})
     if frame.data:
         for size in (0, 1, len(frame.data) // 2, len(frame.data) - 1):
             if size < len(frame.data) and (size <= 8 or not frame.is_fd):
-                yield _changed(frame, data=frame.data[:size])
+                yield structs.replace(frame, data=frame.data[:size])
         yield from _with_data(bench, frame, bytes(len(frame.data)))
     for message in bench.by_name.values():
         captures = message.identifier.match(frame.arbitration_id)
         if captures:
             least = {
-                capture.name: next(iter(sorted(capture.values)))
-                if not isinstance(capture.values, range)
-                else capture.values[0]
+                capture.name: capture.values[0] if isinstance(capture.values, range) else min(capture.values)
                 for capture in message.identifier.captures
             }
-            yield _changed(frame, arbitration_id=message.identifier.number(least))
-
-
-def _changed(frame: Frame, **changed: Any) -> Frame:
-    about = {name: getattr(frame, name) for name in frame.__struct_fields__}
-    about.update(changed)
-    return Frame(**about)
+            yield structs.replace(frame, arbitration_id=message.identifier.number(least))
 
 
 # ---------------------------------------------------------------------- values of packets
@@ -371,19 +346,20 @@ def _packets(best: _Best) -> None:
             break
     if len(best.scene.packets) != 1:
         return
-    again = True
-    while again and best.calls.are_left:
-        again = False
-        (packet,) = best.scene.packets
-        for values in simpler_values(packet.values):
-            try:
-                image = bytes(packet.message.struct.build(values, raw=True))
-            except Exception:  # what cannot be built is not simpler
-                continue
-            made = replace(packet, values=values, image=image)
-            if best.offer(Scene(_words_of(best.scene, made), packets=(made,))):
-                again = True
-                break
+    while best.calls.are_left and any(map(best.offer, _simpler_packets(best.scene))):
+        pass
+
+
+def _simpler_packets(scene: Scene) -> Iterator[Scene]:
+    """The scene's only packet, with simpler values."""
+    (packet,) = scene.packets
+    for values in simpler_values(packet.values):
+        try:
+            image = bytes(packet.message.struct.build(values, raw=True))
+        except Exception:  # what cannot be built is not simpler
+            continue
+        made = replace(packet, values=values, image=image)
+        yield Scene(_words_of(scene, made), packets=(made,))
 
 
 def _words_of(scene: Scene, packet: DrawnPacket) -> Any:

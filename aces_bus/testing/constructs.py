@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -29,7 +29,7 @@ from ..protocol.declare.delimited import (
 from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
-from ._source import ChoiceSource, edge_number, spread
+from .source import ChoiceSource, edge_number, spread
 
 #: How many times bytes are tried that a construct may read.
 ATTEMPTS = 60
@@ -65,35 +65,43 @@ def hints(message: Message) -> Hints:
     def visit(con: Any) -> None:
         if isinstance(con, Multiplexed):
             values.setdefault(con.selector, set()).update(con.when)
-            visit(con.body)
-            return
-        if isinstance(con, BitLayout):
+        elif isinstance(con, BitLayout):
             for slot in con.slots:
                 if slot.mux is not None:
                     values.setdefault(slot.mux.selector, set()).update(slot.mux.when)
-            return
-        if isinstance(con, c.Switch):
-            keys = {k for k in con.cases if isinstance(k, int)}
+        elif isinstance(con, c.Switch):
             for name in _names_in(con.keyfunc):
-                values.setdefault(name, set()).update(keys)
-            for case in (*con.cases.values(), con.default):
-                visit(case)
-            return
-        if isinstance(con, c.IfThenElse):
+                values.setdefault(name, set()).update(k for k in con.cases if isinstance(k, int))
+        elif isinstance(con, c.IfThenElse):
             for name in _names_in(con.condfunc):
                 values.setdefault(name, set()).update(_numbers_in(con.condfunc))
-            visit(con.thensubcon)
-            visit(con.elsesubcon)
-            return
-        if isinstance(con, c.Array):
+        elif isinstance(con, c.Array):
             small.update(_names_in(con.count))
-        if isinstance(con, (c.Bytes, c.BytesInteger)):
+        elif isinstance(con, (c.Bytes, c.BytesInteger)):
             small.update(_names_in(con.length))
-        for inner in (*getattr(con, "subcons", ()), *((con.subcon,) if hasattr(con, "subcon") else ())):
+        for _, inner in parts_of(con):
             visit(inner)
 
     visit(message.payload)
     return Hints({k: tuple(sorted(v)) for k, v in values.items() if v}, frozenset(small))
+
+
+def parts_of(con: Any) -> Iterator[tuple[str, Any]]:
+    """The constructs directly inside one, of whatever kind it is, and the name of each; "" where it has none."""
+    if isinstance(con, BitLayout):
+        yield from ((slot.name, slot.field) for slot in con.slots)
+        return
+    inner = list(getattr(con, "subcons", ()))
+    if isinstance(con, Multiplexed):
+        inner.append(con.body)
+    elif isinstance(con, c.IfThenElse):
+        inner += [con.thensubcon, con.elsesubcon]
+    elif isinstance(con, c.Switch):
+        inner += [*con.cases.values(), con.default]
+    elif hasattr(con, "subcon"):
+        inner.append(con.subcon)
+    name = con.name if isinstance(con, c.Renamed) else ""
+    yield from ((name, part) for part in inner)
 
 
 def _names_in(expression: Any) -> list[str]:
@@ -582,4 +590,4 @@ def _ascii(field: AsciiField, characters: str) -> Callable[[ChoiceSource], str]:
     return draw
 
 
-__all__ = ["Draw", "Hints", "Room", "drawer", "hints"]
+__all__ = ["Draw", "Hints", "Room", "drawer", "hints", "parts_of"]

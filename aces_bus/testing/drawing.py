@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from ._bench import Bench
-from ._play import ScannedItem, as_heard, play, told_by
-from ._scenes import Scene, Way, Wire
-from ._shrink import word_bytes
+from .bench import Bench
+from .scenes import Scene, Way, Wire
+from .shrinking import word_bytes
+from .trial import ScannedItem, as_heard, play, told_by
 
 #: Bytes in a row.
 ROW = 16

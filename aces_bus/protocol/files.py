@@ -1,0 +1,104 @@
+"""Protocols in Python files: a file is run as a module once, and what it declares is found by name.
+
+1. Whatever a file's own code raises becomes a `CallerError` with file and line.
+2. A file that is imported already is not run again.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+from ..errors import AcesError, CallerError, UnknownNameError
+from .declare.protocol import Protocol
+
+_modules: dict[Path, ModuleType] = {}
+
+
+def protocol_of_file(path: str, names: list[str]) -> Protocol:
+    """The protocol that a Python file declares; takes its name off `names` when that is what comes first there."""
+    module = load_file(path)
+    own = Path(path).resolve()
+    found = {name: value for name, value in vars(module).items() if isinstance(value, Protocol)}
+    if names and names[0] in found:
+        return found[names.pop(0)]
+    declared = {p.name: p for p in found.values() if Path(p.place.file).resolve() == own} or {
+        p.name: p for p in found.values()
+    }
+    if len(declared) == 1:
+        protocol = next(iter(declared.values()))
+        if names and names[0] not in protocol.dialects:
+            raise UnknownNameError(f"dialect or protocol in {path}", names[0], [*protocol.dialects, *found])
+        return protocol
+    if not declared:
+        raise CallerError(f"{path}: declares no Protocol at its top level")
+    if names:
+        raise UnknownNameError(f"protocol in {path}", names[0], found)
+    raise CallerError(
+        f"{path}: declares several protocols; say which: {', '.join(f'{path}:{name}' for name in found)}"
+    )
+
+
+def load_file(path: str) -> ModuleType:
+    """Run a Python file as a module; one inside a package is imported as part of it."""
+    file = Path(path).resolve()
+    if file not in _modules:
+        if not file.is_file():
+            raise CallerError(f"{path}: {'a folder, not a Python file' if file.is_dir() else 'no such file'}")
+        try:
+            _modules[file] = _imported(file)
+        except AcesError:
+            raise
+        except SyntaxError as error:
+            raise CallerError(f"{error.filename or path}:{error.lineno}: {error.msg}") from error
+        except Exception as error:  # whatever the user's own program may raise
+            raise CallerError(f"{_where(error, path)}: {error_text(error)}") from error
+    return _modules[file]
+
+
+def _imported(file: Path) -> ModuleType:
+    for known in list(sys.modules.values()):
+        if getattr(known, "__file__", None) == str(file):
+            return known
+    top, parts = file.parent, [file.stem]
+    while (top / "__init__.py").exists():
+        parts.insert(0, top.name)
+        top = top.parent
+    if str(top) not in sys.path:
+        sys.path.append(str(top))  # last: a file of the user's must not hide a module of ours
+    if len(parts) > 1:
+        module = import_module(".".join(parts))
+        if module.__file__ is None or Path(module.__file__).resolve() != file:
+            raise CallerError(f"{file}: Python finds another {'.'.join(parts)} first: {module.__file__}")
+        return module
+    name = f"aces_spec_{file.stem}_{len(_modules)}"
+    spec = spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _where(error: Exception, path: str) -> str:
+    """The innermost line of the user's file in a traceback."""
+    own = Path(path).resolve()
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).resolve() == own]
+    return f"{path}:{lines[-1]}" if lines else path
+
+
+def error_text(error: Exception) -> str:
+    """What an exception says, in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+__all__ = ["error_text", "load_file", "protocol_of_file"]

@@ -1,0 +1,358 @@
+"""One scene before the laws: what scanner, reference and construct make of it, each asked once and only when a law asks.
+
+1. A trial is a pure function of bench, scene and cuts; laws that judge the same trial share what was played.
+2. Values are compared by bits: NaN equals itself, 1 does not equal 1.0, a flag set is its number.
+3. A broken law is a `LawError`, with everything that it takes to show and repeat it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NoReturn, TypeVar
+from zlib import crc32
+
+from ..protocol.counts import ScanCounts
+from ..protocol.declare.message import Message
+from ..protocol.declare.packet import can_image
+from ..protocol.live.scanner import Scanner
+from ..protocol.record import Unknown, as_dict
+from ..protocol.reference import Reference
+from .bench import Bench, bench_of
+from .scenes import Scene, Way, Wire
+
+T = TypeVar("T")
+
+#: The laws by number.
+NAMES = {
+    1: "round trip",
+    2: "oracle",
+    3: "chunking",
+    4: "resynchronisation",
+    5: "no false accept",
+    6: "accounting",
+    7: "bounded",
+    8: "calm",
+    9: "unambiguous",
+}
+
+
+@dataclass(frozen=True)
+class ScannedItem:
+    """One thing on the wire: a message with its fields, or a loss with its reason. Sizes in bytes, or 1 frame."""
+
+    offset: int
+    size: int
+    message: str | None
+    fields: Any
+    reason: str
+    protocol: str | None
+
+    def __str__(self) -> str:
+        where = f"{self.offset}…{self.offset + self.size}"
+        return (
+            f"{where} {self.protocol}.{self.message} {self.fields}"
+            if self.message
+            else f"{where} {self.reason}"
+        )
+
+
+def scanner_of(wire: Wire, direction: Way, *, include_unknown: bool = True, raw: bool = True) -> Scanner:
+    """A scanner as if just made."""
+    return bench_of(wire, direction).scanner(include_unknown=include_unknown, raw=raw)
+
+
+def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
+    """Feed a scene, cut at `cuts`, with its silences and transmissions, and close: everything the scanner gave."""
+    out: list[Any] = []
+    events: list[tuple[int, int, Any]] = [(offset, 0, None) for offset in cuts]
+    events += [(offset, 1, None) for offset in scene.idle_at]
+    events += [(offset, 2, word) for offset, word in scene.sent_at]
+    events.sort(key=lambda event: event[:2])
+    at = 0
+    feed: Any = scanner.feed
+    sent: Any = scanner.sent
+    for offset, kind, word in events:
+        if offset > at or kind == 0:
+            out += feed(scene.words[at:offset])
+            at = max(at, offset)
+        if kind == 1:
+            out += scanner.idle()
+        elif kind == 2:
+            sent(word)
+    out += feed(scene.words[at:])
+    return out + scanner.close()
+
+
+def scanned_items(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[ScannedItem]:
+    """What a scanner hears in a scene, in its form for comparison."""
+    return as_heard(play(scanner, scene, cuts), scanner.link == "can")
+
+
+def as_heard(given: Iterable[Any], is_can: bool) -> list[ScannedItem]:
+    """What a scanner gave, in its form for comparison."""
+    if is_can:
+        return [_heard(item, number, 1) for number, item in enumerate(given)]
+    return join_losses(_heard(item, item.meta.offset, item.meta.size) for item in given)
+
+
+def _heard(item: Any, offset: int, size: int) -> ScannedItem:
+    if isinstance(item, Unknown):
+        return ScannedItem(offset, size, None, None, item.reason, None)
+    return ScannedItem(offset, size, type(item).__name__, comparable(as_dict(item)), "", item.meta.protocol)
+
+
+def reference_items(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[ScannedItem]:
+    """What the reference says of a scene."""
+    return told_by(bench_of(wire, direction).reference(raw=raw), scene)
+
+
+def told_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
+    """What this reference says of a scene."""
+    if isinstance(scene.words, bytes):
+        found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
+        return join_losses(
+            ScannedItem(f.offset, f.size, f.message, comparable(f.fields), f.reason, f.protocol)
+            for f in found
+        )
+    out: list[ScannedItem] = []
+    at = 0
+    for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
+        for f in reference.frames(scene.words[at:offset]):
+            out.append(ScannedItem(len(out), 1, f.message, comparable(f.fields), f.reason, f.protocol))
+        at = offset
+        if frame is not None:
+            reference.sent(image_of(frame), frame.channel, frame.timestamp)
+    return out
+
+
+def join_losses(items: Iterable[ScannedItem]) -> list[ScannedItem]:
+    """Runs of lost bytes with one reason, as one each: where a run is cut means nothing."""
+    out: list[ScannedItem] = []
+    for item in items:
+        last = out[-1] if out else None
+        is_run = item.message is None and item.reason.startswith(("skipped", "malformed"))
+        if (
+            is_run
+            and last is not None
+            and last.reason == item.reason
+            and last.offset + last.size == item.offset
+        ):
+            out[-1] = replace(last, size=last.size + item.size)
+        else:
+            out.append(item)
+    return out
+
+
+def image_of(frame: Any) -> bytes:
+    """The image of a CAN frame that `message.struct` parses."""
+    return can_image(
+        frame.arbitration_id,
+        bytes(frame.data),
+        extended=frame.is_extended_id,
+        remote=frame.is_remote_frame,
+        fd=frame.is_fd,
+    )
+
+
+def comparable(value: Any) -> Any:
+    """A value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
+    if isinstance(value, float):
+        return struct.pack("<d", value)[::-1].hex() + "f"
+    if isinstance(value, Mapping):
+        return {k: comparable(v) for k, v in value.items() if not str(k).startswith("_")}
+    if isinstance(value, (list, tuple)):
+        return [comparable(item) for item in value]
+    if isinstance(value, int):
+        return int(value)
+    return value
+
+
+def copy_item(counts: ScanCounts) -> dict[str, Any]:
+    """Counts as plain values."""
+    bins = (
+        "total",
+        "decoded",
+        "unknown",
+        "malformed",
+        "skipped",
+        "filtered",
+        "errors",
+        "pending",
+        "records",
+        "missed",
+    )
+    return {**{name: getattr(counts, name) for name in bins}, "reasons": dict(counts.reasons)}
+
+
+class LawError(AssertionError):
+    """A law does not hold. `text` says what was expected and what came; `scene` and `cuts` repeat it."""
+
+    def __init__(self, number: int, trial: Trial, text: str, *, with_scene: bool = True) -> None:
+        self.number, self.law, self.text = number, NAMES[number], text
+        self.wire, self.direction = trial.bench.wire, trial.bench.direction
+        self.label = trial.bench.label
+        self.scene, self.cuts = trial.scene, trial.cuts
+        where = f"\n  scene: {scene_source(trial.scene)}" if with_scene else ""
+        super().__init__(
+            f"law {number} ({self.law}) of {self.label}, direction {self.direction!r}: {text}{where}"
+        )
+
+
+def scene_source(scene: Scene) -> str:
+    """A scene as it is written in a test."""
+    if isinstance(scene.words, bytes):
+        words = f"bytes.fromhex({scene.words.hex(' ').upper()!r})"
+        sent = tuple((at, f"bytes.fromhex({word.hex(' ').upper()!r})") for at, word in scene.sent_at)
+        return f"Scene({words}, idle_at={scene.idle_at}, sent_at={sent})"
+    return f"Scene(({', '.join(map(repr, scene.words))},), sent_at={scene.sent_at!r})"
+
+
+class Trial:
+    """A scene, cut at `cuts`, before a bench.
+
+    `thorough` has laws look at every packet of a scene, `columns` has them read it as columns, too: both cost more than
+    all the rest. A fuzzer does that now and then, and always for what has failed.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        scene: Scene,
+        cuts: Iterable[int] = (),
+        *,
+        thorough: bool = True,
+        columns: bool = True,
+    ) -> None:
+        self.bench, self.scene = bench, scene
+        self.cuts = tuple(sorted(cuts))
+        self.thorough, self.columns = thorough, columns
+
+    @property
+    def direction(self) -> Way:
+        return self.bench.direction
+
+    def fail(self, number: int, text: str, *, with_scene: bool = True) -> NoReturn:
+        """Raise `LawError`."""
+        raise LawError(number, self, text, with_scene=with_scene)
+
+    def sample(self, items: Sequence[T]) -> Sequence[T]:
+        """All of them; of a trial that is not thorough, one."""
+        if self.thorough or len(items) < 2:
+            return items
+        at = self.turn % len(items)
+        return items[at : at + 1]
+
+    @cached_property
+    def turn(self) -> int:
+        """A number that a scene has from its words: what is looked at when not everything is."""
+        words = self.scene.words
+        if isinstance(words, bytes):
+            return crc32(words)
+        return sum(crc32(frame.data, frame.arbitration_id) for frame in words)
+
+    # ------------------------------------------------------------------ played
+
+    @cached_property
+    def _whole(self) -> tuple[list[Any], dict[str, Any], int]:
+        scanner = self.bench.scanner()
+        given = play(scanner, self.scene)
+        return given, copy_item(scanner.counts), scanner.counts.balance
+
+    @property
+    def given(self) -> list[Any]:
+        """What a scanner gives of the whole scene: raw records and all losses."""
+        return self._whole[0]
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """Its counts."""
+        return self._whole[1]
+
+    @cached_property
+    def heard(self) -> list[ScannedItem]:
+        """The same for comparison."""
+        return as_heard(self.given, self.bench.is_can)
+
+    @cached_property
+    def cut_up(self) -> tuple[list[Any], dict[str, Any], int]:
+        """What the scanner gives of the scene in pieces, its counts, and by how much they do not balance."""
+        scanner = self.bench.scanner()
+        given = play(scanner, self.scene, self.cuts)
+        return given, copy_item(scanner.counts), scanner.counts.balance
+
+    @cached_property
+    def physical(self) -> list[ScannedItem]:
+        """What a scanner for physical values gives of the whole scene."""
+        return as_heard(play(self.bench.scanner(raw=False), self.scene), self.bench.is_can)
+
+    @cached_property
+    def told(self) -> list[ScannedItem]:
+        """What the reference says of it."""
+        return told_by(self.bench.reference(), self.scene)
+
+    def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, Any]]]:
+        """Message, image and request's fields of each record that the scanner gave."""
+        names = self.bench.by_name
+        for number, record in enumerate(self.given):
+            if isinstance(record, Unknown):
+                continue
+            message = names[record._protocol, type(record).__name__]
+            image = image_of(self.scene.words[number]) if message.framing is None else record.meta.raw
+            yield message, image, {name: getattr(record, name) for name in message.request_fields}
+
+
+Judge = Callable[[Trial], None]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law by its number. Called with wire, direction, scene (and cuts) it raises `LawError` when it does not hold.
+
+    `judges` asks it of a `Trial`, which several laws may share. `takes_cuts`: it also depends on where a scene is cut.
+    `streams_only`: it is about streams, because a frame comes whole.
+    """
+
+    number: int
+    judges: Judge
+    takes_cuts: bool = False
+    streams_only: bool = False
+
+    def __call__(self, wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> None:
+        self.judges(Trial(bench_of(wire, direction), scene, cuts))
+
+    @property
+    def name(self) -> str:
+        return NAMES[self.number]
+
+    def __str__(self) -> str:
+        return f"{self.number}-{self.name.replace(' ', '-')}"
+
+
+def law(number: int, *, takes_cuts: bool = False, streams_only: bool = False) -> Callable[[Judge], Law]:
+    """A decorator that makes a law of a function of a `Trial`."""
+    return lambda judges: Law(number, judges, takes_cuts, streams_only)
+
+
+__all__ = [
+    "NAMES",
+    "Judge",
+    "Law",
+    "LawError",
+    "ScannedItem",
+    "Trial",
+    "as_heard",
+    "comparable",
+    "copy_item",
+    "image_of",
+    "join_losses",
+    "law",
+    "play",
+    "reference_items",
+    "scanned_items",
+    "scanner_of",
+    "scene_source",
+    "told_by",
+]
