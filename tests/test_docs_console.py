@@ -22,7 +22,7 @@ from typing import NamedTuple
 import pytest
 from hypothesis import settings
 
-from aces_tools import protocols_arg
+from aces_bus.protocol import files
 from aces_tools.authoring import check
 from aces_tools.main import main
 
@@ -76,7 +76,7 @@ class Terminal:
             os.chdir(arguments[0])
             return "", 0
         if name == "aces":
-            protocols_arg._modules.clear()  # each command is a process of its own, in life
+            files.loaded.clear()  # each command is a process of its own, in life
             self.capsys.readouterr()
             status = main(arguments)
             out, err = self.capsys.readouterr()

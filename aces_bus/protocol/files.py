@@ -16,7 +16,8 @@ from types import ModuleType
 from ..errors import AcesError, CallerError, UnknownNameError
 from .declare.protocol import Protocol
 
-_modules: dict[Path, ModuleType] = {}
+#: What was imported, by the path of its file.
+loaded: dict[Path, ModuleType] = {}
 
 
 def protocol_of_file(path: str, names: list[str]) -> Protocol:
@@ -46,18 +47,18 @@ def protocol_of_file(path: str, names: list[str]) -> Protocol:
 def load_file(path: str) -> ModuleType:
     """Run a Python file as a module; one inside a package is imported as part of it."""
     file = Path(path).resolve()
-    if file not in _modules:
+    if file not in loaded:
         if not file.is_file():
             raise CallerError(f"{path}: {'a folder, not a Python file' if file.is_dir() else 'no such file'}")
         try:
-            _modules[file] = _imported(file)
+            loaded[file] = _imported(file)
         except AcesError:
             raise
         except SyntaxError as error:
             raise CallerError(f"{error.filename or path}:{error.lineno}: {error.msg}") from error
         except Exception as error:  # whatever the user's own program may raise
             raise CallerError(f"{_where(error, path)}: {error_text(error)}") from error
-    return _modules[file]
+    return loaded[file]
 
 
 def _imported(file: Path) -> ModuleType:
@@ -75,7 +76,7 @@ def _imported(file: Path) -> ModuleType:
         if module.__file__ is None or Path(module.__file__).resolve() != file:
             raise CallerError(f"{file}: Python finds another {'.'.join(parts)} first: {module.__file__}")
         return module
-    name = f"aces_spec_{file.stem}_{len(_modules)}"
+    name = f"aces_spec_{file.stem}_{len(loaded)}"
     spec = spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None

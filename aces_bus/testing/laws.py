@@ -22,12 +22,12 @@ from construct import ConstructError
 
 from ..errors import AcesError
 from ..frame_table import FrameTable
-from ..protocol.columns.segments import CHAINS, in_segments
 from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
 from ..protocol.declare.framing import Framing, Verdict
 from ..protocol.declare.message import DIRECTIONS, Message
 from ..protocol.declare.protocol import Protocol, Variant
 from ..protocol.live.can import CanScanner
+from ..protocol.live.candidates import CHAINS
 from ..protocol.live.stream import StreamScanner
 from ..protocol.record import Unknown
 from .bench import bench_of, reads
@@ -387,7 +387,7 @@ def _unstuffing_allowed(framings: Sequence[Framing], words: bytes, chunks: int) 
     """How many bytes may be unstuffed in `words`: a few times all of them, and a small part of a packet a candidate."""
     limit = 0
     for framing in framings:
-        if in_segments(framing):
+        if framing.is_enclosed:
             limit += 3 * len(words) + (framing.max_size // CHAINS + 1) * len(words)
             if len(framings) > 1:
                 limit += 2 * framing.max_size * chunks
