@@ -1,13 +1,12 @@
 """The robots that ship, as TOML files beside this one, and other programs' descriptions read as robots.
 
-1. A file is read when its robot is asked for, and not before.
-2. A file says what its sources say; what they do not say is listed in its head, and is not in it.
+A file says what its sources say; what they do not say is listed in its head, and is not in it.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -22,24 +21,8 @@ from .importing import import_robot as import_robot
 
 def list_robots() -> Mapping[str, str]:
     """The robots that ship: name → content of its file, in order of names."""
-    found = [entry for entry in files(__name__).iterdir() if entry.name.endswith(".toml")]
-    return _Texts({entry.name.removesuffix(".toml"): entry.name for entry in found})
-
-
-class _Texts(Mapping[str, str]):
-    """The files' contents by name, each read when it is asked for."""
-
-    def __init__(self, names: Mapping[str, str]) -> None:
-        self._files = dict(sorted(names.items()))
-
-    def __getitem__(self, name: str) -> str:
-        return files(__name__).joinpath(self._files[name]).read_text(encoding="utf-8")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._files)
-
-    def __len__(self) -> int:
-        return len(self._files)
+    found = {entry.name: entry for entry in files(__name__).iterdir() if entry.name.endswith(".toml")}
+    return {name.removesuffix(".toml"): found[name].read_text(encoding="utf-8") for name in sorted(found)}
 
 
 def load_robot_by_name(name: str | os.PathLike[str]) -> Robot:
