@@ -9,7 +9,6 @@ Sources of boards' numbers, buses and names: hubo-ach canID.h, hubo-ach and Hubo
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from aces_bus.errors import CallerError
 from aces_bus.robot import RobotFileProblem
+from aces_bus.robot.checks import near
 
 #: Bytes of a description file; those of the sources have 7 kB at most.
 LARGEST: Final = 2**20
@@ -156,9 +156,7 @@ class RobotDescription:
 
     def unknown(self, line: WordLine, key: str, what: str, name: str, known: Collection[str]) -> None:
         """A name is none of those that are known."""
-        near = difflib.get_close_matches(name, list(known), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        self.complain(line, key, f"no {what} named {name!r:.60}{hint} (there are: {', '.join(known)})")
+        self.complain(line, key, f"no {what} named {name!r:.60}{near(name, known)} (there are: {', '.join(known)})")
 
     def place(self, path: Sequence[str]) -> tuple[str, int]:
         """File and line that a key comes from, or the innermost of its tables that has one."""
