@@ -156,7 +156,9 @@ class RobotDescription:
 
     def unknown(self, line: WordLine, key: str, what: str, name: str, known: Collection[str]) -> None:
         """A name is none of those that are known."""
-        self.complain(line, key, f"no {what} named {name!r:.60}{near(name, known)} (there are: {', '.join(known)})")
+        self.complain(
+            line, key, f"no {what} named {name!r:.60}{near(name, known)} (there are: {', '.join(known)})"
+        )
 
     def place(self, path: Sequence[str]) -> tuple[str, int]:
         """File and line that a key comes from, or the innermost of its tables that has one."""
