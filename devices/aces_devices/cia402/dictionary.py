@@ -27,7 +27,7 @@ _COUNT = re.compile(r"(?im)^[ \t]*(NrOfEntries|CompactSubObj|Lines)[ \t]*=[ \t]*
 def dictionary_of(path: str | None, node: int) -> Any:
     """canopen's object dictionary of an EDS or DCF file (None: our own drive's) for a node.
 
-    Raises `CallerError` for a file that is not there or is none. Shared: nobody may change it.
+    Raises `CallerError` for a file that is not there or is none. Shared: it must not be changed.
     """
     from canopen.objectdictionary import eds
 

@@ -3,7 +3,7 @@
 1. The node is set up when its bus opens and whenever it has booted: it is asked what it is, its PDOs are read (or written),
    its heartbeat is switched on, it is started. Nothing of that moves it.
 2. What must be quick goes in PDOs: one a tick each way, at SYNC. What need not goes over SDO, one transfer at a time.
-3. It is enabled from where it stands. After a reboot or a fault it stays disabled until somebody enables it again.
+3. It is enabled where it is. After a reboot or a fault it stays disabled until it is enabled again.
 
 Modes, states and objects: CiA 402 as `states` has it. See the README for what is not done.
 """
@@ -45,7 +45,7 @@ from .units import DriveSettings
 STEP_S, MODE_S = 1.0, 1.0
 #: How often an absent node is looked for (ns).
 RETRY_NS = 2_000_000_000
-#: `Host.postpone` until somebody says otherwise (s).
+#: `Host.postpone` for good (s).
 LONG_S = 1e9
 #: Object → the signals that it gives.
 _SHOWN = {

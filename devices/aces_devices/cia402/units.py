@@ -75,12 +75,12 @@ class Units:
     per_speed: float
     per_torque: float
     zero: float
-    #: Whether torques are N·m, or shares of a rated torque that nobody has stated.
+    #: Whether torques are N·m, or shares of an unknown rated torque.
     is_rated: bool
 
 
 def units_of(who: str, joint: Joint, settings: DriveSettings) -> Units:
-    """The units of a joint's drive. Raises `CallerError` when nobody has said how many counts it has."""
+    """The units of a joint's drive. Raises `CallerError` when its counts are not stated."""
     per_unit = joint.counts_per_unit
     if per_unit is None:
         if settings.counts_per_turn is None:

@@ -1,7 +1,7 @@
 """MiniHubo's analogue-to-digital converter board: three channels that come without being asked.
 
 1. It is alone on its line and has no number: its device has no credentials.
-2. Counts, as the converter has them: nobody has stated what they measure.
+2. Counts, as the converter has them: what they measure is not stated.
 """
 
 from __future__ import annotations
