@@ -16,7 +16,7 @@ from .device import Device
 from .ticket import Job, Steps, Ticket
 
 
-class MotorChannel(Interface):
+class JointChannel(Interface):
     """One channel of a motor board, as its driver knows it; `joint` None: nothing is connected, or it has no name."""
 
     @property
@@ -35,7 +35,7 @@ class MotorChannel(Interface):
         ...
 
 
-A = TypeVar("A", bound=MotorChannel)
+A = TypeVar("A", bound=JointChannel)
 
 
 class MotorDevice(Device, Generic[A]):

@@ -50,9 +50,9 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
 # ---------------------------------------------------------------------- names
 
 
-def near(name: str, known: Collection[str], cutoff: float = 0.6) -> str:
+def near(name: str, known: Collection[str], cutoff: float = 0.6, many: int = MANY) -> str:
     """`; did you mean 'x'?`, or nothing. Of very many names none is looked for: it would take minutes."""
-    if len(name) > 100 or len(known) > MANY:
+    if len(name) > 100 or len(known) > many:
         return ""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {found[0]!r}?" if found else ""

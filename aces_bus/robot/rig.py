@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 from ..device.coalesce import CoalescingRule
@@ -161,10 +161,8 @@ def connect(
     if not hosts:
         raise CallerError(f"robot {robot.name} has no active device")
     rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)
-    drivers = {name: load(name) for name in dict.fromkeys(config.driver for config in _active(robot))}
-    for config in _active(robot):
+    for config, driver in _driven(robot, load):
         host = hosts[config.bus]
-        driver = drivers[config.driver]
         device = driver.device(host, config, robot, host.variants[driver.protocol])
         host.add(device)
         rig.devices[config.name] = device
@@ -221,10 +219,8 @@ def simulate(
     if not buses:
         raise CallerError(f"robot {robot.name} has no active device")
     world = World(next(iter(buses.values())).clock, seed)
-    drivers = {name: load(name) for name in dict.fromkeys(config.driver for config in _active(robot))}
-    for config in _active(robot):
+    for config, driver in _driven(robot, load):
         twins = buses[config.bus]
-        driver = drivers[config.driver]
         twins.add(driver.twin(twins, config, robot, twins.variants[driver.protocol], world))
     return Simulation(robot, world, buses)
 
@@ -234,6 +230,12 @@ def simulate(
 
 def _active(robot: Robot) -> list[DeviceConfig]:
     return [config for config in robot.devices.values() if config.active]
+
+
+def _driven(robot: Robot, load: Loader) -> Iterator[tuple[DeviceConfig, Driver]]:
+    """The active devices with their drivers, each loaded once."""
+    load = cache(load)
+    return ((config, load(config.driver)) for config in _active(robot))
 
 
 def spoken_on(robot: Robot, load: Loader = load_driver) -> dict[str, Protocol]:

@@ -1,7 +1,7 @@
 """A simulated joint: a geared DC motor with friction, heat and stops, driven by a digital controller of 1 kHz.
 
 1. Exact between two steps: the duty is constant for a millisecond, and the first-order motor is solved for it, not stepped.
-2. Lazy: nothing happens until somebody asks; then all whole milliseconds since are caught up. Who asks, and how often,
+2. Lazy: nothing is computed until it is asked for; then all whole milliseconds since are caught up. Who asks, and how often,
    changes nothing. A joint at rest costs one comparison.
 3. SI, on the joint's side of the gear: rad, rad/s, A, °C; the duty is −1…1.
 
@@ -210,7 +210,7 @@ class MotorJoint:
             elif v < 0.0 or end < -friction:
                 end += friction
             else:
-                # At rest, and nothing will change that before somebody says so.
+                # At rest, and nothing changes that before the next command.
                 self.q, self.v, self.duty, self.temperature = q, v, duty, temperature
                 self.moved_at, self.saturated_since = moved_at, saturated
                 self._rest((steps - number - 1) * STEP)

@@ -55,14 +55,13 @@ class DriveAxis:
     def __init__(self, device: Cia402, joint: Joint) -> None:
         self.device, self.joint, self.name, self.channel = device, joint, joint.name, joint.channel
         self.offset = 0x800 * joint.channel
-        settings = device.config.settings
-        self.units = units_of(device.name, joint, settings)
+        self.units = units_of(device.name, joint, device.settings)
         #: What is sent, by object.
         self.outputs: dict[int, int] = {CONTROLWORD: 0, MODE: 0}
         self.statusword: int | None = None
         self.position_raw: int | None = None
         self.mode_shown: int | None = None
-        self.wanted = str(settings.get("mode", USUAL.get(joint.command, "profile_position")))
+        self.wanted = device.settings.mode or USUAL.get(joint.command, "profile_position")
         if self.wanted not in TARGETS:
             raise CallerError(
                 f"{device.name}: settings mode is one of {', '.join(TARGETS)}, not {self.wanted!r}"

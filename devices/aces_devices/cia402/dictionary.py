@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus.errors import CallerError
+from aces_bus.robot.checks import near
 
 #: The largest file that is read, and the largest numbers in it that canopen counts up to.
 LARGEST = 4 << 20
@@ -26,7 +27,7 @@ _COUNT = re.compile(r"(?im)^[ \t]*(NrOfEntries|CompactSubObj|Lines)[ \t]*=[ \t]*
 def dictionary_of(path: str | None, node: int) -> Any:
     """canopen's object dictionary of an EDS or DCF file (None: our own drive's) for a node.
 
-    Raises `CallerError` for a file that is not there or is none. Shared: nobody may change it.
+    Raises `CallerError` for a file that is not there or is none. Shared: it must not be changed.
     """
     from canopen.objectdictionary import eds
 
@@ -73,10 +74,8 @@ def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
         except ValueError:
             found = _named(dictionary).get(name.strip().lower())
             if found is None:
-                from difflib import get_close_matches
-
-                near = get_close_matches(name.lower(), list(_named(dictionary)), n=1, cutoff=0.5)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
+                names = _named(dictionary)
+                hint = near(name.lower(), names, 0.5, many=len(names))
                 raise CallerError(
                     f"{name!r} is no object: write its index, as 6064 or 6099:1 (hexadecimal), or its name{hint}"
                 ) from None

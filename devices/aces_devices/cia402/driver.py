@@ -3,7 +3,7 @@
 1. The node is set up when its bus opens and whenever it has booted: it is asked what it is, its PDOs are read (or written),
    its heartbeat is switched on, it is started. Nothing of that moves it.
 2. What must be quick goes in PDOs: one a tick each way, at SYNC. What need not goes over SDO, one transfer at a time.
-3. It is enabled from where it stands. After a reboot or a fault it stays disabled until somebody enables it again.
+3. It is enabled where it is. After a reboot or a fault it stays disabled until it is enabled again.
 
 Modes, states and objects: CiA 402 as `states` has it. See the README for what is not done.
 """
@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Job, Poll, Signal, Steps
+from aces_bus.device.settings import settings_of
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
 
@@ -38,12 +39,13 @@ from .states import (
     TARGETS,
     emergency_text,
 )
+from .units import DriveSettings
 
 #: Seconds that one step of the state machine may take, and a change of mode.
 STEP_S, MODE_S = 1.0, 1.0
 #: How often an absent node is looked for (ns).
 RETRY_NS = 2_000_000_000
-#: `Host.postpone` until somebody says otherwise (s).
+#: `Host.postpone` for good (s).
 LONG_S = 1e9
 #: Object → the signals that it gives.
 _SHOWN = {
@@ -78,20 +80,15 @@ class Cia402(ObjectAccess[DriveAxis]):
 
     def setup(self) -> None:
         """Axes, signals; polls as the node's file says."""
-        settings = self.config.settings
         self.node = self.credentials["node"]
-        path = settings.get("eds")
-        self.dictionary = dictionary_of(None if path is None else str(path), self.node)
-        self.pdo = str(settings.get("pdo", "read"))
-        if self.pdo not in ("read", "file", "write"):
-            raise CallerError(f'{self.name}: settings pdo is "read", "file" or "write", not {self.pdo!r}')
-        self.heartbeat_ms = int(settings.get("heartbeat_ms", 500))
+        settings = self.settings = settings_of(self.name, DriveSettings, self.config.settings)
+        self.pdo, self.heartbeat_ms, self.event_ms = settings.pdo, settings.heartbeat_ms, settings.event_ms
+        self.dictionary = dictionary_of(settings.eds, self.node)
         self.inputs = from_file(self.name, self.dictionary, self.node, SENT)
         self.outputs = from_file(self.name, self.dictionary, self.node, RECEIVED)
         holder = next((one for one in self.inputs.values() if one.has(STATUSWORD)), None)
         as_filed = holder is not None and holder.kind == 1
-        self.sync = bool(settings.get("sync", self.pdo == "write" or as_filed))
-        self.event_ms = int(settings.get("event_ms", 20))
+        self.sync = self.pdo == "write" or as_filed if settings.sync is None else settings.sync
         slowest = max([one.event_ms for one in self.inputs.values()] + [self.event_ms])
         self.pdo_stale_s = 0.1 if self.sync else max(0.1, 5 * slowest / 1000)
         self.axes = [DriveAxis(self, joint) for joint in self.joints]
@@ -102,7 +99,7 @@ class Cia402(ObjectAccess[DriveAxis]):
         self.error: Signal = self.add_signal(
             "error", stale_s=beats, doc="the last emergency; empty: none", source="CiA 301, EMCY; object 603F"
         )
-        self.sdo = SdoChannel(self, float(settings.get("sdo_timeout_s", 0.3)))
+        self.sdo = SdoChannel(self, settings.sdo_timeout_s)
         self.is_set_up = False
         self.last_beat: int | None = None
         self._tried_at = self.clock.now()

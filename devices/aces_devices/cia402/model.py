@@ -1,6 +1,6 @@
 """A simulated axis of a drive: its state machine, its modes, its motion, its limits and its faults.
 
-1. Lazy: whole milliseconds are caught up when somebody asks; an axis at rest costs a comparison.
+1. Lazy: whole milliseconds are caught up on request; an axis at rest costs a comparison.
 2. Motion is planned in counts, as the drive's objects are; the motor behind it stands where other twins see it, in rad.
 3. Objects are those of axis 0, whichever axis this is.
 

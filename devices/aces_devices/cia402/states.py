@@ -67,7 +67,7 @@ TARGETS: Final[dict[str, tuple[str, int]]] = {
     "cyclic_velocity": ("velocity", 0x60FF),
     "cyclic_torque": ("torque", 0x6071),
 }
-#: What a joint is commanded in → the mode that a drive of it is put into when nobody says another.
+#: What a joint is commanded in → the mode that a drive of it is put into by default.
 USUAL: Final = {"position": "profile_position", "speed": "profile_velocity", "current": "profile_torque"}
 
 #: Emergency codes by group, CiA 301: first that fits, masks from the narrow to the wide.

@@ -11,13 +11,14 @@ from typing import Any, ClassVar
 
 from aces_bus import Frame
 from aces_bus.device import Twin
+from aces_bus.device.settings import settings_of
 from aces_bus.protocol import make_scanner
 from aces_bus.protocol.record import as_dict
 
 from .dictionary import dictionary_of
 from .model import HOT, OVER_VOLTAGE, REGISTERS, AxisModel
 from .pdo import RECEIVED, SENT, PdoLayout, layouts, offset_of
-from .units import units_of
+from .units import DriveSettings, units_of
 
 #: From power to the boot-up message (ns).
 BOOT_NS = 1_000_000
@@ -47,10 +48,9 @@ class Cia402Twin(Twin):
 
         if self.network is not None:
             self.network.stop()
-        settings = self.config.settings
-        path = settings.get("eds")
+        settings = settings_of(self.name, DriveSettings, self.config.settings)
         number = self.credentials["node"]
-        self.dictionary = dictionary_of(None if path is None else str(path), number)
+        self.dictionary = dictionary_of(settings.eds, number)
         self._scanner = make_scanner([self.variant], direction="from device")
         self.network = network = StationNetwork(self.clock, self._put)
         node: Any = canopen.LocalNode(number, self.dictionary)

@@ -1,14 +1,67 @@
-"""What a drive's numbers are in SI: one place for both ends."""
+"""A drive's settings, and what its numbers are in SI: one place for both ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import tau
-from typing import Any
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import Joint
 from aces_bus.errors import CallerError
+
+
+class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    eds: Annotated[
+        str | None, Meta(description="the drive's EDS or DCF file; our own drive's when absent")
+    ] = None
+    pdo: Annotated[
+        Literal["read", "file", "write"],
+        Meta(
+            description=(
+                '"read": as the drive has them (when absent); "file": as its file says; "write": as the driver wants'
+                " them"
+            )
+        ),
+    ] = "read"
+    sync: Annotated[
+        bool | None,
+        Meta(
+            description='true: SYNC in each tick; when absent as the drive\'s file says, true with pdo = "write"'
+        ),
+    ] = None
+    event_ms: Annotated[
+        int,
+        Meta(
+            description='without SYNC and with pdo = "write": how often the drive sends (ms), 20 when absent'
+        ),
+    ] = 20
+    mode: Annotated[
+        str | None,
+        Meta(description="mode of operation; when absent profile_position, or what the joint's command says"),
+    ] = None
+    counts_per_turn: Annotated[
+        float | None,
+        Meta(description="counts a turn of the joint, where it has no gear, harmonic and encoder"),
+    ] = None
+    velocity_scale: Annotated[
+        float,
+        Meta(description="the drive's units of velocity in counts/s, 1 when absent: v = counts/s × this"),
+    ] = 1.0
+    rated_torque: Annotated[
+        float | None,
+        Meta(description="the rated torque (N·m, of the joint); when absent torques are shares of it"),
+    ] = None
+    heartbeat_ms: Annotated[
+        int, Meta(ge=0, description="the drive's heartbeat (ms), 500 when absent; 0 leaves it as it is")
+    ] = 500
+    sdo_timeout_s: Annotated[
+        float, Meta(gt=0, description="how long an SDO answer may take (s), 0.3 when absent")
+    ] = 0.3
 
 
 @dataclass(frozen=True)
@@ -22,27 +75,26 @@ class Units:
     per_speed: float
     per_torque: float
     zero: float
-    #: Whether torques are N·m, or shares of a rated torque that nobody has stated.
+    #: Whether torques are N·m, or shares of an unknown rated torque.
     is_rated: bool
 
 
-def units_of(who: str, joint: Joint, settings: Mapping[str, Any]) -> Units:
-    """The units of a joint's drive. Raises `CallerError` when nobody has said how many counts it has."""
+def units_of(who: str, joint: Joint, settings: DriveSettings) -> Units:
+    """The units of a joint's drive. Raises `CallerError` when its counts are not stated."""
     per_unit = joint.counts_per_unit
     if per_unit is None:
-        turn = settings.get("counts_per_turn")
-        if turn is None:
+        if settings.counts_per_turn is None:
             raise CallerError(
                 f"{who}: {joint.name} needs its counts: settings counts_per_turn (of the joint), or the joint's gear,"
                 " harmonic and encoder"
             )
-        per_unit = float(turn) / tau
-    rated = settings.get("rated_torque")
+        per_unit = settings.counts_per_turn / tau
+    rated = settings.rated_torque
     per_rad = joint.direction * per_unit
     return Units(
         per_rad,
-        per_rad * float(settings.get("velocity_scale", 1.0)),
-        joint.direction * 1000.0 / (1.0 if rated is None else float(rated)),
+        per_rad * settings.velocity_scale,
+        joint.direction * 1000.0 / (1.0 if rated is None else rated),
         (joint.zero or 0.0) * per_unit,
         rated is not None,
     )

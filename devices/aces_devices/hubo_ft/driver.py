@@ -11,8 +11,9 @@ from math import pi
 from typing import Any
 
 from aces_bus.device import Driver, Job, Poll
+from aces_bus.device.settings import described
 
-from ..hubo_sensors.board import SensorBoard, scan_of
+from ..hubo_sensors.board import SensorBoard, SensorSettings, scan_of
 from .twin import ForceTorqueTwin
 
 #: Standard gravity.
@@ -115,8 +116,5 @@ driver = Driver(
     doc="Force/torque board of a Hubo foot or hand; a foot's measures its tilt too.",
     source="HUBO2_CANprotocol.xls (X1, X2); acesHubo; hubo-ach; HuboCan",
     scan=scan_of("hubo_ft", ("foot", "ft")),
-    settings={
-        "period_ms": "the board's period, which `init` and `set_period` give it; the robot's rate when absent",
-        "name_info_tail": "five bytes, hexadecimal, at the end of a D08 board's NameInfo",
-    },
+    settings=described(SensorSettings),
 )

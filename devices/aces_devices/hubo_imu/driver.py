@@ -10,8 +10,9 @@ from math import pi
 from typing import Any
 
 from aces_bus.device import Driver, Job, Poll, Ticket
+from aces_bus.device.settings import described
 
-from ..hubo_sensors.board import MOTION, SensorBoard, scan_of
+from ..hubo_sensors.board import MOTION, SensorBoard, SensorSettings, scan_of
 from .twin import ImuTwin
 
 _DEGREE = pi / 180
@@ -85,8 +86,5 @@ driver = Driver(
     doc="Hubo's inertial board: roll, pitch and their rates.",
     source="HUBO2_CANprotocol.xls (X2); hubo-ach; HuboCan",
     scan=scan_of("hubo_imu", ("imu",)),
-    settings={
-        "period_ms": "the board's period, which `init` and `set_period` give it; the robot's rate when absent",
-        "name_info_tail": "five bytes, hexadecimal, at the end of a D08 board's NameInfo",
-    },
+    settings=described(SensorSettings),
 )

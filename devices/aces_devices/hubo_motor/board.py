@@ -47,7 +47,7 @@ _SEARCH_STATUS: Mapping[str, str] = {
 
 
 class MotorAxis:
-    """A channel. `joint` None: nobody named one; the channel only has a place in its board's frames."""
+    """A channel. `joint` None: the robot's file has none; the channel only has a place in its board's frames."""
 
     __slots__ = (
         "channel",
@@ -421,7 +421,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
                 self.quiet()
                 self.tell_event("alarm", "the board has switched itself off")
             else:
-                self.rebooted("drivers or control are off, and nobody switched them")
+                self.rebooted("drivers or control went off without a command")
 
     def _hear_search(self, record: Any, instant: int) -> None:
         """Home searches of D08."""

@@ -1,7 +1,7 @@
 """One motor channel of a simulated board: joint, encoder, controller, home search, errors.
 
 1. The joint is where it is; the encoder counts from wherever it was when the power came. A home search finds the true zero.
-2. All that happens, happens at whole milliseconds: nothing depends on when somebody looks.
+2. Everything happens at whole milliseconds: nothing depends on when it is looked at.
 
 The home switch and the index are placed so that a search with the robot file's offset and direction ends at the joint's
 true zero: index = −offset in raw counts, the switch half a motor turn before it, active on the side that the search goes

@@ -32,7 +32,7 @@ STATUS: Mapping[str, str] = {
     "control_on": "whether the motor is controlled",
     "homed": "whether home was found",
 }
-#: Seconds that a search may take, when nobody says otherwise.
+#: Seconds that a search may take by default.
 HOME_S = 20.0
 #: How often a search is looked at (ns).
 LOOK_NS = 100_000_000
@@ -158,7 +158,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         if self.is_enabled and any("control_on" not in axis.drive for axis in self.axes):
             self._end()
             if not any(axis.failed for axis in self.axes):
-                self.rebooted("control is off, and nobody has switched it off")
+                self.rebooted("control went off without a command")
 
     def _end(self) -> None:
         self.is_enabled = False

@@ -35,7 +35,7 @@ from .switching import PAUSE_NS
 READ_TIMEOUT_S = 0.18
 #: Parameter → the command that writes it.
 _COMMAND_OF = {name: message for message, names in WRITES.items() for name in names}
-#: What cannot be read back, and stands for what nobody gave.
+#: Defaults of what cannot be read back.
 _USUAL: Mapping[str, Any] = {"homing_duty": 30, "temperature_warning": 80}
 
 _ALWAYS = {
@@ -180,7 +180,7 @@ class HuboMotor(Homing):
         upper: float | None = None,
         enabled: bool = True,
     ) -> Job:
-        """Position limits (rad) that the board itself keeps; None: the robot file's, and a limit nobody knows is left.
+        """Position limits (rad) that the board itself keeps; None: the robot file's, and an unknown limit is left as it is.
 
         The stored word's bit 0 is the enable flag, so limits are even counts (RoboWorld2018).
         """

@@ -11,10 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError, DeviceError
 
 #: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).
@@ -26,8 +30,22 @@ NULLS, APART_NS = 3, 10_000_000
 MOTION = (("roll", "rad"), ("pitch", "rad"), ("roll_rate", "rad/s"), ("pitch_rate", "rad/s"))
 
 
+class SensorSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The drivers' own keys in a robot file."""
+
+    period_ms: Annotated[
+        float | None,
+        Meta(
+            description="the board's period, which `init` and `set_period` give it; the robot's rate when absent"
+        ),
+    ] = None
+    name_info_tail: Annotated[
+        str | None, Meta(description="five bytes, hexadecimal, at the end of a D08 board's NameInfo")
+    ] = None
+
+
 class SensorBoard(Device):
-    """A board of sensors. Settings: `period_ms`, `name_info_tail` (hexadecimal, D08)."""
+    """A board of sensors."""
 
     protocol = "hubo"
     actions: ClassVar = {
@@ -67,6 +85,7 @@ class SensorBoard(Device):
 
     def ask_for(self, *polls: Poll) -> None:
         """Poll for these, and let values be stale after five polls."""
+        self.settings = settings_of(self.name, SensorSettings, self.config.settings)
         self.polls = polls
         self.alarms, self.made_of = set(), {}
         if not self.is_old:
@@ -158,8 +177,7 @@ class SensorBoard(Device):
     def period_ms(self) -> int:
         """The board's period as the robot's file has it: its `period_ms`, or the robot's rate."""
         rate = self.host.rate_hz or self.robot.rate_hz or 200
-        period = float(self.config.settings.get("period_ms", 1000 / rate))
-        return max(1, min(255, round(period)))
+        return max(1, min(255, round(self.settings.period_ms or 1000 / rate)))
 
     def set_period(self, period_ms: int | None = None) -> Ticket:
         """Set the board's period (ms). In D12 the answer says what the board took; in D08 nothing is answered."""
@@ -172,7 +190,7 @@ class SensorBoard(Device):
         """Set the board up anew: 0xFA in D12, NameInfo in D08."""
         if not self.is_old:
             return self.tell("InitSensor")
-        tail = self.config.settings.get("name_info_tail")
+        tail = self.settings.name_info_tail
         if tail is None and self.credentials["board"] not in HANDS:
             return self.refused(
                 "init", "nothing is known of the NameInfo of this board; give its settings name_info_tail"

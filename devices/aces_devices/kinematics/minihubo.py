@@ -7,7 +7,7 @@ level in every row of the walking patterns. x forward, y left, z up, rad and m.
 2. The order of `MINIHUBO.joints` is the order of a pattern's first 21 columns.
 3. The ankles' roll turns the same way on both sides; hips' and shoulders' roll, and the shoulders' yaw, mirror.
 
-Limits of the joints are not in the source; whoever knows them gives them to `minihubo(limits=…)`.
+Limits of the joints are not in the source; give them to `minihubo(limits=…)`.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from aces_bus.device import Driver
+from aces_bus.device.settings import described
 
-from .driver import SETTINGS, MinihuboADC
+from .driver import AdcSettings, MinihuboADC
 from .twin import MinihuboADCTwin
 
 EXAMPLE = """\
@@ -27,7 +28,7 @@ driver = Driver(
     EXAMPLE,
     doc="MiniHubo's analogue-to-digital converter board: three channels, free-running.",
     source="acesHubo flexscanner/adc; a recording of the board",
-    settings=SETTINGS,
+    settings=described(AdcSettings),
 )
 
 __all__ = ["MinihuboADC", "MinihuboADCTwin", "driver"]

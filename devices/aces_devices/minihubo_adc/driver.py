@@ -1,29 +1,36 @@
 """MiniHubo's analogue-to-digital converter board: three channels that come without being asked.
 
 1. It is alone on its line and has no number: its device has no credentials.
-2. Counts, as the converter has them: nobody has stated what they measure.
+2. Counts, as the converter has them: what they measure is not stated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+from msgspec import Meta
 
 from aces_bus.device import Device
+from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
 
 CHANNELS = 3
-SETTINGS: Mapping[str, str] = {
-    "rate_hz": "how many samples a second it sends (default 100: not stated); for its twin, and for what counts as stale",
-}
 
 
-def rate_of(settings: Mapping[str, Any]) -> float:
-    """Samples a second, by a robot file's settings. Raises `CallerError` for what is no rate."""
-    rate = settings.get("rate_hz", 100)
-    if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0 < rate <= 100_000:
-        raise CallerError(f"minihubo_adc: rate_hz = {rate!r}; a board sends some samples a second")
-    return float(rate)
+class AdcSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    rate_hz: Annotated[
+        float,
+        Meta(
+            gt=0,
+            le=100_000,
+            description=(
+                "how many samples a second it sends (default 100: not stated); for its twin, and for what counts as stale"
+            ),
+        ),
+    ] = 100
 
 
 class MinihuboADC(Device):
@@ -36,7 +43,8 @@ class MinihuboADC(Device):
 
     def setup(self) -> None:
         """One signal a channel, and one a sensor."""
-        stale_s = max(0.1, 5 / rate_of(self.config.settings))
+        settings = settings_of(self.name, AdcSettings, self.config.settings)
+        stale_s = max(0.1, 5 / settings.rate_hz)
         for number in range(CHANNELS):
             self._channel(number, f"channel_{number + 1}", None, stale_s)
         for sensor in self.sensors:

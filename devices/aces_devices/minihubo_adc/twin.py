@@ -11,8 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin
+from aces_bus.device.settings import settings_of
 
-from .driver import CHANNELS, rate_of
+from .driver import CHANNELS, AdcSettings
 
 TOP = 4095
 #: The means of the recording (counts).
@@ -35,7 +36,7 @@ class MinihuboADCTwin(Twin):
         if not self._timers:
             self.source: Callable[[int], Sequence[float]] = self.resting
             self.samples = 0
-            self.every(1 / rate_of(self.config.settings), self._sample)
+            self.every(1 / settings_of(self.name, AdcSettings, self.config.settings).rate_hz, self._sample)
 
     def resting(self, now: int) -> Sequence[float]:
         """The recording's means, swinging a little, with a count of noise."""

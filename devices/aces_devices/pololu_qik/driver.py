@@ -109,7 +109,7 @@ class Qik(Device):
     asking: ClassVar = ("firmware", "configuration")
 
     def setup(self) -> None:
-        """A duty for each joint; errors, when somebody listens."""
+        """A duty for each joint; errors, where the device answers."""
         settings = settings_of(self.name, QikSettings, self.config.settings)
         self.bits, self.timeout_s, self.answers = settings.bits, settings.timeout_s, settings.answers
         self.errors: frozenset[str] = frozenset()
@@ -238,14 +238,14 @@ class Qik(Device):
         return self.job("configuration", steps)
 
 
-#: How long a number is asked, and how long when somebody has answered (s); a late answer has come after so long (ns).
+#: How long a number is asked, and how long after an answer (s); a late answer has come after so long (ns).
 LOOK_S, SURE_S, LATE_NS = 0.02, 0.15, 100_000_000
 
 
 def _scan(host: Host, job: Job) -> Steps:
     """Ask every number for the firmware's version. Devices without a transmit line are not found.
 
-    An answer does not say whose it is: when somebody has answered, this number is asked again, and so are the two before it,
+    An answer does not say whose it is: after an answer, this number is asked again, and so are the two before it,
     whose late answer it may have been.
     """
     found: dict[int, DeviceConfig] = {}

@@ -456,7 +456,7 @@ class RobotisRX(RegisterDevice):
         return self.job(f"set id {number}", steps)
 
     def _is_free(self, number: int) -> Steps:
-        """Steps that fail when somebody answers to an id."""
+        """Steps that fail when a servo answers to an id."""
         if (
             yield from self.host.answers(
                 "robotis", {"id": number}, "Ping", reply=self.reply, timeout_s=self.timeout_s

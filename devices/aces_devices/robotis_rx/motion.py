@@ -1,4 +1,4 @@
-"""How a simulated servo turns: where it is at any instant, computed when somebody asks.
+"""How a simulated servo turns: where it is at any instant, computed on request.
 
 1. The same goals at the same instants give the same motion; asking changes nothing.
 2. Angles are counts of 300°/1023, as fractions; counter-clockwise is positive.

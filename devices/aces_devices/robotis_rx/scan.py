@@ -1,6 +1,6 @@
 """Which servos are on a line: each id is asked once, those that answer for their model.
 
-A Ping that nobody answers costs 14 bytes of line time, the longest return delay (508 µs) and what the adapter adds: at
+An unanswered Ping costs 14 bytes of line time, the longest return delay (508 µs) and what the adapter adds: at
 57 600 baud and 16 ms all 254 ids take 5 s.
 """
 

@@ -2,7 +2,7 @@
 
 1. The table is the truth: whatever is read or written goes through it, by address, as in the servo.
 2. A refused instruction changes nothing, and its status says why.
-3. Motion, load, temperature and alarms are computed when somebody looks.
+3. Motion, load, temperature and alarms are computed on request.
 
 Source: Robotis RX-28 manual; where it is silent, see the README's choices.
 """

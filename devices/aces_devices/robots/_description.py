@@ -9,7 +9,6 @@ Sources of boards' numbers, buses and names: hubo-ach canID.h, hubo-ach and Hubo
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from aces_bus.errors import CallerError
 from aces_bus.robot import RobotFileProblem
+from aces_bus.robot.checks import near
 
 #: Bytes of a description file; those of the sources have 7 kB at most.
 LARGEST: Final = 2**20
@@ -100,7 +100,7 @@ def _checked(word: str) -> str:
     return word
 
 
-class Column(NamedTuple):
+class ValueColumn(NamedTuple):
     """What a value must be: how a word is read, what messages call it, how many words there are, whether it can be absent.
 
     `names`: it is one of these, and a message proposes the nearest.
@@ -113,23 +113,23 @@ class Column(NamedTuple):
     names: Collection[str] = ()
 
 
-WORD: Final = Column(str, "a word")
-DECIMAL: Final = Column(decimal_number, "a whole number")
-C_INTEGER: Final = Column(c_integer, "a whole number")
-NUMBER: Final = Column(plausible_number, "a number")
+WORD: Final = ValueColumn(str, "a word")
+DECIMAL: Final = ValueColumn(decimal_number, "a whole number")
+C_INTEGER: Final = ValueColumn(c_integer, "a whole number")
+NUMBER: Final = ValueColumn(plausible_number, "a number")
 
 
-def one_of(values: Iterable[Any], read: Callable[[str], Any] = decimal_number) -> Column:
+def one_of(values: Iterable[Any], read: Callable[[str], Any] = decimal_number) -> ValueColumn:
     """A column of these values."""
     known = {value: value for value in values}
     names = [str(value) for value in known]
     what = " or ".join(names) if len(names) < 5 else f"{names[0]}…{names[-1]}"
-    return Column(lambda word: known[read(word)], what)
+    return ValueColumn(lambda word: known[read(word)], what)
 
 
-def named(what: str, names: Mapping[str, Any]) -> Column:
+def named(what: str, names: Mapping[str, Any]) -> ValueColumn:
     """A column of names."""
-    return Column({name: name for name in names}.__getitem__, what, names=names)
+    return ValueColumn({name: name for name in names}.__getitem__, what, names=names)
 
 
 # ---------------------------------------------------------------------- a robot being described
@@ -156,9 +156,9 @@ class RobotDescription:
 
     def unknown(self, line: WordLine, key: str, what: str, name: str, known: Collection[str]) -> None:
         """A name is none of those that are known."""
-        near = difflib.get_close_matches(name, list(known), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        self.complain(line, key, f"no {what} named {name!r:.60}{hint} (there are: {', '.join(known)})")
+        self.complain(
+            line, key, f"no {what} named {name!r:.60}{near(name, known)} (there are: {', '.join(known)})"
+        )
 
     def place(self, path: Sequence[str]) -> tuple[str, int]:
         """File and line that a key comes from, or the innermost of its tables that has one."""
@@ -167,7 +167,7 @@ class RobotDescription:
             wanted = wanted[:-1]
         return self.places[wanted][:2] if wanted else (self._first, 1)
 
-    def value(self, line: WordLine, key: str, words: Sequence[str], column: Column) -> Any:
+    def value(self, line: WordLine, key: str, words: Sequence[str], column: ValueColumn) -> Any:
         """The value of a column; None, and a problem, when it is not there."""
         if len(words) == column.words:
             try:

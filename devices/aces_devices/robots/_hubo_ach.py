@@ -20,15 +20,15 @@ from ._description import (
     DECIMAL,
     NUMBER,
     WORD,
-    Column,
     RobotDescription,
+    ValueColumn,
     WordLine,
     one_of,
     read_lines,
 )
 
 _FLAG, _CAN, _SIGN = one_of((0, 1)), one_of(BUSES), one_of((1, -1, 0))
-JOINT_COLUMNS: Final[Mapping[str, Column]] = {
+JOINT_COLUMNS: Final[Mapping[str, ValueColumn]] = {
     "name": WORD,
     "motNo": DECIMAL,
     "refEnc": DECIMAL,
@@ -46,7 +46,7 @@ JOINT_COLUMNS: Final[Mapping[str, Column]] = {
     "maxPWM": NUMBER,
     "zeroed": DECIMAL,
 }
-SENSOR_COLUMNS: Final[Mapping[str, Column]] = {
+SENSOR_COLUMNS: Final[Mapping[str, ValueColumn]] = {
     "name": WORD,
     "can": _CAN,
     "active": _FLAG,
@@ -55,7 +55,7 @@ SENSOR_COLUMNS: Final[Mapping[str, Column]] = {
     "y-axis": _SIGN,
     "z-axis": _SIGN,
 }
-HOME_COLUMNS: Final[Mapping[str, Column]] = {
+HOME_COLUMNS: Final[Mapping[str, ValueColumn]] = {
     "JointName": WORD,
     "HomeOffset": DECIMAL,
     "LowerLimit": DECIMAL,
@@ -68,7 +68,7 @@ _IN_RAD: Final = dict.fromkeys(("HomeOffset", "LowerLimit", "UpperLimit", "Searc
 
 
 def _rows(
-    made: RobotDescription, path: Path, columns: Mapping[str, Column]
+    made: RobotDescription, path: Path, columns: Mapping[str, ValueColumn]
 ) -> Iterator[tuple[WordLine, dict[str, Any]]]:
     """The rows of a table as mappings from columns to values: those that are right."""
     seen: dict[str, int] = {}

@@ -20,8 +20,8 @@ from ._description import (
     C_INTEGER,
     NUMBER,
     WORD,
-    Column,
     RobotDescription,
+    ValueColumn,
     WordLine,
     c_integer,
     named,
@@ -49,7 +49,7 @@ _NUMBER, _PAIR = NUMBER._replace(optional=True), NUMBER._replace(optional=True, 
 _INTEGER = C_INTEGER._replace(optional=True)
 
 
-def _board(what: str, types: Mapping[str, Any]) -> dict[str, Column]:
+def _board(what: str, types: Mapping[str, Any]) -> dict[str, ValueColumn]:
     can = one_of(BUSES, c_integer)
     return {
         "name": WORD,
@@ -60,7 +60,7 @@ def _board(what: str, types: Mapping[str, Any]) -> dict[str, Column]:
 
 
 #: Type of a block → its keys.
-KEYS: Final[Mapping[str, Mapping[str, Column]]] = {
+KEYS: Final[Mapping[str, Mapping[str, ValueColumn]]] = {
     "meta": {
         "name": WORD._replace(optional=True),
         "default_frequency": _NUMBER,
