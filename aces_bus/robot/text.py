@@ -1,4 +1,4 @@
-"""A robot written as TOML, one line an entry: what `aces robot import` and `aces scan` print.
+"""A robot written as TOML, one line an entry: what `aces robot import` and `aces discover` print.
 
 1. Read again, the text gives an equal robot. What is unknown is not written.
 """

@@ -72,7 +72,7 @@ def small_disk(size: int) -> Generator[None]:
 SPEC = """
 from construct import Array, Byte, GreedyBytes, Int16sb, Int16sl, Int32sl, Float32l, Struct
 from aces_bus.protocol import (
-    BitLayout, Capture, Enumeration, Flags, Multiplexed, Protocol, Quantity, Split, Text, bits,
+    BitLayout, IdField, Enumeration, Flags, Multiplexed, Protocol, Quantity, Split, Text, bits,
 )
 
 arm = Protocol(
@@ -83,7 +83,7 @@ arm = Protocol(
     },
     doc="An arm for tests.", source="no sheet",
 )
-Board = Capture("board", range(4))
+Board = IdField("board", range(4))
 channels = arm.configured("channels", by="board")
 Encoder = arm.message("Encoder", id=0x060 + Board, direction="from device", when=channels(2),
     payload=Struct("position" / Array(2, Quantity(Int32sl, unit="count"))), doc="Positions of both motors.",

@@ -21,7 +21,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = robots.load_robot_by_name(demo.ROBOT)
     used = {whole.joints[name].device for name in demo.knee_bends().names}
     devices = {name: replace(one, active=name in used) for name, one in whole.devices.items()}
-    monkeypatch.setattr(robots, "load_robot", lambda name: replace(whole, devices=devices))
+    monkeypatch.setattr(robots, "load_robot_by_name", lambda name: replace(whole, devices=devices))
     monkeypatch.setattr(demo, "BENDS", (0.0, 0.1, 0.0))
     monkeypatch.setattr(demo, "MOVE_S", 0.35)
 

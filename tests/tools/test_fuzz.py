@@ -31,7 +31,7 @@ packet("Reset", match={"kind": 2}, dialect="b")
 #: What is above a thousand does not come back.
 CLIPPED = """
 from construct import Adapter, Byte, Int16ul, Struct
-from aces_bus.protocol import Capture, Protocol
+from aces_bus.protocol import IdField, Protocol
 
 bad = Protocol("bad", link="can")
 
@@ -42,7 +42,7 @@ class Clipped(Adapter):
     def _encode(self, obj, context, path):
         return obj
 
-bad.message("Level", id=0x100 + Capture("tank", range(4)), payload=Struct("level" / Clipped(Int16ul), "other" / Byte))
+bad.message("Level", id=0x100 + IdField("tank", range(4)), payload=Struct("level" / Clipped(Int16ul), "other" / Byte))
 """
 
 
@@ -151,10 +151,10 @@ def test_several_processes_do_the_same_examples(aces: Aces, here: Path) -> None:
         (["good.py", "--law", "12"], "no law named '12'"),
         (["good.py", "--seed", "x"], "--seed x: a number"),
         (["good.py", "--seed", "1:-4"], "examples count from 0"),
-        (["good.py", "--examples", "-1"], "--examples is 0 or more"),
-        (["good.py", "--minutes", "0"], "--minutes is more than 0"),
-        (["good.py", "--minutes", "nan"], "--minutes is more than 0"),
-        (["good.py", "--jobs", "-1"], "--jobs is 0 or more"),
+        (["good.py", "--examples", "-1"], "--examples: '-1' is not a whole number"),
+        (["good.py", "--for", "0"], "--for: '0' is not a duration"),
+        (["good.py", "--for", "nan"], "--for: 'nan' is not a duration"),
+        (["good.py", "--jobs", "-1"], "--jobs: '-1' is not a whole number"),
         (["good.py", "--replay", "absent.json"], "absent.json: No such file"),
         (["good.py", "--replay", "wrong.json"], "wrong.json: not a scene"),
         (["good.py", "--corpus", "good.py"], "good.py: Not a directory"),
@@ -180,8 +180,8 @@ def test_ctrl_c_ends_with_the_summary(here: Path) -> None:
         program,
         "fuzz",
         "good.py",
-        "--minutes",
-        "5",
+        "--for",
+        "5min",
         "--jobs",
         "2",
         "--corpus",

@@ -1,4 +1,4 @@
-"""Decode recordings and live captures; say where every frame and byte went.
+"""Decode recordings and live captures; account for every frame and byte.
 
   aces decode walk.log -p hubo
   aces decode session.bin -p robotis --direction from
@@ -9,13 +9,14 @@
 A FILE is a recording of CAN (candump, BLF, ASC, TRC, MF4, pcap, pcapng, CSV,
 python-can's SQLite and others: `aces convert --help` lists them) or of a serial
 line (.slog, the vendor's hex dump, raw bytes), also packed with gzip or zstd.
-What it is, its content says; `-` is standard input. With protocols of several
-links, each file goes to those of its own. More: docs/captures.md.
+Formats are recognised by content; - is standard input. With protocols for CAN
+and serial lines, each file goes to those of its kind. More: docs/captures.md.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -28,12 +29,30 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
-from aces_bus.recordings.serial.raw import RawCapture
 
 from .console import Output, Patience, abandon_stdout, terminal_width, wants_colour
-from .decoding import DIRECTIONS, SHOWN, CaptureReading, Decoding, Direction, Link, Requests, Totals, utf8
-from .output import Writer
-from .output.chosen import LIVE, line_format, table_format
+from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
+from .options import (
+    COLOR,
+    DIRECTION,
+    FILTER,
+    FROM,
+    JOBS,
+    MESSAGE,
+    OUTPUT,
+    PROTOCOL,
+    QUIET,
+    STRICT,
+    TIME,
+    TO,
+    UNKNOWN,
+    WHERE,
+    Arguments,
+    argument,
+    flag,
+    several,
+)
+from .output import LIVE, Writer, line_format, table_format
 from .where import Where
 
 BATCH = 1024
@@ -62,12 +81,12 @@ conditions (--where):
 formats:
   text    for people: times count from the first item of a file; on a terminal
           coloured, and folded to its width
-  jsonl   one JSON object a line; numbers in the sheet's units, enumerations by
+  jsonl   one JSON object a line; numbers in the spec's units, enumerations by
           name, flags as a list of names, bytes as hexadecimal, NaN as null
   csv     with one --message: one row a record, one column a field; otherwise
           one row a value (field, value, unit)
 
-tables (-o FILE, told by its suffix; millions of frames a second):
+tables (-o FILE, by its suffix; millions of frames a second):
   .parquet .arrow .feather   a folder with one file a message, or with a single
                   --message that file; units, enumerations and docs are in
                   the schema's metadata
@@ -77,8 +96,8 @@ tables (-o FILE, told by its suffix; millions of frames a second):
   .mcap           for Foxglove and PlotJuggler
   Enumerations are numbers unless --names is given (in CSV they are names).
   What is not decoded is counted, and with --unknown show written to _lost.
-  An output stands when it is whole: after Ctrl-C on a file, or an error while
-  writing, what was there before is still there.
+  An output appears only when it is whole: Ctrl-C on a file, or an error while
+  writing, leaves what was there before.
 
 summary (last on stderr, one line a kind of link; the parts sum to the total):
   frames = decoded + unknown + malformed + filtered + errors           (CAN)
@@ -96,99 +115,42 @@ exit status:
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("files", nargs="+", metavar="FILE", help="a recording, or - for standard input")
-    add(
-        "-p",
-        "--protocol",
-        action="append",
-        required=True,
-        metavar="PROTOCOL",
-        help="may be given several times; the first wins",
-    )
-    add(
-        "--direction",
-        choices=["to", "from", "both"],
-        help="which way the bytes of a raw file went: to or from the device; both pairs requests and replies",
-    )
-    add(
+ARGUMENTS: Arguments = (
+    argument("files", nargs="+", metavar="FILE", help="a recording, or - for standard input"),
+    PROTOCOL.but(default=None, required=True, help="what is spoken; see below; the first wins"),
+    DIRECTION,
+    argument(
         "--format",
         choices=[*LIVE, *(name for name in FORMATS if name not in LIVE)],
         metavar="FORMAT",
         help="text, jsonl, csv, or one of the tables below (default: by the suffix of --output, else text)",
-    )
-    add("--output", "-o", metavar="FILE", help="write there instead of standard output; see tables below")
-    add(
-        "--filter",
-        action="append",
-        default=[],
-        metavar="FILTER",
-        help="CAN: candump's filters, such as 060:7F0 or can0,150~7FF",
-    )
-    add(
-        "--message",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="only these messages; may be given several times",
-    )
-    add(
-        "--where",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="only records such as field=value; see below",
-    )
-    add(
-        "--signals",
-        action="append",
-        default=[],
-        metavar="GLOB",
-        help="tables: only these columns, such as Encoder.position.* or *.speed",
-    )
-    add(
-        "--from",
-        dest="start",
-        metavar="TIME",
-        help="from this time on: seconds from the first frame, or since 1970",
-    )
-    add("--to", dest="stop", metavar="TIME", help="up to this time, without it")
-    add(
-        "--unknown",
-        choices=["show", "hide", "only"],
-        help="print what is not decoded (default: show; hide with --message or --where, and in tables)",
-    )
-    add("-q", "--quiet", action="store_true", help="print no records, only the summary")
-    add(
-        "--strict",
-        action="store_true",
-        help="exit 1 when anything was unknown, malformed, skipped, pending or unreadable",
-    )
-    add("--names", action="store_true", help="tables: enumerations as names instead of numbers")
-    add("--float32", action="store_true", help="tables: physical values in half the size, and less exact")
-    add(
-        "--jobs",
-        type=int,
-        default=1,
-        metavar="N",
-        help="tables: so many processes; each message is then a folder of parts (Parquet, Arrow)",
-    )
-    add("--time", choices=["relative", "absolute"], default="relative", help="of text (default: relative)")
-    add(
-        "--color",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help="colour, also where the output is no terminal; or never",
-    )
+    ),
+    OUTPUT.but(help="write there instead of on standard output; see tables below"),
+    FILTER,
+    MESSAGE,
+    WHERE.but(help="only records such as field=value; see below"),
+    several(
+        "--signals", metavar="GLOB", help="tables: only these columns, such as Encoder.position.* or *.speed"
+    ),
+    FROM,
+    TO,
+    UNKNOWN,
+    QUIET.but(help="print no records, only the summary"),
+    STRICT.but(help="exit 1 when anything was unknown, malformed, skipped, pending or unreadable"),
+    flag("--names", help="tables: enumerations as names instead of numbers"),
+    flag("--float32", help="tables: physical values in half the size, and less exact"),
+    JOBS.but(
+        help="tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts"
+        " (Parquet, Arrow)",
+    ),
+    TIME,
+    COLOR,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
     form = table_format(arguments.output, arguments.format)
-    if arguments.jobs < 1:
-        raise CallerError(f"--jobs {arguments.jobs}: at least one process has to do it")
+    arguments.jobs = arguments.jobs or os.cpu_count() or 1
     if form is not None and arguments.jobs > 1:
         from .decode_jobs import JobsDecoding
 
@@ -279,7 +241,7 @@ class LiveDecoding(Decoding):
     def _scanner(self, link: Link, direction: Direction | None) -> Scanner:
         if (link, direction) not in self.scanners:
             if link == "serial":
-                self._check_direction(direction)
+                check_direction(self.variants["serial"], direction)
             self.scanners[link, direction] = make_scanner(
                 self.variants[link], direction=direction, include_unknown=True
             )
@@ -291,7 +253,7 @@ class LiveDecoding(Decoding):
         try:
             for frames in patience.each(capture.batches(BATCH)):
                 self._frames(scanner, frames, totals)
-                self._after_batch(capture)
+                self._after(capture)
         finally:
             totals.count(scanner.counts)
 
@@ -317,46 +279,16 @@ class LiveDecoding(Decoding):
             items = kept
         self._emit(items, totals, is_can=True)
 
-    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
-        used: dict[Direction | None, Scanner] = {}
-        requests = Requests(self.variants["serial"])
+    def _stream_scanner(self, direction: Direction | None) -> Any:
+        scanner: Any = self._scanner("serial", direction)
+        scanner.reset()
+        return scanner
 
-        def gap() -> float:
-            return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
+    def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
+        return scanner.feed(data, time)
 
-        chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
-        reading = CaptureReading(patience.each(chunks))
-        try:
-            for chunk in reading:
-                if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
-                    for one in used.values():
-                        self._emit(self._inside(one.idle(), totals, is_can=False), totals, is_can=False)
-                    self._after_batch(capture)
-                    continue
-                direction: Direction | None = self.direction or chunk.direction
-                if direction not in used:
-                    scanner: Any = self._scanner("serial", direction)
-                    scanner.reset()
-                    used[direction] = scanner
-                if direction == "to device" and self.direction is None:
-                    if "from device" not in used:
-                        used["from device"] = other = self._scanner("serial", "from device")
-                        other.reset()
-                    replies: Any = used["from device"]
-                    for packet, time in requests.of(chunk.data, chunk.time):
-                        replies.sent(packet, time)
-                if self.window is not None:
-                    self.window.see(to_ns(chunk.time))
-                feed: Any = used[direction].feed
-                items = self._inside(feed(chunk.data, chunk.time), totals, is_can=False)
-                self._emit(items, totals, is_can=False)
-                self._after_batch(capture)
-            for scanner in used.values():
-                self._emit(self._inside(scanner.close(), totals, is_can=False), totals, is_can=False)
-            reading.check()
-        finally:
-            for scanner in used.values():
-                totals.count(scanner.counts)
+    def _found(self, items: Any, totals: Totals) -> None:
+        self._emit(self._inside(items, totals, is_can=False), totals, is_can=False)
 
     def _begin(self, first: Any) -> None:
         """Tell the writer that a source begins, once its first item is known, or that there is none."""
@@ -365,7 +297,7 @@ class LiveDecoding(Decoding):
             self.pending = None
             self.output.write(self.writer.begin(source, link, None if first is None else first.meta.time))
 
-    def _after_batch(self, capture: Recording) -> None:
+    def _after(self, capture: Recording, frames: int = 0) -> None:
         if capture.live or self.output.is_terminal:
             self.output.flush()
         if capture.live:
@@ -434,6 +366,3 @@ class LiveDecoding(Decoding):
             if key in contested and type(item) is not Unknown:
                 self._warn(contested, key, meta.identifier)
                 return
-
-
-__all__ = ["DIRECTIONS", "SHOWN", "Direction", "Link", "LiveDecoding", "Totals", "add_arguments", "run"]

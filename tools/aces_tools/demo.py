@@ -14,24 +14,32 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol.columns.table import ColumnKind
 
-from .console import Output, say, terminal_width, wants_colour
+from .console import say
+from .options import OUTPUT, SEED, Arguments
+from .plotting.picture import PlotLine, PlotPanel
+from .plotting.select import ImageFormat, PlotSignal
+from .plotting.series import Series
 
 if TYPE_CHECKING:
     from aces_bus.controller import ViaPath
 
     from .plotting.picture import Picture
-    from .running.replay_log import Tape
 
-ROBOT, RATE, SEED = "hubo2plus", 200.0, 6
+
+ROBOT, RATE, SEED_OF_DEMO = "hubo2plus", 200.0, 6
 #: The joint that is drawn.
 JOINT = "RKN"
 PICTURE = "aces-demo.png"
@@ -44,18 +52,10 @@ exit status: 0; 1 when the robot did not do it; 2 a wrong call
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    parser.add_argument(
-        "--output",
-        "-o",
-        default=PICTURE,
-        metavar="FILE",
-        help="the picture: .png, .svg, .pdf (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=SEED, metavar="N", help="of the twins (default: %(default)s)"
-    )
+ARGUMENTS: Arguments = (
+    OUTPUT.but(default=PICTURE, help="the picture: .png, .svg, .pdf (default: %(default)s)"),
+    SEED.but(default=SEED_OF_DEMO, help="of the simulated devices (default: %(default)s)"),
+)
 
 
 def knee_bends() -> ViaPath:
@@ -75,8 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
     from aces_bus.controller import Player
     from aces_bus.robot import run_virtual
     from aces_devices.robots import load_robot_by_name
-
-    from .running.replay_log import Tape
 
     robot = load_robot_by_name(ROBOT)
     path = knee_bends()
@@ -126,10 +124,9 @@ def _can_draw(path: str) -> bool:
 
 
 def _picture(tape: Tape) -> Picture:
-    from .plotting.formats import ImageFormat
     from .plotting.picture import Picture
+    from .plotting.select import ImageFormat
     from .plotting.series import TimeAxis
-    from .running.replay_log import Curve, panel_of
 
     seconds, asked, did = tape.seconds, tape[f"{JOINT}.setpoint"], tape[JOINT]
     return Picture(
@@ -156,23 +153,78 @@ def _picture(tape: Tape) -> Picture:
 
 
 def _draw(picture: Picture, path: str | None) -> None:
-    from .plotting import terminal
+    from .plotting import figure, terminal
 
-    output = Output(None)
-    paint: Any = terminal.make_plot_paint() if wants_colour(None, output.is_terminal) else None
-    height = None
-    if output.is_terminal:
-        try:
-            height = os.get_terminal_size(sys.stdout.fileno()).lines - 4
-        except (OSError, ValueError, AttributeError):
-            pass
-    text = terminal.draw_terminal(
-        picture, min(terminal_width(), 120), paint=paint, height=height, encoding=output.encoding
-    )
-    output.write(text.encode(output.encoding, "replace"))
-    output.close()
+    terminal.print_picture(picture, None, 120, 4)
     if path is not None:
-        from .plotting import figure
-
         figure.save_figure(picture, path)
         print(f"the same as a picture: {path}")
+
+
+# ---------------------------------------------------------------------- a log in memory, and curves of it
+
+Array = npt.NDArray[np.float64]
+
+
+class Tape:
+    """Samples states at a rate, for a `Runner`; `tape["RKN"]` is an array, `tape.seconds` when (s since the start)."""
+
+    def __init__(self, states: Sequence[str], *, rate_hz: float, name: str = "tape") -> None:
+        self.name, self.rate_hz, self.states = name, rate_hz, tuple(states)
+        self._bound: list[Any] = []
+        self._rows = array("d")
+        self._began = 0
+
+    def bind(self, states: Mapping[str, Any]) -> None:
+        """Take the states; raises `UnknownNameError`."""
+        self._bound = [states[name] for name in self.states]
+
+    def start(self, now: int) -> None:
+        """Begin anew at `now` (ns)."""
+        self._began = now
+        self._rows = array("d")
+
+    def step(self, now: int) -> None:
+        """Sample once."""
+        row = self._rows
+        row.append((now - self._began) / 1e9)
+        for state in self._bound:
+            value = state[0]
+            row.append(float(value) if isinstance(value, int | float) else np.nan)
+
+    def stop(self, now: int) -> None:
+        """Nothing is to be closed."""
+
+    def _table(self) -> Array:
+        return np.array(self._rows, np.float64).reshape(-1, 1 + len(self.states))
+
+    @property
+    def seconds(self) -> Array:
+        """When each sample was taken, in s since the start."""
+        return self._table()[:, 0]
+
+    def __getitem__(self, name: str) -> Array:
+        """The samples of a state."""
+        return self._table()[:, 1 + self.states.index(name)]
+
+
+PLAIN = ImageFormat()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a picture: its label and values; `format` as of `aces plot`."""
+
+    label: str
+    values: Array
+    format: ImageFormat = PLAIN
+
+
+def panel_of(title: str, unit: str, seconds: Array, curves: Sequence[Curve]) -> PlotPanel:
+    """A panel with these curves over one time axis (s)."""
+    lines: list[PlotLine] = []
+    for curve in curves:
+        signal = PlotSignal("run", title, curve.label, curve.label, ColumnKind(curve.label, unit))
+        series = Series(signal, ())
+        lines.append(PlotLine(series, curve.format, seconds, curve.values, curve.label))
+    return PlotPanel("numbers", [lines], title, [unit], [""], [(None, None)])

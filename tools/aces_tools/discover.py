@@ -1,33 +1,33 @@
-"""Find what answers on a bus, and write a robot's file of it.
+"""Find the devices on a bus, and write a robot's file of them.
 
-  aces scan -p hubo --bus can0 -i socketcan > found.toml
-  aces scan -p robotis --bus /dev/ttyUSB0 --baud 1000000
-  aces scan --robot hubo2plus            is everything there that should be?
-                                         1 when something is missing
-  aces scan --robot hubo2plus --virtual  the same, on its twins
+  aces discover -p hubo --bus can0 -i socketcan > found.toml
+  aces discover -p robotis --bus /dev/ttyUSB0 --baud 1000000
+  aces discover -r hubo2plus             are all devices of the robot there?
+  aces discover -r hubo2plus --virtual   the same, with simulated devices
 
-It asks each number in turn and reads: nothing is set, nothing moves. On a bus
-in use it adds traffic. The file has what devices say of themselves; gears,
-limits and names of joints are for you to add.
+Each possible device is asked in turn, by requests that only read: nothing is
+set, nothing moves. On a bus in use this adds traffic. The file has what devices
+report about themselves; gears, limits and names of joints are for you to add.
 
-  aces scan -p hubo --bus unix:can0 > found.toml
+  aces discover -p hubo --bus unix:can0 > found.toml
   aces device JMC3 get -r found.toml
+
+'aces scan' is another name of this verb.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError
 
-from .console import Output, check_suffix, say, terminal_width
-from .device_show import credential_text
+from .console import StatusLine, check_suffix, print_json, say, write_text
+from .devices import credential_text
 from .live import LivePatience
-from .robot_arg import add_robot_arguments, bus_options, channel_of, check_channels, chosen_robot, open_host
+from .options import JSON, OUTPUT, PROTOCOL, Arguments
+from .robot_arg import ROBOT_OR_TWINS, bus_options, channel_of, check_channels, chosen_robot, open_host
 
 if TYPE_CHECKING:
     from aces_bus.device import Driver, Host, Robot
@@ -36,18 +36,22 @@ if TYPE_CHECKING:
 LONGEST_S = 600
 
 EPILOG = """\
-exit status: 0; 1 when something is missing, nothing was found, or a bus could
-not be looked through; 2 a wrong call, or a bus that cannot be opened
+exit status: 0; 1 when a device is missing, none was found, or the search of a
+bus was not completed; 2 a wrong call, or a bus that cannot be opened
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    add_robot_arguments(parser)
-    add = parser.add_argument
-    add("-p", "--protocol", metavar="NAME[:DIALECT]", help="without a robot: what is spoken on the bus")
-    add("-o", "--output", metavar="FILE.toml", help="write the robot's file there (default: stdout)")
-    add("--json", action="store_true", help="what was found, as JSON")
+ARGUMENTS: Arguments = (
+    PROTOCOL.but(
+        action="store",
+        default=None,
+        metavar="NAME[:DIALECT]",
+        help="without a robot: what is spoken on the bus",
+    ),
+    OUTPUT.but(metavar="FILE.toml", help="write the robot's file there (default: standard output)"),
+    JSON.but(help="what was found, as JSON"),
+    ROBOT_OR_TWINS,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -84,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
             }
             for c in found
         ]
-        print(json.dumps({"found": listed, "missing": missing}, ensure_ascii=False, indent=2))
+        print_json({"found": listed, "missing": missing})
     elif expected:
         for config in found:
             key = (config.bus, tuple(sorted(config.credentials.items())))
@@ -201,15 +205,12 @@ def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> l
     scan = driver.scan
     assert scan is not None
     job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))
-    is_shown = sys.stderr is not None and sys.stderr.isatty()
+    status_line = StatusLine()
     end = host.clock.now() + LONGEST_S * 1_000_000_000
     while not job.is_over and host.clock.now() < end and not patience.is_over:
         host.clock.wait(lambda: job.is_over or patience.is_over, 200_000_000)
-        if is_shown:
-            text = f"{name} {driver.name}: {job.progress:4.0%} {job.text:<20.20}"
-            print(f"\r{text:.{terminal_width() - 1}}", end="", file=sys.stderr, flush=True)
-    if is_shown:
-        print("\r" + " " * (terminal_width() - 1) + "\r", end="", file=sys.stderr, flush=True)
+        status_line.show(f"{name} {driver.name}: {job.progress:4.0%} {job.text}")
+    status_line.clear()
     if not job.is_over:
         host.clock.call(job.cancel)
         if not patience.is_over:
@@ -231,6 +232,4 @@ def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> Non
         robot.buses["bus"], **{k: v for k, v in options["bus"].items() if k in ("channel", "interface")}
     )
     whole = replace(robot, buses={"bus": bus}, devices={config.name: config for config in found})
-    output = Output(arguments.output)
-    output.write(print_robot(whole).encode())
-    output.close()
+    write_text(arguments.output, print_robot(whole), is_quiet=True)

@@ -30,11 +30,6 @@ _OPENING, _CLOSING = "[{(", "]})"
 DEEPEST = 16
 
 
-def is_assignment(text: str) -> bool:
-    """Whether an argument is a `field=value`."""
-    return _ASSIGNMENT.fullmatch(text) is not None
-
-
 def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
     """The values of `field=value` arguments, as the encoder takes them.
 
@@ -122,7 +117,7 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
 def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, name: str) -> Any:
     steps: Sequence[p.Step] = getattr(node, "steps", ())
     flags = next((step for step in steps if isinstance(step, p.FlagBits)), None)
-    number = _number(text)
+    number = parse_number(text)
     if flags is not None and number is None:
         inside = text[1:-1] if text[:1] + text[-1:] in ("{}", "[]") else text
         return [part.strip() for part in re.split(r"[|,]", inside) if part.strip()]
@@ -148,11 +143,12 @@ def _open(text: str, name: str, depth: int) -> Any:
         return _record(text, {}, name, depth)
     if text.startswith("hex:"):
         return _bytes(text[4:], name)
-    number = _number(text)
+    number = parse_number(text)
     return _unquoted(text) if number is None else number
 
 
-def _number(text: str) -> int | float | None:
+def parse_number(text: str) -> int | float | None:
+    """A number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
     try:
         return int(text, 0)
     except ValueError:
@@ -222,4 +218,4 @@ def _parts(text: str, name: str) -> list[str]:
     return [*parts, last] if last or parts else []
 
 
-__all__ = ["is_assignment", "parse_fields", "parse_value"]
+__all__ = ["parse_fields", "parse_number", "parse_value"]

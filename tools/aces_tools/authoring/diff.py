@@ -115,11 +115,11 @@ def _template_key(message: Message) -> Any:
 
 def _exactly(message: Message) -> Any:
     plan = flatten(message)
-    return _template_key(message), plan.lengths, tuple(_row_key(row) for row in draw.field_table(plan))
-
-
-def _row_key(row: FieldRow) -> Any:
-    return row.name, tuple(getattr(row, column) for column in COMPARED)
+    return (
+        _template_key(message),
+        plan.lengths,
+        tuple((row.name, *(getattr(row, column) for column in COMPARED)) for row in draw.field_table(plan)),
+    )
 
 
 def _compared(old: Message, new: Message) -> Changed:

@@ -1,7 +1,6 @@
-"""What editors and type checkers are told of a protocol's records.
+"""The types of a protocol's records, for editors and type checkers.
 
-  aces spec stubs robotis           print the stub: what editors and type
-                                    checkers are told of the records
+  aces spec stubs robotis           print the stub
   aces spec stubs robotis -o        write records.pyi beside the spec, and
                                     records.py, the module that goes with it
   aces spec stubs my_spec.py -o     the same: my_spec_records.pyi and .py
@@ -26,23 +25,20 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol, list_protocols
 from aces_bus.protocol.generate.stubs import print_module, print_stub
 
-from ..console import say
+from ..console import say, write_text
+from ..options import OUTPUT, Arguments, argument, flag
 from ..protocols_arg import load_file, named_protocol
 
 BESIDE = "beside the spec"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("protocol", metavar="NAME|FILE", help="an installed one, or a Python file with one")
-    parser.add_argument(
-        "-o",
-        "--output",
-        nargs="?",
-        const=BESIDE,
-        metavar="FILE.pyi",
-        help=f"write there (without FILE: {BESIDE})",
-    )
-    parser.add_argument("--check", action="store_true", help="only compare with the files that are there")
+ARGUMENTS: Arguments = (
+    argument(
+        "protocol", metavar="NAME|FILE", help="an installed protocol, or a Python file that declares one"
+    ),
+    OUTPUT.but(nargs="?", const=BESIDE, metavar="FILE.pyi", help=f"write there (without FILE: {BESIDE})"),
+    flag("--check", help="only compare with the files that exist"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -59,11 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.check:
         return _check(texts, command)
     for file, text in texts.items():
-        try:
-            file.write_text(text, encoding="utf-8", newline="\n")
-        except OSError as error:
-            raise CallerError(f"{file}: cannot be written: {error.strerror or error}") from error
-        say(f"wrote {file}")
+        write_text(str(file), text)
     return 0
 
 

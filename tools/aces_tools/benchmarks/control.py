@@ -18,7 +18,7 @@ from aces_bus.runtime import RealClock
 from aces_bus.state import Kalman, LowPass, Median, MovingAverage, RateLimit, Sos, State
 from aces_bus.state.filters import Filter
 
-from .timing import BenchRow, fastest, optional
+from . import BenchRow, fastest, optional
 
 #: A thousand samples at 200 Hz.
 HISTORY, PERIOD_NS = 1_000, 5_000_000

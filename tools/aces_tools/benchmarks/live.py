@@ -17,7 +17,7 @@ from construct import Array, Compiled, Int16sl, Int32sl, Struct
 from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, bits
 from aces_bus.protocol.generate.load import codec
 
-from .timing import BenchRow, fastest, optional
+from . import BenchRow, fastest, optional
 
 BATCH = 64
 CHUNK = 4096

@@ -16,8 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from .formats import ImageFormat
-from .select import CHANNEL, PlotSignal, SignalPattern
+from .select import CHANNEL, ImageFormat, PlotSignal, SignalPattern
 from .series import MOST_LINES, Key, Series, TimeAxis, broken, matching, too_many
 
 Array = npt.NDArray[Any]

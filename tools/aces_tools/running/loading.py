@@ -109,7 +109,7 @@ def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespa
             trajectory,
             rate_hz=rate_hz,
             rename=renamed,
-            rounds=None if arguments.loop else 1,
+            rounds=arguments.loop or None,
             speed=arguments.speed,
             largest=MOST_RAD if are_angles else math.inf,
         )

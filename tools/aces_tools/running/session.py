@@ -11,8 +11,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError, DeviceError
@@ -56,10 +56,9 @@ class Session:
         controllers: Sequence[ControllerLike],
         loggers: Sequence[Logger],
         rate_hz: float,
-        duration: int | None,
     ) -> None:
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
-        self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, duration
+        self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
         self.patience = LivePatience()
         self.said: dict[tuple[str, str], int] = {}
@@ -78,7 +77,7 @@ class Session:
                 self.robot, self.controllers, rate_hz=self.rate_hz, seed=asked.seed, loggers=self.loggers
             )
         if asked.replay:
-            frames = stack.enter_context(_Recording(asked.replay))
+            frames = stack.enter_context(_frames(asked.replay))
             return run_replay(self.robot, frames, self.controllers, loggers=self.loggers)
         options = bus_options(self.robot, asked)
         return run_real(
@@ -305,30 +304,17 @@ class Session:
         return status or int(bool(ended.tripped or ended.failed or missing or is_cut))
 
 
-class _Recording:
+@contextmanager
+def _frames(path: str) -> Generator[Iterator[Frame]]:
     """A CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
+    from aces_bus.recordings import CanRecording, open_recording
 
-    def __init__(self, path: str) -> None:
-        from aces_bus.recordings import CanRecording, open_recording
-
-        capture = open_recording(path)
+    with open_recording(path) as capture:
         if not isinstance(capture, CanRecording):
-            capture.close()
             raise CallerError(f"{path}: a serial recording; --replay takes those of CAN")
-        self.capture = capture
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frames in self.capture.batches(1024):
-            yield from frames
-
-    def __enter__(self) -> _Recording:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        problems = self.capture.lines_unreadable
-        if problems:
-            say(f"{self.capture.name}: {problems} unreadable lines")
-        self.capture.close()
+        yield (frame for frames in capture.batches(1024) for frame in frames)
+        if capture.lines_unreadable:
+            say(f"{capture.name}: {capture.lines_unreadable} unreadable lines")
 
 
 __all__ = ["Session"]

@@ -24,8 +24,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 from textual.widgets import Footer, Input, Static
 
-from .detail import detail
-from .head import Line, Status, head, plain_text
+from .head import Line, Status, detail, head, plain_text
 from .model import Model, Place, RepeatedFrame
 from .paint import Needs, StyledText, TableColumn, line, styles, title, visible_columns
 from .view import View

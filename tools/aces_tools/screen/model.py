@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from math import sqrt
+from math import exp, sqrt
 from operator import attrgetter
 from typing import Any
 
@@ -32,7 +32,6 @@ from aces_bus.protocol import Scanner, Unknown
 from aces_bus.protocol.keys import key_of
 
 from ..output.shape import OfKind
-from .meter import Meter
 from .values import FieldFormat, FieldsOfKinds
 
 #: Rows, channels and events that are kept, at most.
@@ -265,7 +264,7 @@ class Model:
         self._pages: OfKind[Callable[[Any], Hashable] | None] = OfKind(
             lambda kind: attrgetter(*one.page) if (one := fields[kind]) is not None and one.page else None
         )
-        if self.scanner is not None and not getattr(scanner, "everything", True):
+        if self.scanner is not None and not getattr(scanner, "include_unknown", True):
             raise CallerError("the screen's scanner has to be made with include_unknown=True")
         self.events: deque[BusEvent] = deque(maxlen=EVENTS)
         self.event_counts: dict[str, int] = {}
@@ -488,6 +487,50 @@ class Model:
         return FoldedRows(
             sum(one.rows for one in self.others.values()), sum(one.count for one in self.others.values())
         )
+
+
+# ---------------------------------------------------------------------- rates
+
+#: Younger than this, nothing is divided by a meter's age, in seconds.
+YOUNGEST_S = 0.05
+
+
+class Meter:
+    """Adds amounts, gives the amount a second over about the last `tau_s` seconds.
+
+    >>> meter = Meter(1.0, 0)
+    >>> for tenth in range(1, 51):
+    ...     meter.add(tenth * 100_000_000, 80)
+    >>> round(meter.per_second(5_000_000_000))
+    800
+    """
+
+    __slots__ = ("_amount", "_at", "_start", "_tau")
+
+    def __init__(self, tau_s: float, start_ns: int) -> None:
+        self._tau = tau_s * 1e9
+        self._start = self._at = start_ns
+        self._amount = 0.0
+
+    def add(self, now_ns: int, amount: float) -> None:
+        """So much has come until `now_ns`."""
+        age = now_ns - self._at
+        if age > 0:
+            half = exp(-0.5 * age / self._tau)
+            self._amount = self._amount * half * half + amount * half
+            self._at = now_ns
+        else:
+            self._amount += amount
+
+    def _faded(self, now_ns: int) -> float:
+        age = now_ns - self._at
+        return self._amount * exp(-age / self._tau) if age > 0 else self._amount
+
+    def per_second(self, now_ns: int) -> float:
+        """The amount a second at `now_ns`."""
+        tau = self._tau / 1e9
+        age = max((now_ns - self._start) / 1e9, YOUNGEST_S)
+        return self._faded(now_ns) / (tau * (1.0 - exp(-age / tau)))
 
 
 __all__ = ["ChannelRates", "FoldedRows", "Model", "RepeatedFrame", "changed_bits"]

@@ -336,12 +336,7 @@ def paint_hexadecimal(
     begin, style = 0, ""
     for number in range(len(shown)):
         for nibble in (1, 0):
-            bit = 8 * number + 4 * nibble
-            now = "data"
-            for fade, mask in zip(FADES, marks, strict=True):
-                if mask >> bit & 15:
-                    now = fade
-                    break
+            now = age_style(marks, 8 * number + 4 * nibble, 15)
             at = number * step + 1 - nibble
             if now != style:
                 if at > begin:
@@ -351,15 +346,16 @@ def paint_hexadecimal(
     return spans
 
 
+def age_style(marks: Sequence[int], bit: int, mask: int) -> str:
+    """The style of bits by the age of their last change; `marks` are `RepeatedFrame.ages`, or none."""
+    return next((fade for fade, mark in zip(FADES, marks, strict=False) if mark >> bit & mask), "data")
+
+
 def binary(byte: int, number: int, marks: Sequence[int]) -> list[StyledText]:
     """One byte as bits, the highest first, each by the age of its change; `number` is the byte's, `marks` are `ages`."""
     spans: list[StyledText] = []
     for bit in range(7, -1, -1):
-        style = "data"
-        for fade, mask in zip(FADES, marks, strict=False):
-            if mask >> (8 * number + bit) & 1:
-                style = fade
-                break
+        style = age_style(marks, 8 * number + bit, 1)
         text = str(byte >> bit & 1)
         if spans and spans[-1].style == style:
             spans[-1] = StyledText(spans[-1].text + text, style)
