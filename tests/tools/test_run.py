@@ -300,7 +300,7 @@ def test_what_is_missing_is_named_and_nothing_moves(
     robot.write_text(FANS.replace("board = 0x02", "board = 0x05"))
     result = aces("run", "-r", robot, knee, *served, "--for", "1s", "--tx")
     assert result.status == 1
-    assert result.messages[0].startswith("not heard: JMC2")
+    assert result.messages[0].startswith("no answer from JMC2")
     assert result.summary["set_points"] == 0
     assert result.summary["missing"] == 1
 

@@ -98,7 +98,7 @@ def test_nobody_is_there(aces: Aces, lone: str) -> None:
         line = stand.reached["line"]["address"]
         found = aces("discover", "-p", "pololu_qik", "--bus", line)
     assert (found.status, found.out) == (1, "")
-    assert f"nobody answers on {line}: is it powered" in found.err
+    assert f"no device answers on {line}: is it powered" in found.err
 
 
 def test_a_driver_that_cannot_be_loaded_is_left_out(
@@ -114,7 +114,7 @@ def test_a_driver_that_cannot_be_loaded_is_left_out(
             raise SpecError("driver 'hubovia' cannot be loaded")
         return load(name)
 
-    monkeypatch.setattr(devices, "load_driver", loading)
+    monkeypatch.setattr("aces_tools.discover.load_driver", loading)
     found = aces("discover", "-r", leg, "--virtual")
     assert found.status == 0
     assert found.messages == ["driver 'hubovia' cannot be loaded; its devices are not looked for"]

@@ -216,6 +216,3 @@ def _datagrams(text: str) -> ChosenBus:
         raise CallerError(f"--udp {text!r}: write PORT or HOST:PORT, such as 14550 or 0.0.0.0:14550")
     address = (host or LOOPBACK, int(port))
     return ChosenBus("datagram", f"udp {address[0]}:{address[1]}", {"address": address})
-
-
-__all__ = ["BUS_ARGUMENTS", "CAN_OPTIONS", "ChosenBus", "can_options", "chosen_bus"]

@@ -32,7 +32,7 @@ def say(message: str, *, who: str = "aces: ") -> None:
 
 
 def abandon_stdout() -> None:
-    """Nobody reads any more: what is still buffered must not raise once again when Python ends."""
+    """Discard what is still buffered for a reader that has gone, or it raises once again when Python ends."""
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -92,7 +92,7 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
 
 
 class Output:
-    """Bytes to stdout, or to a file that is none of the inputs. Raises `BrokenPipeError` when nobody reads any more."""
+    """Bytes to stdout, or to a file that is none of the inputs. Raises `BrokenPipeError` when the reader has gone."""
 
     def __init__(self, path: str | None, inputs: Iterable[str] = ()) -> None:
         self.path = path

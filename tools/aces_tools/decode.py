@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterable, Mapping
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,7 @@ summary (last on stderr, one line a kind of link; the parts sum to the total):
   bytes = decoded + unknown + malformed + skipped + filtered + pending (streams)
   filtered: refused by --filter, --from or --to; or decoded, and refused by
   --message, --signals or --where. Filters apply after recognition, so that a
-  reply is told by its request even where the request is not shown.
+  reply is recognised by its request even where the request is not shown.
 
 exit status:
   0    also after Ctrl-C where the input was live
@@ -178,7 +179,7 @@ class LiveDecoding(Decoding):
         self.shows_records = show != "only" and not arguments.quiet
         self.shows_losses = show != "hide" and not arguments.quiet
         self.scanners: dict[tuple[Link, Direction | None], Scanner] = {}
-        #: The source that the writer has not been told of yet.
+        #: The source that the writer does not know of yet.
         self.pending: tuple[str, Link] | None = None
         self.output = Output(arguments.output, self.files)
         self.writer = self._writer(arguments)
@@ -191,11 +192,11 @@ class LiveDecoding(Decoding):
 
             return JsonLines(self.plans, stated)
         if form == "csv":
-            from .output.csv import Sheet
+            from .output.csv import CsvOutput
 
             only = next(iter(self.messages)) if len(self.messages) == 1 else None
             links = frozenset(link for link, variants in self.variants.items() if variants)
-            return Sheet(self.plans, stated, only=only, links=links)
+            return CsvOutput(self.plans, stated, only=only, links=links)
         from .output.text import TextOutput, make_paint, no_paint
 
         is_terminal = self.output.is_terminal
@@ -265,19 +266,13 @@ class LiveDecoding(Decoding):
             self._warn_of(scanner.contested, items)
         if self.absent:
             self._seen({str(frame.channel) for frame in frames})
-        items = self._inside(items, totals, is_can=True)
+        passed = self._in_window(items)
         if self.filter is not None:
             matches = self.filter.matches
-            kept = []
-            for frame, item in zip(frames, items, strict=True):
-                if item is None:
-                    continue
-                if matches(frame):
-                    kept.append(item)
-                else:
-                    self._reject(item, 1, totals)
-            items = kept
-        self._emit(items, totals, is_can=True)
+            passed = [
+                ok and matches(frame) for ok, frame in zip(passed or repeat(True), frames, strict=False)
+            ]
+        self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
 
     def _stream_scanner(self, direction: Direction | None) -> Any:
         scanner: Any = self._scanner("serial", direction)
@@ -288,7 +283,7 @@ class LiveDecoding(Decoding):
         return scanner.feed(data, time)
 
     def _found(self, items: Any, totals: Totals) -> None:
-        self._emit(self._inside(items, totals, is_can=False), totals, is_can=False)
+        self._emit(self._kept(items, self._in_window(items), totals, is_can=False), totals, is_can=False)
 
     def _begin(self, first: Any) -> None:
         """Tell the writer that a source begins, once its first item is known, or that there is none."""
@@ -305,33 +300,31 @@ class LiveDecoding(Decoding):
 
     # ------------------------------------------------------------------ items
 
-    def _inside(self, items: list[Any], totals: Totals, *, is_can: bool) -> list[Any]:
-        """The items, with None for those that --from and --to refuse; these go into the bin `filtered`."""
+    def _in_window(self, items: list[Any]) -> list[bool] | None:
+        """Which items --from and --to let pass; None: all."""
         if self.window is None or not items:
-            return items
+            return None
         instants = (to_ns(i.meta.time if type(i) is Unknown else i._time) for i in items)
-        kept = self.window.inside(np.fromiter(instants, np.int64, len(items))).tolist()
-        if all(kept):
+        passed: list[bool] = self.window.inside(np.fromiter(instants, np.int64, len(items))).tolist()
+        return passed
+
+    def _kept(
+        self, items: list[Any], passed: list[bool] | None, totals: Totals, *, is_can: bool
+    ) -> list[Any]:
+        """The items that pass; the others go into the bin `filtered`."""
+        if passed is None or all(passed):
             return items
-        for item, is_inside in zip(items, kept, strict=True):
-            if not is_inside:
-                self._reject(item, 1 if is_can else item.meta.size, totals)
-        return [item if is_inside else None for item, is_inside in zip(items, kept, strict=True)]
+        for item in (item for item, is_kept in zip(items, passed, strict=True) if not is_kept):
+            self._reject(item, 1 if is_can else item.meta.size, totals)
+        return [item for item, is_kept in zip(items, passed, strict=True) if is_kept]
 
     def _emit(self, items: list[Any], totals: Totals, *, is_can: bool) -> None:
         """Write what is to be shown; what --message and --where refuse goes into the bin `filtered`."""
-        if self.window is not None:
-            items = [item for item in items if item is not None]
         if items:
             self._begin(items[0])
         if self.is_selective:
-            kept = []
-            for item in items:
-                if type(item) is Unknown or self._is_wanted(item):
-                    kept.append(item)
-                else:
-                    self._reject(item, 1 if is_can else item.meta.size, totals)
-            items = kept
+            wanted = [type(item) is Unknown or self._is_wanted(item) for item in items]
+            items = self._kept(items, wanted, totals, is_can=is_can)
         if not (self.shows_records and self.shows_losses):
             items = [
                 item for item in items if (self.shows_losses if type(item) is Unknown else self.shows_records)

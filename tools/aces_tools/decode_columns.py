@@ -2,7 +2,7 @@
 
 1. What is counted, said and left out is what the live way counts, says and leaves out.
 2. Memory is bounded whatever the capture's size: a piece is decoded, written and forgotten.
-3. The output stands when it is whole: an interrupted or failed run leaves what was there before.
+3. The output appears when it is whole: an interrupted or failed run leaves what was there before.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ class ColumnDecoding(TableDecoding):
     def _finish(self, *, is_whole: bool) -> None:
         self.progress.close()
         if not self.totals:
-            return  # no file could be opened: what stands at the output still stands
+            return  # no file could be opened: what is at the output stays
         if not is_whole:
             self.interrupted = True
             return
@@ -283,6 +283,3 @@ def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameT
         yield FrameTable.concat(waiting)
     if failure is not None:
         raise failure
-
-
-__all__ = ["ColumnDecoding", "TableDecoding", "pieces_of"]

@@ -290,7 +290,7 @@ def _work(task: Any, place: str) -> PieceResult:
     try:
         return _worker.work(task, place)
     except AcesError as error:
-        # The piece has a temporary name, which nobody knows.
+        # The piece has a temporary name, which means nothing to the user.
         said = str(error).replace(place, _worker.arguments.output)
         return PieceResult(None, Totals(), set(), error=said, is_of_capture=isinstance(error, CaptureError))
 

@@ -264,7 +264,7 @@ class Decoding(ABC):
 
     @abstractmethod
     def _flush(self) -> None:
-        """What has been written stands before what is said about it. Must not raise."""
+        """Flush what has been written before a message about it is printed. Must not raise."""
 
     def _clean_up(self) -> None:  # noqa: B027
         """The run is over, whichever way."""

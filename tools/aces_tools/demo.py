@@ -17,7 +17,6 @@ import os
 import time
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -29,14 +28,12 @@ from aces_bus.protocol.columns.table import ColumnKind
 
 from .console import say
 from .options import OUTPUT, SEED, Arguments
-from .plotting.picture import PlotLine, PlotPanel
+from .plotting.picture import Picture, PlotLine, PlotPanel
 from .plotting.select import ImageFormat, PlotSignal
-from .plotting.series import Series
+from .plotting.series import Series, TimeAxis
 
 if TYPE_CHECKING:
     from aces_bus.controller import ViaPath
-
-    from .plotting.picture import Picture
 
 
 ROBOT, RATE, SEED_OF_DEMO = "hubo2plus", 200.0, 6
@@ -79,11 +76,11 @@ def run(arguments: argparse.Namespace) -> int:
     robot = load_robot_by_name(ROBOT)
     path = knee_bends()
     player = Player("knee bends", path, rate_hz=RATE)
-    tape = Tape([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
+    log = MemoryLog([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
     say(
         f"{robot.name} bends its knees for {path.duration_s:.0f} s, simulated with all of its boards and buses …"
     )
-    run = run_virtual(robot, [player], rate_hz=RATE, seed=arguments.seed, loggers=[tape])
+    run = run_virtual(robot, [player], rate_hz=RATE, seed=arguments.seed, loggers=[log])
     with run:
         run.do("enable")
         began = time.perf_counter()
@@ -91,10 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
         took = time.perf_counter() - began
     joints = sum(joint.active for joint in robot.joints.values())
     frames = sum(wire.load.frames for wire in run.world.wires.values())
-    asked, did = tape[f"{JOINT}.setpoint"], tape[JOINT]
+    asked, did = log[f"{JOINT}.setpoint"], log[JOINT]
     known = ~(np.isnan(asked) | np.isnan(did))
     furthest = float(np.abs(asked - did)[known].max()) if known.any() else np.nan
-    _draw(_picture(tape), arguments.output if has_figure else None)
+    _draw(_picture(log), arguments.output if has_figure else None)
     print(
         f"{robot.name}: {joints} joints on {len(run.rig.devices)} devices, {len(robot.buses)} CAN buses, {frames} frames;"
         f" {ended.seconds:.1f} s in {took:.1f} s"
@@ -123,29 +120,12 @@ def _can_draw(path: str) -> bool:
     return True
 
 
-def _picture(tape: Tape) -> Picture:
-    from .plotting.picture import Picture
-    from .plotting.select import ImageFormat
-    from .plotting.series import TimeAxis
-
-    seconds, asked, did = tape.seconds, tape[f"{JOINT}.setpoint"], tape[JOINT]
+def _picture(log: MemoryLog) -> Picture:
+    seconds, asked, did = log.seconds, log[f"{JOINT}.setpoint"], log[JOINT]
     return Picture(
         [
-            panel_of(
-                "right knee",
-                "rad",
-                seconds,
-                [
-                    Curve("set-point", asked, ImageFormat(line="--")),
-                    Curve("actual", did, ImageFormat(line="-")),
-                ],
-            ),
-            panel_of(
-                "actual − set-point",
-                "rad",
-                seconds,
-                [Curve("difference", did - asked, ImageFormat(line="-"))],
-            ),
+            panel_of("right knee", "rad", seconds, {"set-point": (asked, "--"), "actual": (did, "-")}),
+            panel_of("actual − set-point", "rad", seconds, {"difference": (did - asked, "-")}),
         ],
         TimeAxis(0, is_set=True),
         "Hubo 2+, simulated: set-point and actual",
@@ -166,10 +146,10 @@ def _draw(picture: Picture, path: str | None) -> None:
 Array = npt.NDArray[np.float64]
 
 
-class Tape:
-    """Samples states at a rate, for a `Runner`; `tape["RKN"]` is an array, `tape.seconds` when (s since the start)."""
+class MemoryLog:
+    """Samples states at a rate, for a `Runner`; `log["RKN"]` is an array, `log.seconds` when (s since the start)."""
 
-    def __init__(self, states: Sequence[str], *, rate_hz: float, name: str = "tape") -> None:
+    def __init__(self, states: Sequence[str], *, rate_hz: float, name: str = "log") -> None:
         self.name, self.rate_hz, self.states = name, rate_hz, tuple(states)
         self._bound: list[Any] = []
         self._rows = array("d")
@@ -208,23 +188,16 @@ class Tape:
         return self._table()[:, 1 + self.states.index(name)]
 
 
-PLAIN = ImageFormat()
-
-
-@dataclass(frozen=True)
-class Curve:
-    """One line of a picture: its label and values; `format` as of `aces plot`."""
-
-    label: str
-    values: Array
-    format: ImageFormat = PLAIN
-
-
-def panel_of(title: str, unit: str, seconds: Array, curves: Sequence[Curve]) -> PlotPanel:
-    """A panel with these curves over one time axis (s)."""
-    lines: list[PlotLine] = []
-    for curve in curves:
-        signal = PlotSignal("run", title, curve.label, curve.label, ColumnKind(curve.label, unit))
-        series = Series(signal, ())
-        lines.append(PlotLine(series, curve.format, seconds, curve.values, curve.label))
+def panel_of(title: str, unit: str, seconds: Array, curves: Mapping[str, tuple[Array, str]]) -> PlotPanel:
+    """A panel with these curves, values and line style by label, over one time axis (s)."""
+    lines = [
+        PlotLine(
+            Series(PlotSignal("run", title, label, label, ColumnKind(label, unit)), ()),
+            ImageFormat(line=style),
+            seconds,
+            values,
+            label,
+        )
+        for label, (values, style) in curves.items()
+    ]
     return PlotPanel("numbers", [lines], title, [unit], [""], [(None, None)])

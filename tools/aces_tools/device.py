@@ -19,8 +19,11 @@ name is enough: its device is found. Nothing is sent to other devices.
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from msgspec.structs import replace
+
+from aces_bus.device import Device, DeviceConfig, Robot
 from aces_bus.errors import CallerError, NotStoppedError, UnknownNameError
 
 from .console import say
@@ -30,9 +33,6 @@ from .devices import show_device, show_devices
 from .live import LivePatience
 from .options import EVERY, FOR, JSON, TX, Arguments, argument, flag
 from .robot_arg import ROBOT_OR_TWINS, chosen_robot, open_robot
-
-if TYPE_CHECKING:
-    from aces_bus.device import Device, DeviceConfig, Robot
 
 #: The rate of the host where the robot's file says none (Hz).
 RATE = 50.0
@@ -151,9 +151,7 @@ def config_of(robot: Robot, name: str) -> DeviceConfig:
 
 
 def alone(robot: Robot, name: str) -> Robot:
-    """The robot with this device only: nobody else is asked anything."""
-    from msgspec.structs import replace
-
+    """The robot with this device only: nothing is sent to others."""
     devices = {n: replace(c, active=c.active and n == name) for n, c in robot.devices.items()}
     return replace(robot, devices=devices)
 

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from aces_bus.device import Device, Signal, stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
 from .console import StatusLine, print_json, say
@@ -24,15 +25,13 @@ from .live import LivePatience
 from .output.shape import json_value
 
 if TYPE_CHECKING:
-    from aces_bus.device import Device, Signal
-
     from .live import DeviceEventLines
     from .robot_arg import Opened
 
 
-#: Seconds in which a signal must be heard by `get`, and a device before it is told anything.
+#: Seconds in which `get` must receive a signal, and a device must answer before anything is sent to it.
 HEARD_S, ANSWERS_S = 2.0, 1.0
-#: How long `set` keeps it up when nobody says (ns); how long an action may take at most (ns); a look at what happens (ns).
+#: How long `set` keeps it up without --for (ns); how long an action may take at most (ns); a look at what happens (ns).
 SET_FOR, LONGEST, STEP = 2_000_000_000, 300_000_000_000, 200_000_000
 
 
@@ -177,7 +176,7 @@ class Doing:
         while not self.patience.is_over and (duration is None or due <= start + duration):
             self.wait(lambda: False, due - clock.now())
             if self.live.virtual is not None and is_paced:
-                self.patience.wait_until(began + due - start)  # somebody looks on
+                self.patience.wait_until(began + due - start)  # a person is watching
             if not self.patience.is_over:
                 show((clock.now() - start) / 1e9, signals)
             due += every
@@ -230,7 +229,7 @@ class Doing:
             return 1
 
     def _is_there(self) -> bool:
-        """Whether the device has been heard; one that is never asked anything may be there."""
+        """Whether the device has answered; one that is never polled may be there."""
         device = self.device
         return not device.polls or self.wait(
             lambda: device.last_heard is not None or self.patience.is_over, round(ANSWERS_S * 1e9)
@@ -255,13 +254,11 @@ class Doing:
         if missing:
             say(f"{device.name}: was not sent; its word needs {', '.join(missing)} too: set both at once")
             return 1
-        # What it has not taken is told at the end.
+        # What it has not taken is reported at the end.
         return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
 
     def stop(self) -> None:
         """Stop what moves, whatever was interrupted. Raises `NotStoppedError`."""
-        from aces_bus.device import stop_devices, wait_stopped
-
         device, clock = self.device, self.live.clock
         wait_stopped(clock.call(lambda: stop_devices(clock, device.name, [device])))
 
@@ -343,7 +340,7 @@ Show = Callable[[float, "list[Signal]"], None]
 
 @contextmanager
 def watched(signals: list[Signal]) -> Generator[Show]:
-    """A function that shows them, at so many seconds; what is said on stderr meanwhile stands above."""
+    """A function that shows them, at so many seconds; messages on stderr meanwhile appear above."""
     from rich.live import Live
     from rich.text import Text
 
@@ -376,6 +373,3 @@ def _table(seconds: float, signals: list[Signal]) -> Any:
             one.name, Text(value, style), one.unit if one.instant is not None else "", Text(note, "dim")
         )
     return table
-
-
-__all__ = ["Doing", "checked", "chosen_signals", "signals_of"]

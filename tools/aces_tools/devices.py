@@ -10,17 +10,15 @@ from __future__ import annotations
 import argparse
 import inspect
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from aces_bus.device import Device, DeviceConfig, Driver, Robot, Signal, list_drivers, load_driver
+from aces_bus.device.twin import FAULTS
 from aces_bus.errors import AcesError
 
 from .console import print_json, say
 from .device_text import aligned_rows
 from .options import JSON, Arguments, argument
-
-if TYPE_CHECKING:
-    from aces_bus.device import Device, DeviceConfig, Driver, Robot, Signal
-
 
 ARGUMENTS: Arguments = (
     argument("driver", nargs="?", metavar="NAME", help="a driver"),
@@ -29,8 +27,6 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from aces_bus.device import list_drivers, load_driver
-
     if arguments.driver is not None:
         whole = describe_driver(load_driver(arguments.driver))
         print_json(whole) if arguments.json else _show(whole)
@@ -55,13 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def describe_driver(driver: Driver) -> dict[str, Any]:
     """A driver with what the devices of its example robot have."""
-    from aces_bus.device.twin import FAULTS
-
     signals: dict[str, dict[str, Any]] = {}
     actions = dict(driver.device.actions)
     asking = set(driver.device.asking)
     if driver.virtual:
-        from aces_bus.device import load_driver
         from aces_bus.robot import VirtualRobot, parse_robot
 
         robot, _ = parse_robot(driver.example, f"{driver.name}.toml")

@@ -19,18 +19,19 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from msgspec.structs import replace
+
+from aces_bus.device import Bus, Driver, Host, Job, Robot, list_drivers, load_driver
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.protocol import load_protocol
 
 from .console import StatusLine, check_suffix, print_json, say, write_text
 from .devices import credential_text
 from .live import LivePatience
 from .options import JSON, OUTPUT, PROTOCOL, Arguments
 from .robot_arg import ROBOT_OR_TWINS, bus_options, channel_of, check_channels, chosen_robot, open_host
-
-if TYPE_CHECKING:
-    from aces_bus.device import Driver, Host, Robot
 
 #: Seconds of the bus's time that a scan may take at most.
 LONGEST_S = 600
@@ -74,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
                     found += these or []
     expected = {(c.bus, tuple(sorted(c.credentials.items()))): c for c in robot.devices.values() if c.active}
     there = {(c.bus, tuple(sorted(c.credentials.items()))) for c in found}
-    # Of what was not looked for to the end, nobody can say that it is missing.
+    # After an interrupted search it is not known what is missing.
     missing = [config.name for key, config in expected.items() if key not in there and not patience.is_over]
     if arguments.json:
         listed = [
@@ -103,16 +104,15 @@ def run(arguments: argparse.Namespace) -> int:
         _write(robot, found, arguments)
     else:
         options = bus_options(robot, arguments)["bus"]
-        say(f"nobody answers on {options.get('channel')}: is it powered, and is the bit rate or baud right?")
+        say(
+            f"no device answers on {options.get('channel')}: is it powered, and is the bit rate or baud right?"
+        )
     say(f"found={len(found)} missing={len(missing)}" + (" (interrupted)" if patience.is_over else ""), who="")
     return 1 if missing or not found or not is_whole else 0
 
 
 def _robot(arguments: argparse.Namespace) -> Robot:
     """The robot of the call, or one without devices on the bus that is named."""
-    from aces_bus.device import Bus, Robot
-    from aces_bus.protocol import load_protocol
-
     arguments.robot_given = arguments.protocol is None
     if arguments.protocol is None:
         return chosen_robot(arguments.robot)
@@ -140,7 +140,6 @@ def _robot(arguments: argparse.Namespace) -> Robot:
 
 def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Host]:
     """A host without devices for each bus, open."""
-    from aces_bus.device import Host
     from aces_bus.robot.rig import bus_variants
 
     hosts: dict[str, Host] = {}
@@ -154,7 +153,6 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
         stack.enter_context(virtual.simulation)
         ports: dict[str, Any] = virtual.ports("scan")
     else:
-        from aces_bus.protocol import load_protocol
         from aces_bus.robot import gate_of, port_for
         from aces_bus.runtime import Loop
 
@@ -176,8 +174,6 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
 
 def _scanners(robot: Robot) -> list[Driver]:
     """The drivers that can find their devices on the robot's buses; one that cannot be loaded is said, and left out."""
-    from aces_bus.device import list_drivers, load_driver
-
     wanted = {bus.protocol for bus in robot.buses.values()}
     wanted |= {robot.protocol_of(config)[0] for config in robot.devices.values() if config.active}
     found: list[Driver] = []
@@ -198,10 +194,6 @@ def _scanners(robot: Robot) -> list[Driver]:
 
 def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any] | None:
     """What a driver finds on a bus; None: it was interrupted, or failed."""
-    from msgspec.structs import replace
-
-    from aces_bus.device import Job
-
     scan = driver.scan
     assert scan is not None
     job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))
@@ -223,8 +215,6 @@ def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> l
 
 
 def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> None:
-    from msgspec.structs import replace
-
     from aces_bus.robot import print_robot
 
     options = bus_options(robot, arguments)

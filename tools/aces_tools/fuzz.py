@@ -16,9 +16,8 @@ import argparse
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -210,26 +209,17 @@ def _all(job: FuzzJob, budget: _Budget, jobs: int) -> Generator[TaskResult, None
         for task in budget.tasks():
             yield work(job, task)
         return
-    with _pool(jobs, ignore_interrupts) as pool:
+    pool = ProcessPoolExecutor(jobs, initializer=ignore_interrupts)
+    try:
         waiting: set[Future[TaskResult]] = set()
         tasks = budget.tasks()
         while True:
-            for task in islice(tasks, 2 * jobs - len(waiting)):
-                waiting.add(pool.submit(work, job, task))
+            waiting |= {pool.submit(work, job, task) for task in islice(tasks, 2 * jobs - len(waiting))}
             if not waiting:
                 return
             finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
-
-
-@contextmanager
-def _pool(jobs: int, begin: Callable[[], None]) -> Generator[ProcessPoolExecutor, None, None]:
-    """Processes that end with us: what waits is dropped, what runs is a fraction of a second."""
-    pool = ProcessPoolExecutor(jobs, initializer=begin)
-    try:
-        yield pool
-    finally:
+            yield from (future.result() for future in finished)
+    finally:  # what waits is dropped, what runs is a fraction of a second
         pool.shutdown(wait=True, cancel_futures=True)
 
 

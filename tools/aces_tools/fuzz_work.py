@@ -77,7 +77,7 @@ class TaskResult:
     checks: int = 0
     words: int = 0
     process: int = 0
-    #: Which of its process's tasks it was: what was reached is told as a whole each time.
+    #: Which of its process's tasks it was: what was reached is sent as a whole each time.
     turn: int = 0
     reached: dict[Feature, int] = field(default_factory=dict)
     expected: set[Feature] = field(default_factory=set)
@@ -162,7 +162,7 @@ MOST_KEPT = 1000
 
 
 def corpus_files(folder: str) -> tuple[str, ...]:
-    """The files of a corpus to judge: scenes, and captures that somebody put there; not those that scenes come with."""
+    """The files of a corpus to judge: scenes, and captures that users put there; not those that scenes come with."""
     try:
         names = sorted(path for path in Path(folder).iterdir() if path.is_file() and path.name[0] != ".")
     except FileNotFoundError:
@@ -375,16 +375,3 @@ def as_json(
     return json.dumps(
         {"names": list(names), **numbers, "failures": failures, "protocols": protocols}, ensure_ascii=False
     )
-
-
-__all__ = [
-    "FoundFailure",
-    "FuzzJob",
-    "FuzzTask",
-    "TaskResult",
-    "chosen_laws",
-    "corpus_files",
-    "ignore_interrupts",
-    "places",
-    "work",
-]

@@ -1,6 +1,6 @@
 """What the live commands share: ending well, events on stderr, absolute deadlines, frames with a time and a channel.
 
-1. Ctrl-C, SIGTERM and SIGHUP end a command as if its time were up: what was heard is shown and counted.
+1. Ctrl-C, SIGTERM and SIGHUP end a command as if its time were up: what was received is shown and counted.
 2. Waiting is done in steps, so that a signal never waits long; the last step ends at the deadline.
 3. An event is said when it happens, but a flood of one kind is counted instead of printed.
 """
@@ -61,7 +61,7 @@ class LivePatience(Patience):
         super().__exit__(*details)
 
     def wait_until(self, instant: int) -> bool:
-        """Wait until `instant` (ns of the monotonic clock); False when the command was told to end before."""
+        """Wait until `instant` (ns of the monotonic clock); False when the command has to end before."""
         while not self.is_over:
             left = instant - time.monotonic_ns()
             if left <= 0:
@@ -77,7 +77,7 @@ class BusEventLines:
         self._queue: deque[BusEvent] = deque(maxlen=4096)
         self._hints = {} if gate.listen_only else HINTS
         gate.on_event(self._queue.append)
-        #: How many events of each kind were told.
+        #: How many events of each kind came.
         self.counts: dict[str, int] = {}
         self._shown: dict[str, int] = {}
         self._held: dict[tuple[str, str], int] = {}
@@ -188,13 +188,13 @@ LATE_SHARE = 0.1
 class DeviceEventLines:
     """Listens to a rig from when it is made; `tell` prints what has come since.
 
-    `robot` is the whole robot: its other devices, which other programs talk to, are no strangers.
+    `robot` is the whole robot: its other devices, which other programs talk to, are known.
     """
 
     def __init__(self, rig: Rig, robot: Robot) -> None:
         self.rig, self.robot = rig, robot
         self._queue: deque[DeviceEvent] = deque(maxlen=4096)
-        #: Kinds that are kept back until `last`, and what has been: somebody may know better why they happen.
+        #: Kinds that are kept back until `last`, and what has been: the caller may know better why they happen.
         self.holding: set[str] = set()
         self._held: list[DeviceEvent] = []
         #: Who has fallen silent, and that has not been said yet.
@@ -257,7 +257,7 @@ class DeviceEventLines:
             say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")
 
     def _is_known(self, detail: str) -> bool:
-        """Whether a stranger ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""
+        """Whether an unknown device ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""
         numbers = set(detail.partition(" of ")[2].partition(", which")[0].split(", "))
         return any(numbers <= other for other in self._others)
 
@@ -276,14 +276,3 @@ class DeviceEventLines:
                 say(
                     f"{who}: {number} answers came late, {answered} in time; is the bus or this machine busy?"
                 )
-
-
-__all__ = [
-    "LINGER_S",
-    "STEP_S",
-    "BusEventLines",
-    "LivePatience",
-    "SendQueue",
-    "heard_frame",
-    "losses",
-]

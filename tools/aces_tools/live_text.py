@@ -132,6 +132,3 @@ def notation(frame: Frame) -> str:
         return f"{identifier}#R{frame.length or ''}"
     flags = f"#{frame.bitrate_switch + 2 * frame.error_state_indicator}" if frame.is_fd else ""
     return f"{identifier}#{flags}{frame.data.hex().upper()}"
-
-
-__all__ = ["TIME_MODES", "CandumpLines", "LiveText", "Times", "notation"]

@@ -74,10 +74,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         # python-can imports asammdf where it is installed, for a format that we read in a process of its own: a second
         # of every start. In this program it is not to be found.
-        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how import is told
+        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how an import is forbidden
         if isinstance(
             sys.stdout, TextIOWrapper
-        ):  # where there is no Unicode, "?" stands for what cannot be written
+        ):  # where there is no Unicode, "?" replaces what cannot be written
             sys.stdout.reconfigure(errors="replace")
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
@@ -143,7 +143,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _plain(arguments: list[str]) -> list[str]:
-    """Without `--`, which the parser mistakes between options: what stands behind it are files, even `-x.log`."""
+    """Without `--`, which the parser does not understand between options: what follows it are files, even `-x.log`."""
     if "--" not in arguments:
         return arguments
     end = arguments.index("--")

@@ -33,14 +33,14 @@ _UNITS_NS: Mapping[str | None, float] = {
 
 @dataclass(frozen=True)
 class Argument:
-    """An option or a positional argument: its names, and what argparse is told of it."""
+    """An option or a positional argument: its names, and argparse's keywords."""
 
     names: tuple[str, ...]
-    told: Mapping[str, Any]
+    keywords: Mapping[str, Any]
 
-    def but(self, **told: Any) -> Argument:
-        """The same, told otherwise: another help, another default."""
-        return replace(self, told={**self.told, **told})
+    def but(self, **keywords: Any) -> Argument:
+        """The same with other keywords: another help, another default."""
+        return replace(self, keywords={**self.keywords, **keywords})
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,14 @@ class Group:
 Arguments = Iterable[Argument | Group | Callable[[argparse.ArgumentParser], None]]
 
 
-def argument(*names: str, **told: Any) -> Argument:
+def argument(*names: str, **keywords: Any) -> Argument:
     """What argparse's `add_argument` takes, as an entry of a table."""
-    return Argument(names, told)
+    return Argument(names, keywords)
 
 
-def flag(*names: str, help: str, **told: Any) -> Argument:
+def flag(*names: str, help: str, **keywords: Any) -> Argument:
     """An option without a value."""
-    return Argument(names, {"action": "store_true", "help": help, **told})
+    return Argument(names, {"action": "store_true", "help": help, **keywords})
 
 
 def several(*names: str, metavar: str, help: str) -> Argument:
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser, arguments: Arguments) -> None
     """Add the entries of a table to a parser."""
     for one in arguments:
         if isinstance(one, Argument):
-            parser.add_argument(*one.names, **one.told)
+            parser.add_argument(*one.names, **one.keywords)
         elif isinstance(one, Group):
             adds: Any = (
                 parser.add_mutually_exclusive_group()

@@ -376,6 +376,3 @@ def _mapped(texts: list[str]) -> dict[str, str]:
             raise CallerError(f"--map: {old} is named twice")
         found[old] = new
     return found
-
-
-__all__ = ["Playing", "run"]

@@ -28,7 +28,7 @@ from .decode_columns import TableDecoding
 from .decoding import Totals
 from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Arguments, argument, flag, several
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
-from .plotting.select import Declared, Wanted, declared, parse_groups, parse_pattern, select
+from .plotting.select import Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
 
 #: As `cantools plot` has it: a line is interrupted where nothing came for so many seconds.
@@ -38,7 +38,7 @@ EPILOG = """\
 signals:
   Encoder.position.0           one signal; case does not count
   position.0                   the same of whichever message has it
-  Encoder.position             all that stands under a name
+  Encoder.position             all items of a field
   'Enc*.pos*'                  * is any number of characters, ? is one
   'Encoder[board=3].position'  of one device only; also [board=3,channel=can0],
                                and any field of the message: [selector=7]
@@ -357,6 +357,3 @@ def _shown(series: Series, value: float | int | None) -> str:
     if names is not None and series.signal.bit is None:
         return names.get(value, f"{value:g}")
     return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-__all__ = ["Declared", "Plotting", "run", "split_arguments"]

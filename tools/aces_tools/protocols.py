@@ -197,7 +197,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
                 _first_line(message.doc),
             )
         )
-    page.table(("message", "told by", "bytes", "", "dialect", ""), rows)
+    page.table(("message", "recognised by", "bytes", "", "dialect", ""), rows)
     if protocol.register_map is not None:
         page.lines([""])
         _print_registers(list(protocol.register_map.values()), page)
@@ -286,7 +286,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
             page.lines([""])
         page.beside(f"{message.protocol.name}.{message.name}", [_first_line(message.doc)], "message")
         for name, text in _template(message):
-            page.beside(f"  {name:<11}", [text], "place")
+            page.beside(f"  {name:<13}", [text], "place")
         page.lines(["", *draw.picture(message), ""])
         rows = draw.field_table(flatten(message), draw.captured_values(message))
         cells = [
@@ -319,7 +319,7 @@ def _template(message: Message) -> list[tuple[str, str]]:
     plan, framing = flatten(message), message.framing
     facts = [
         ("identifier", ", ".join(parts)),
-        ("told by", _told_by(message)),
+        ("recognised by", _told_by(message)),
         ("length", f"{_lengths(message)} bytes"),
         ("direction", message.direction or ""),
         ("dialect", ", ".join(sorted(message.dialects or ()))),

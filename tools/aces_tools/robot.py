@@ -21,6 +21,8 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import msgspec
+
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.plain_text import printable
 
@@ -179,8 +181,6 @@ def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
 
     robots = [load_robot_by_name(name) for name in names]
     if arguments.json:
-        import msgspec
-
         shown = [msgspec.to_builtins(robot) for robot in robots]
         print_json(shown[0] if len(shown) == 1 else shown)
         return 0
@@ -326,8 +326,6 @@ def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
         if "is not installed" not in warning.text:
             say(str(warning))
     if arguments.json:
-        import msgspec
-
         text = json.dumps(msgspec.to_builtins(imported.robot), ensure_ascii=False, indent=2) + "\n"
     else:
         text = print_robot(

@@ -94,7 +94,7 @@ def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[s
         elif bus.link == "can" and arguments.interface:
             found[name]["interface"] = arguments.interface
             if arguments.interface == "aces" and not channel and bus.channel and ":" not in bus.channel:
-                # A virtual bus within this program would have nobody else on it.
+                # A virtual bus within this program would have no other node on it.
                 found[name]["channel"] = f"unix:{bus.channel}"
         if bus.link == "serial" and arguments.baud:
             found[name]["baud"] = arguments.baud
@@ -109,14 +109,6 @@ class Opened:
     rig: Rig
     clock: EventClock
     virtual: VirtualRobot | None
-
-    def wait(self, awaited: Any, timeout_s: float) -> Any:
-        """Let time pass until a ticket or job is over; its result. Raises its error."""
-        return awaited.wait(timeout_s)
-
-    def let_pass(self, seconds: float) -> None:
-        """Let time pass."""
-        self.clock.wait(lambda: False, round(seconds * 1e9))
 
 
 @contextmanager

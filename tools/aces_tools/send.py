@@ -25,8 +25,9 @@ import msgspec
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frames import Frame
-from aces_bus.protocol import Variant, make_scanner
+from aces_bus.protocol import CanScanner, Meta, Unknown, Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.draw import picture
 from aces_bus.recordings import Chunk
 from aces_bus.recordings.candump.line import UnreadableLine, read_line
 
@@ -186,8 +187,6 @@ class Sending:
             if self.plans:
                 self.output.write(writer.items(items))
         if self.arguments.bits and self.message is not None:
-            from aces_bus.protocol.draw import picture
-
             self.output.write("".join(f"{line}\n" for line in ["", *picture(self.message)]).encode())
         self.output.close()
         say("nothing was sent: add --tx" + ("" if self.bus is not None else " and a bus"))
@@ -205,13 +204,10 @@ class Sending:
     def _decoded(self, word: Word) -> list[Any]:
         """What a receiver would make of it."""
         if not self.variants:
-            from aces_bus.protocol import Meta, Unknown
-
             if isinstance(word, bytes):
                 return [
                     Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))
                 ]
-            from aces_bus.protocol import CanScanner
 
             return CanScanner((), include_unknown=True).feed([word])
         direction = self.message.direction if self.message is not None else None

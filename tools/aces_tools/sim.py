@@ -230,7 +230,7 @@ class SimulatedRobot:
     def _serve(
         self, wanted: Mapping[str, str | None], options: dict[str, dict[str, Any]], stack: ExitStack
     ) -> None:
-        """Serve a bus for each address that nobody serves yet; one that the call names and somebody serves is joined."""
+        """Serve a bus for each address that is not served yet; one that the call names and that is served is joined."""
         from aces_bus.hardware.served.address import parse_address
         from aces_bus.hardware.served.channel import ServedChannel
         from aces_bus.hardware.served.server import BusServer
@@ -308,7 +308,7 @@ class SimulatedRobot:
 
 
 def _answers(address: Any) -> bool:
-    """Whether somebody serves there."""
+    """Whether a bus is served there."""
     try:
         address.connect(1.0).close()
     except OSError:

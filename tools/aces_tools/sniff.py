@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from .bus_arg import AnyGate
     from .recorder import RecordingFile
 
-#: Where frames come close behind each other, they are shown together, so often: less work, and nobody sees it.
+#: Frames that come close behind each other are shown together, once in this time (s): less work, and not visible.
 TOGETHER_S = 0.01
 #: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
 LEAST_SILENCE_S = 0.02
@@ -145,7 +145,7 @@ class Sniffing(LiveDecoding):
         self.scanner.reset()
         self.total = self.totals.setdefault(self.link, Totals())
         self.gap_ns = round(max(getattr(self.scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S) * 1e9)
-        #: When bytes were heard last, and whether the silence since then was told to the scanner.
+        #: When bytes came last, and whether the scanner knows of the silence since then.
         self.heard_at, self.is_settled = 0, True
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self.lost = ""
@@ -275,7 +275,7 @@ class Sniffing(LiveDecoding):
                 return
 
     def _hear(self, items: Sequence[Any]) -> None:
-        """Show what was heard, up to the last line that is asked for."""
+        """Show what was received, up to the last line that is asked for."""
         if not items:
             return
         if self.bus.kind != "can":

@@ -197,7 +197,7 @@ def _record(text: str, nodes: Mapping[str, p.Node], name: str, depth: int) -> di
 
 
 def _parts(text: str, name: str) -> list[str]:
-    """What stands between commas that are in no bracket and no quotes."""
+    """The parts between commas that are in no bracket and no quotes."""
     parts, start, quote = [], 0, ""
     open_ = 0
     for place, letter in enumerate(text):
@@ -216,6 +216,3 @@ def _parts(text: str, name: str) -> list[str]:
         raise CallerError(f"{name}: a bracket or a quote is not closed in {text!r}")
     last = text[start:].strip()
     return [*parts, last] if last or parts else []
-
-
-__all__ = ["parse_fields", "parse_number", "parse_value"]

@@ -433,6 +433,3 @@ def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
         found = np.where(is_set, one(True), one(False))
     kept: Rows = found != (condition.sign == "!=")
     return kept
-
-
-__all__ = ["Rows", "Where", "WhereColumns", "WhereCondition", "comparison", "parse_condition", "values_of"]

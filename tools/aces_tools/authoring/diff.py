@@ -214,6 +214,3 @@ def difference_lines(found: Difference) -> list[tuple[str, str]]:
 
 def _arrow(change: Change) -> str:
     return f"{change.old or 'none'} → {change.new or 'none'}"
-
-
-__all__ = ["Change", "Changed", "Difference", "difference_lines", "spec_difference"]

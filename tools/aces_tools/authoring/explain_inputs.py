@@ -214,6 +214,3 @@ def _streams(
         if len(ways) == 1:
             stream.label = ""
         yield stream
-
-
-__all__ = ["LARGEST", "FrameInput", "StreamInput", "inputs_of"]

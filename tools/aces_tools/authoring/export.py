@@ -144,7 +144,9 @@ def _write(path: str, text: str, *, is_dbc: bool) -> None:
 def _dissector(variant: Variant, arguments: argparse.Namespace) -> tuple[str, list[Loss]]:
     direction: Way = arguments.direction or "by port"
     if variant.link == "can" and (arguments.port or arguments.direction):
-        raise CallerError("--port and --direction are for streams; CAN frames are told by their identifiers")
+        raise CallerError(
+            "--port and --direction are for streams; CAN frames are recognised by their identifiers"
+        )
     if arguments.port > 65535:
         raise CallerError(f"--port {arguments.port}: ports are 1…65535")
     return print_dissector(variant, direction=direction, port=arguments.port)

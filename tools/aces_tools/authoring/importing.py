@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     kind = Path(path).suffix.lstrip(".").upper()
     problems = list(imported.problems)
     if kind == "DBC":
-        problems = sorted([*problems, *left_out(path)])
+        problems = sorted([*problems, *dbc_losses(path)])
     article = "an" if kind[0] in "AESM" else "a"
     text = print_source(imported.protocol, problems, f"{article} {kind} file")
     if arguments.output is not None:
@@ -103,7 +103,7 @@ _KINDS = (
 )
 
 
-def left_out(path: str) -> list[ImportProblem]:
+def dbc_losses(path: str) -> list[ImportProblem]:
     """Remarks about a DBC file. Raises `CallerError` when it cannot be read."""
     found: dict[str, list[int]] = {}
     for one in split_statements(read_text(path, "dbc")):

@@ -20,6 +20,7 @@ import argparse
 import difflib
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol, list_protocols
@@ -43,14 +44,16 @@ ARGUMENTS: Arguments = (
 
 def run(arguments: argparse.Namespace) -> int:
     home = _home(arguments.protocol)
+    stub = print_stub(home.protocol, home.variable)
     given: str | None = arguments.output
     if given is None and not arguments.check:
-        sys.stdout.write(home.stub())
+        sys.stdout.write(stub)
         return 0
-    path = home.beside if given in (None, BESIDE) else Path(str(given))
+    stem = "records" if home.file.stem == "spec" else f"{home.file.stem}_records"
+    path = home.file.with_name(f"{stem}.pyi") if given in (None, BESIDE) else Path(str(given))
     if path.suffix != ".pyi":
         raise CallerError(f"-o {path}: a stub's name ends in .pyi")
-    texts = {path: home.stub(), path.with_suffix(".py"): home.module(path)}
+    texts = {path: stub, path.with_suffix(".py"): home.module(path)}
     command = f"aces spec stubs {arguments.protocol} -o" + ("" if given in (None, BESIDE) else f" {given}")
     if arguments.check:
         return _check(texts, command)
@@ -80,19 +83,13 @@ def _check(texts: dict[Path, str], command: str) -> int:
     return status
 
 
-class _Home:
+class _Home(NamedTuple):
     """Where a protocol comes from: the file of its spec, the module and the variable that name it."""
 
-    def __init__(self, protocol: Protocol, file: Path, module: str, variable: str) -> None:
-        self.protocol, self.file, self.imported, self.variable = protocol, file, module, variable
-
-    @property
-    def beside(self) -> Path:
-        stem = "records" if self.file.stem == "spec" else f"{self.file.stem}_records"
-        return self.file.with_name(f"{stem}.pyi")
-
-    def stub(self) -> str:
-        return print_stub(self.protocol, self.variable)
+    protocol: Protocol
+    file: Path
+    imported: str
+    variable: str
 
     def module(self, path: Path) -> str:
         """The module at `path`: it imports the spec from beside itself, else by its full name."""

@@ -40,7 +40,7 @@ def optional(module: str) -> Any:
     """A peer library, or None when it is not installed."""
     known: Any = sys.modules.get(module, module)
     if known is None:
-        del sys.modules[module]  # hidden at the start, as nobody else wants it
+        del sys.modules[module]  # hidden at the start, as only benchmarks want it
     try:
         return importlib.import_module(module)
     except ImportError:

@@ -1,7 +1,7 @@
 """`aces bench bus`: the virtual bus, in one process and across processes, beside python-can's own.
 
 1. Contenders carry the same 8-byte frames in the same run, in turn; ratios are of their fastest rounds.
-2. The long bus is simulated twice from one seed; all that its listener heard, and when, must hash to the same.
+2. The long bus is simulated twice from one seed; all that its listener received, and when, must hash to the same.
 """
 
 from __future__ import annotations

@@ -19,10 +19,13 @@ from typing import Any
 
 import can
 
+from aces_bus.export import open_export
 from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import CanScanner, Variant, load_protocol
 from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.exchange import load_database
 from aces_bus.recordings import open_recording
+from aces_bus.recordings.write import open_writer
 
 from . import BenchRow, fastest, optional
 from .car import car_dbc, write_car_log
@@ -50,7 +53,6 @@ class Subject:
         self.part_count = min(PEER, count)
         with open(self.log, "rb") as whole, open(self.part, "wb") as part:
             part.writelines(islice(whole, self.part_count))
-        from aces_bus.protocol.exchange import load_database
 
         self.variant: Variant = load_database(str(self.dbc)).protocol.variant()
         cantools = optional("cantools")
@@ -266,7 +268,6 @@ def _objects(subject: Subject, rounds: int) -> list[BenchRow]:
 def _parquet(subject: Subject, rounds: int) -> list[BenchRow]:
     if optional("pyarrow") is None:
         return []
-    from aces_bus.export import open_export
 
     out = subject.folder / "ours.parquet"
 
@@ -370,8 +371,6 @@ def _peak(code: str) -> float:
 
 
 def _write(subject: Subject, path: Path, count: int) -> None:
-    from aces_bus.recordings.write import open_writer
-
     left = count
     with open_recording(str(subject.log), link="can") as capture, open_writer(str(path)) as writer:
         for table in capture.tables():

@@ -18,7 +18,7 @@ class Writer(Protocol):
     """What the three have in common."""
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
-        """What stands before the items of a source; `start` is the time of its first one, shown or not."""
+        """What comes before the items of a source; `start` is the time of its first one, shown or not."""
         ...
 
     def items(self, items: Sequence[Any]) -> bytes:

@@ -16,7 +16,7 @@ from ..console import Output, terminal_width, wants_colour
 from .text import Paint, make_paint, no_paint
 
 GAP = "  "
-#: The last column stands beside the others when it has at least this much room.
+#: The last column goes beside the others when it has at least this much room.
 LEAST = 28
 INDENT = 4
 

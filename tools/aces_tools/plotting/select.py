@@ -1,6 +1,6 @@
 """Which signals a plot shows: patterns such as `Encoder[board=3].position.*:r--`, matched against what is declared.
 
-1. All of this is decided from the protocols alone, before anything is read: a misspelt name costs nobody an hour.
+1. All of this is decided from the protocols alone, before anything is read: a misspelt name is found at once.
 2. `*` and `?` are the only wildcards, and case does not count, as users of cantools have it.
 3. A pattern with wildcards never takes what only tells devices apart (a board's number), nor bits that belong to no
    field; by their full names they can be had.
@@ -187,7 +187,7 @@ class SignalPattern:
     text: str
     name: str
     where: tuple[tuple[str, str], ...] = ()
-    #: What stands behind the brackets, when something does: then `name` is the message alone.
+    #: What follows the brackets, if anything does: then `name` is the message alone.
     rest: str | None = None
     format: ImageFormat = field(default_factory=ImageFormat)
 

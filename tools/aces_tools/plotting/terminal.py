@@ -2,7 +2,7 @@
 
 1. No line of text is wider than `width`, whatever the names.
 2. Without colours lines carry their number, as on a map: a plot in a file or an e-mail can be read, too.
-3. Where the output has no braille, `*` stands for dots and ASCII for frames.
+3. Where the output has no braille, dots are `*` and frames ASCII.
 4. Nothing that came from a protocol or a wire reaches the terminal as a control character.
 
 Each character is two dots wide and four high. Series are thinned to the first, last, lowest and highest sample of each
@@ -313,7 +313,7 @@ class _Drawing:
         return self._cells(cells, owner, lines, marks)
 
     def _number(self, mine: Array, number: int, count: int, marks: dict[tuple[int, int], str]) -> None:
-        """Put a line's number on it here and there, where no other number stands."""
+        """Put a line's number on it here and there, where there is no other number."""
         mark = str(number + 1)
         first = round(APART / 2 * (number + 0.5) / count) + 1
         for start in range(first, self.columns, APART):

@@ -13,22 +13,21 @@ import sys
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from aces_bus.controller import ControllerLike
+from aces_bus.controller.log import Logger
+from aces_bus.device import Device, Robot
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.frames import Frame
+from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, terminal_width, wants_colour
 from ..live import LivePatience
 from ..robot_arg import bus_options
 from .figures import USUAL, Figures, Watch, event_text
 from .panel import panel, plain_line, to_rich
-
-if TYPE_CHECKING:
-    from aces_bus.controller import ControllerLike
-    from aces_bus.controller.log import Logger
-    from aces_bus.device import Device, Robot
-    from aces_bus.frames import Frame
-    from aces_bus.robot import Ended, Runner
 
 #: Between two pictures of the panel, and two lines (ns).
 PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
@@ -38,7 +37,7 @@ REST_S = 4.0
 ENABLE_S, HOME_S = 30.0, 180.0
 #: Threads of Python wait for each other at most so long (s): the default, 5 ms, is a whole cycle.
 SWITCH_S = 0.0005
-#: Events of one kind and source that are told.
+#: Events of one kind and source that are printed.
 FEW = 3
 #: What python-can says where neither the call nor its own configuration names an interface.
 NO_INTERFACE = 'interface type "None"'
@@ -69,8 +68,6 @@ class Session:
     # ------------------------------------------------------------------ making
 
     def _make(self, stack: ExitStack) -> Runner:
-        from aces_bus.robot import run_real, run_replay, run_virtual
-
         asked = self.arguments
         if asked.virtual:
             return run_virtual(
@@ -156,7 +153,7 @@ class Session:
         """Home and enable what is driven; False when some of it is not there."""
         asked = self.arguments
         if missing:
-            say(f"not heard: {', '.join(missing)}; powered, on this bus, and of this number?")
+            say(f"no answer from {', '.join(missing)}: powered, on this bus, and of this number?")
         if not runner.drives:
             return True
         driven = {device.name: device for one in runner.supervisors for device in runner.driven(one)}
@@ -239,7 +236,7 @@ class Session:
             return
         try:
             print(plain_line(figures), flush=True)
-        except BrokenPipeError:  # nobody reads any more: the robot is stopped as if by Ctrl-C
+        except BrokenPipeError:  # the reader has gone: the robot is stopped as if by Ctrl-C
             abandon_stdout()
             self.patience.is_over = True
 
@@ -307,14 +304,9 @@ class Session:
 @contextmanager
 def _frames(path: str) -> Generator[Iterator[Frame]]:
     """A CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
-    from aces_bus.recordings import CanRecording, open_recording
-
     with open_recording(path) as capture:
         if not isinstance(capture, CanRecording):
             raise CallerError(f"{path}: a serial recording; --replay takes those of CAN")
         yield (frame for frames in capture.batches(1024) for frame in frames)
         if capture.lines_unreadable:
             say(f"{capture.name}: {capture.lines_unreadable} unreadable lines")
-
-
-__all__ = ["Session"]

@@ -1,6 +1,6 @@
 """The lines above the table: the bus and its state, its load, what is wrong or lost.
 
-1. What is wrong is never left out for want of room: it stands first in its line.
+1. What is wrong is never left out for want of room: it comes first in its line.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Line = list[StyledText]
 #: Channels with a line of their own; the others share one.
 MOST_CHANNELS = 4
 BAR = 16
-#: An event is told for so long.
+#: An event is shown for so long.
 TOLD_NS = 15_000_000_000
 #: Events that are nothing to worry about.
 CALM = frozenset({"opened", "reopened", "closed", "error-active", "recovered"})
@@ -62,7 +62,7 @@ def head(model: Model, status: Status, view: View, shown: int, now_ns: int, widt
     lines = [_title(status, view, now_ns, width)]
     channels = sorted(model.channels.values(), key=lambda one: one.name)
     if not channels:
-        lines.append([StyledText(" nothing heard yet", "dim")])
+        lines.append([StyledText(" nothing received yet", "dim")])
     widest = max([len(channel.name) for channel in channels], default=4)
     for channel in channels[:MOST_CHANNELS]:
         lines.append(_channel(model, channel, min(widest, 12), now_ns, width))
@@ -273,6 +273,3 @@ def _digits(row: RepeatedFrame, number: int, marks: Sequence[int]) -> list[Style
         StyledText(digit, age_style(marks, 8 * number + 4 * (1 - place), 15))
         for place, digit in enumerate(digits)
     ]
-
-
-__all__ = ["Line", "Status", "head", "plain_text"]

@@ -42,7 +42,7 @@ ROW_TAU_S, CHANNEL_TAU_S = 2.0, 1.0
 SMOOTH = 1 / 32
 #: Values a row remembers for its curves, and the least time between two of them.
 HISTORY, STEP_NS = 40, 90_000_000
-#: How long a change is told from an old one, and how finely.
+#: How long a change counts as recent, and how finely its age is known.
 RECENT_NS, FINE_NS = 3_000_000_000, 50_000_000
 #: Bytes of a packet in which changes are looked for.
 COMPARED = 64
@@ -215,7 +215,7 @@ def changed_bits(before: bytes, after: bytes) -> int:
 
 @dataclass
 class ChannelRates:
-    """One bus of those that are heard: frames, and bits on the wire, in all and a second."""
+    """One bus of those that are listened to: frames, and bits on the wire, in all and a second."""
 
     name: str
     start_ns: int
@@ -273,7 +273,7 @@ class Model:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was heard; begin anew."""
+        """Forget what was received; begin anew."""
         self.rows: dict[Place, RepeatedFrame] = {}
         self.others: dict[str, FoldedRows] = {}
         self.channels: dict[str, ChannelRates] = {}
@@ -288,7 +288,7 @@ class Model:
         self._incoming.append(event)
 
     def take_events(self) -> None:
-        """Count what `tell` was told."""
+        """Count the events that came through `tell`."""
         while self._incoming:
             event = self._incoming.popleft()
             self.events.append(event)
@@ -473,7 +473,7 @@ class Model:
         return channel.bit_meter.per_second(now_ns) / self.bitrate if self.bitrate else None
 
     def fields_of(self, row: RepeatedFrame) -> FieldFormat | None:
-        """How the row's message is told; None where it is none."""
+        """How the row's message is shown; None where it is none."""
         return self.fields[type(row.record)]
 
     @property
@@ -531,6 +531,3 @@ class Meter:
         tau = self._tau / 1e9
         age = max((now_ns - self._start) / 1e9, YOUNGEST_S)
         return self._faded(now_ns) / (tau * (1.0 - exp(-age / tau)))
-
-
-__all__ = ["ChannelRates", "FoldedRows", "Model", "RepeatedFrame", "changed_bits"]

@@ -2,7 +2,7 @@
 
 1. Nothing here reads a clock or knows the terminal's library; styles are names, and `styles` says what they are.
 2. A piece of text has no control characters, whatever came over a wire; a line is never wider than asked for.
-3. Where there is no colour, what is new is bold or underlined: nothing is told by colour alone.
+3. Where there is no colour, what is new is bold or underlined: colour alone says nothing.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ LEAST_VALUES = 24
 
 
 def visible_columns(needs: Needs, width: int) -> list[TableColumn]:
-    """The columns that fit: what is told elsewhere, too, is left out first."""
+    """The columns that fit: what is shown elsewhere, too, is left out first."""
     size = min(needs.size, 16)
     spaced, packed = 3 * size - 1, 2 * size
     message = min(needs.message, 20) if needs.is_decoded else 0
@@ -409,17 +409,3 @@ def fit(spans: Sequence[StyledText], width: int) -> list[StyledText]:
         found.append(span)
         width -= length
     return found
-
-
-__all__ = [
-    "Needs",
-    "StyledText",
-    "TableColumn",
-    "bar",
-    "binary",
-    "fit",
-    "line",
-    "styles",
-    "title",
-    "visible_columns",
-]
