@@ -8,9 +8,9 @@
   aces convert walk.blf --filter 060:7F0 --from 10 --to 20 --format candump -
   aces convert session.slog session.bin
 
-The last name is what is written; its suffix says the format, also with .gz
-or .zst behind it. What the others are, their content says; `-` is standard
-input, or output with --format.
+The last name is the output, and its suffix the format, also before .gz or
+.zst. Formats of the others are recognised by content. - is standard input, or
+with --format standard output.
 """
 
 from __future__ import annotations
@@ -57,23 +57,23 @@ channels:
   Formats name channels (candump, pcapng, MF4) or number them from 1 (ASC, BLF,
   TRC). can0 is number 1, can1 number 2 and back; another name gets the number
   at its end plus one (vcan4: 5), or the lowest that is free.
-  --map 0=can3 gives a channel another name before that. --filter goes by
-  the names in the recording.
+  --map 0=can3 renames a channel before that. --filter goes by the names in
+  the recording.
 
 summary (last on stderr):
   frames = written + filtered; errors: error frames among those written   (CAN)
   bytes = written + filtered                                           (serial)
-  Before it one line for each kind of thing that the format written does not
-  hold, and of what was read that is no frame.
+  Above it, a line for each kind of entry that the output format cannot hold,
+  and for each kind of entry in the input that is no frame.
 
 exit status:
   0    also after Ctrl-C where the input was live: what had come is written
-  1    --strict, and anything was unreadable, no frame, or is not held by the
-       format written
+  1    --strict, and anything was unreadable, no frame, or cannot be held by
+       the output format
   2    a wrong call, or a file that cannot be read or written
   130  after Ctrl-C
-The file that is written has its name only when it is whole: an error, or
-Ctrl-C while a file is read, leaves what was there before.
+The output appears only when it is whole: an error, or Ctrl-C while a file is
+read, leaves what was there before.
 """
 
 

@@ -55,9 +55,9 @@ hubo:D08 and hubo@drc_hubo only there. Several NAMEs take turns.
 
 again:
   Every example follows from the seed and its number: --seed 7:4130 is example
-  4130 of seed 7, alone. --replay FILE asks the laws of a scene that was saved
-  (.json), or of any capture. A corpus keeps scenes that reached something new
-  and those that failed; they are judged first the next time.
+  4130 of seed 7, alone. --replay FILE tries the laws on a saved scene (.json)
+  or on any recording. A corpus keeps scenes that reached something new and
+  those that failed; they are judged first the next time.
 
 exit status:
   0    the laws hold

@@ -161,8 +161,13 @@ UNKNOWN = argument(
     choices=["show", "hide", "only"],
     help="what is not decoded (default: show; hide with --message or --where, and in tables)",
 )
-FROM = argument("--from", dest="start", metavar="TIME", help="only what is from this time on; see below")
-TO = argument("--to", dest="stop", metavar="TIME", help="only what is before this time")
+FROM = argument(
+    "--from",
+    dest="start",
+    metavar="TIME",
+    help="from this time on: seconds from the first frame, or since 1970",
+)
+TO = argument("--to", dest="stop", metavar="TIME", help="up to this time, without it")
 TIME = argument(
     "-t",
     "--time",

@@ -5,8 +5,8 @@
   aces plot walk.log -p hubo --list
   candump can0 | aces plot - -p car.py 'Motor.speed:r-' , 'Motor.torque' --show
 
-CAPTUREs come first, SIGNALs after them; `-` as the first is standard input.
-Without SIGNALs each message that occurs gets a subplot.
+CAPTUREs come first, then SIGNALs; - as the first is standard input. Without
+SIGNALs each message that occurs gets a subplot.
 """
 
 from __future__ import annotations
