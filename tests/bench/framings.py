@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from aces_tools.benchmarks.timing import fastest, optional
+from aces_tools.benchmarks import fastest, optional
 from tests.specs.cases import MAVLINK1, NMEA0183, UBX
 from tests.specs.catalogue import SPECS
 

@@ -100,7 +100,7 @@ class Stand:
         self.board = self.config.credentials["board"]
         self.environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
         self.sim = subprocess.Popen(
-            [sys.executable, "-m", "aces_tools.main", "sim", ROBOT],
+            [sys.executable, "-m", "aces_tools", "sim", "-r", ROBOT],
             env=self.environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

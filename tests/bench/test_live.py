@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from aces_bus.protocol import load_protocol
+from aces_tools.benchmarks import fastest
 from aces_tools.benchmarks.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
-from aces_tools.benchmarks.timing import fastest
 
 Benchmark = Callable[..., Any]
 

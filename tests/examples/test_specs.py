@@ -101,7 +101,7 @@ def test_the_tools_take_them(name: str, tmp_path: Path, aces: Aces) -> None:
     explained = aces("spec", "explain", FOLDER / name, capture, "--direction", "from")
     assert explained.status == 0
     for form in ("markdown", "wireshark"):
-        assert aces("spec", "export", FOLDER / name, "--to", form).status == 0
+        assert aces("spec", "export", FOLDER / name, "--format", form).status == 0
     assert aces("protocols", FOLDER / name).status == 0
 
 

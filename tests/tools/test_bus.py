@@ -66,7 +66,7 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_serving_until_told_to_stop(runtime: Path, number: signal.Signals) -> None:
     """`aces bus serve` says how to join, serves, and on Ctrl-C or SIGTERM ends with a summary, status 0 and no files."""
-    command = [sys.executable, "-m", "aces_tools.main", "bus", "serve", "left", "right", "-b", "250000"]
+    command = [sys.executable, "-m", "aces_tools", "bus", "serve", "left", "right", "-b", "250000"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tools")])}
     with subprocess.Popen(
         [*command, "--socketcand", "127.0.0.1:0"],
@@ -101,8 +101,8 @@ def test_list_names_served_buses(aces: Aces) -> None:
         ) as server,
         can.Bus("unix:left", "aces"),
     ):
-        plain = aces("bus", "list", "--wait", "0.2")
-        objects = aces("bus", "list", "--wait", "0.2", "--json").objects
+        plain = aces("bus", "list", "--for", "0.2")
+        objects = aces("bus", "list", "--for", "0.2", "--json").objects
     assert plain.status == 0
     assert "left  served: 500,000 bit/s, 1 node, 0 frames" in plain.out
     assert "right  served: no physics, 0 nodes, 0 frames" in plain.out

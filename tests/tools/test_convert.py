@@ -20,7 +20,7 @@ from aces_bus.frames import Frame
 from aces_bus.recordings import formats, open_recording, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import merge_by_time
-from aces_tools import convert, progress
+from aces_tools import console, convert
 
 from .conftest import LOG, Aces
 
@@ -99,7 +99,7 @@ def test_our_serial_log(aces: Aces, tmp_path: Path) -> None:
     with open_writer(log) as writer:
         for number in range(4):
             writer.write(Chunk(bytes([number]), 100.0 + number, "to device"))
-    result = aces("convert", log, raw, "--from", "1", "--until", "3")
+    result = aces("convert", log, raw, "--from", "1", "--to", "3")
     assert raw.read_bytes() == b"\x01\x02"
     assert result.messages == [
         "raw serial bytes does not hold: 2 times of chunks",
@@ -131,7 +131,7 @@ def test_everything_is_accounted_for(aces: Aces, log: Path, tmp_path: Path) -> N
 
 
 def test_filters_and_times(aces: Aces, log: Path, tmp_path: Path) -> None:
-    """Filters are candump's; times count from the first frame, or since 1970, and end before --until."""
+    """Filters are candump's; times count from the first frame, or since 1970, and end before --to."""
     out = tmp_path / "out.log"
     result = aces("convert", log, out, "--filter", "060:7FF", "--filter", "can1")
     assert [line.split()[1:] for line in lines(out)] == [
@@ -141,7 +141,7 @@ def test_filters_and_times(aces: Aces, log: Path, tmp_path: Path) -> None:
         ["can1", "700#R"],
     ]
     assert (result.summary["written"], result.summary["filtered"]) == (4, 8)
-    aces("convert", log, out, "--from", "0.01", "--until", "0.03")
+    aces("convert", log, out, "--from", "0.01", "--to", "0.03")
     assert [line.split("#")[0][-3:] for line in lines(out)] == ["062", "300"]
     aces("convert", log, out, "--from", "1436509052.1", "--filter", "400:7FF")
     assert [line.split()[0] for line in lines(out)] == ["(1436509052.100000)"]
@@ -150,10 +150,10 @@ def test_filters_and_times(aces: Aces, log: Path, tmp_path: Path) -> None:
 def test_channels_get_other_names(aces: Aces, plain: Path, tmp_path: Path) -> None:
     """--channel renames, two channels into one as well; --filter goes by the old names; what is not there is said."""
     out = tmp_path / "out.log"
-    result = aces("convert", plain, out, "--channel", "can0=drive", "--channel", "x=y", "--filter", "can0")
+    result = aces("convert", plain, out, "--map", "can0=drive", "--map", "x=y", "--filter", "can0")
     assert [line.split()[1] for line in lines(out)] == ["drive"] * 3
-    assert result.messages == ["--channel: no frame came from 'x' (there are: can0, can1)"]
-    aces("convert", plain, out, "--channel", "can0=body", "--channel", "can1=body")
+    assert result.messages == ["--map: no frame came from 'x' (there are: can0, can1)"]
+    aces("convert", plain, out, "--map", "can0=body", "--map", "can1=body")
     assert [line.split()[1] for line in lines(out)] == ["body"] * 5
     absent = aces("convert", plain, out, "--filter", "can7")
     assert absent.messages == ["--filter: no frame came from 'can7' (there are: can0, can1)"]
@@ -171,7 +171,7 @@ def test_an_unnamed_channel_gets_a_name(aces: Aces, tmp_path: Path) -> None:
         (frame,) = capture
     if frame.channel is not None:
         pytest.skip("the reader names it")
-    aces("convert", trace, out, "--channel", "=drive")
+    aces("convert", trace, out, "--map", "=drive")
     assert [line.split()[1:] for line in lines(out)] == [["drive", "001#0A", "R"]]
 
 
@@ -276,9 +276,9 @@ def piped(monkeypatch: pytest.MonkeyPatch, content: bytes) -> None:
 
 
 def test_from_a_pipe_to_standard_output(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`-` is standard input, and with --to standard output."""
+    """`-` is standard input, and with --format standard output."""
     piped(monkeypatch, PLAIN.encode())
-    result = aces("convert", "-", "-", "--to", "candump")
+    result = aces("convert", "-", "-", "--format", "candump")
     assert (result.status, result.out) == (0, PLAIN)
 
 
@@ -322,23 +322,22 @@ def test_ctrl_c_ends_a_live_recording(aces: Aces, tmp_path: Path, monkeypatch: p
         (["{plain}"], "name what to read and, last, what to write"),
         (["{plain}", "{plain}"], "is one of the files to read"),
         (["{plain}", "{folder}/out.xyz"], "the suffix names no format"),
-        (["{plain}", "-"], "name the format: --to candump|asc"),
+        (["{plain}", "-"], "name the format: --format candump|asc"),
         (["{folder}/absent.log", "{folder}/out.asc"], "no such file"),
         (
             ["{plain}", "{folder}/out.bin"],
             "CAN frames, which raw serial bytes does not hold; write one of .log",
         ),
         (["{dump}", "{folder}/out.asc"], "bytes of a serial line, which Vector ASC does not hold"),
-        (["{plain}", "{folder}/out.log", "--channel", "drive"], "write OLD=NEW"),
-        (["{plain}", "{folder}/out.log", "--channel", "a=b", "--channel", "a=c"], "has a new name already"),
+        (["{plain}", "{folder}/out.log", "--map", "drive"], "write OLD=NEW"),
+        (["{plain}", "{folder}/out.log", "--map", "a=b", "--map", "a=c"], "has a new name already"),
         (["{plain}", "{folder}/out.log", "--from", "noon"], "--from 'noon' is not a time"),
-        (["{plain}", "{folder}/out.log", "--until", "inf"], "--until 'inf' is not a time"),
+        (["{plain}", "{folder}/out.log", "--to", "inf"], "--to 'inf' is not a time"),
         (["{plain}", "{folder}/out.log", "--filter", "060"], "has no mask"),
         (["{dump}", "{folder}/out.bin", "--filter", "060:7FF"], "--filter is for CAN frames"),
         (["{dump}", "{folder}/out.bin", "--merge"], "--merge is for CAN frames"),
         (["{plain}", "{folder}/absent/out.log"], "cannot be written: there is no folder"),
-        (["{plain}", "{folder}/out.log", "--to", "20"], "a time goes to --until"),
-        (["{plain}", "{folder}/out.log", "--to", "mdf"], "no format named 'mdf'"),
+        (["{plain}", "{folder}/out.log", "--format", "mdf"], "no format named 'mdf'"),
     ],
 )
 def test_wrong_calls(aces: Aces, plain: Path, tmp_path: Path, arguments: list[str], complaint: str) -> None:
@@ -359,7 +358,7 @@ def test_chunks_without_a_time_are_counted_as_chunks(aces: Aces, tmp_path: Path)
     dump = tmp_path / "dump.txt"
     dump.write_bytes(b'Port opened by process "x"\n\n FF FF 01\n')
     result = aces("convert", dump, tmp_path / "out.bin", "--from", "0")
-    assert result.messages == ["chunks without a time, which are outside of --from and --until: 1"]
+    assert result.messages == ["chunks without a time, which are outside of --from and --to: 1"]
     assert (result.summary["bytes"], result.summary["filtered"]) == (3, 3)
 
 
@@ -395,7 +394,7 @@ def test_progress_is_shown_on_a_terminal_only(
     make: Callable[[], io.StringIO],
 ) -> None:
     """Large files get a bar with rate on a terminal, small ones and other outputs none."""
-    monkeypatch.setattr(progress, "LARGE", 0)
+    monkeypatch.setattr(console, "LARGE", 0)
     monkeypatch.setenv("TERM", "xterm")
     stderr = make()
     monkeypatch.setattr(sys, "stderr", stderr)

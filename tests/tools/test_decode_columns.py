@@ -16,7 +16,7 @@ import pytest
 
 from aces_bus.errors import CaptureError
 from aces_bus.protocol import Variant
-from aces_tools import decoding, progress
+from aces_tools import console, decoding
 from aces_tools.protocols_arg import parse_protocols
 
 from .conftest import LOG, SPEC, Aces, Result
@@ -352,7 +352,7 @@ def test_standard_input(arm: str, tmp_path: Path) -> None:
     if os.name != "posix":
         pytest.skip("pipes and signals of a Unix shell")
     running = subprocess.Popen(
-        [sys.executable, "-m", "aces_tools.main", "decode", "-p", arm, "-o", str(tmp_path / "o.npz"), "-"],
+        [sys.executable, "-m", "aces_tools", "decode", "-p", arm, "-o", str(tmp_path / "o.npz"), "-"],
         stdin=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -407,7 +407,7 @@ def test_a_bar_is_shown_on_a_terminal(
         def isatty(self) -> bool:
             return True
 
-    monkeypatch.setattr(progress, "LARGE", 0)
+    monkeypatch.setattr(console, "LARGE", 0)
     monkeypatch.setenv("TERM", "xterm")
     stderr = Terminal()
     monkeypatch.setattr(sys, "stderr", stderr)

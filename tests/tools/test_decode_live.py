@@ -24,7 +24,7 @@ class Running:
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "aces_tools.main", *arguments],
+            [sys.executable, "-m", "aces_tools", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -166,7 +166,7 @@ def test_a_full_disk_is_one_line(arm: str, tmp_path: Path) -> None:
     log.write_bytes(b"".join(FRAME % n for n in range(5000)))
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "aces_tools.main", "decode", str(log), "-p", arm],
+            [sys.executable, "-m", "aces_tools", "decode", str(log), "-p", arm],
             stdout=full,
             stderr=subprocess.PIPE,
             timeout=TIMEOUT_S,

@@ -18,7 +18,7 @@ from aces_bus.robot import VirtualRobot
 from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_tools import device_do
 from aces_tools.robot_arg import chosen_robot
-from aces_tools.sim_stand import SimulatedRobot
+from aces_tools.sim import SimulatedRobot
 from tests.tools.conftest import Aces
 from tests.tools.live import interrupt
 
@@ -118,7 +118,7 @@ def test_what_a_joint_has(aces: Aces, leg: str) -> None:
 def test_a_narrow_terminal(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """No line is wider than the terminal; in a pipe nothing is wrapped."""
     whole = aces("device", "YAW", "-r", leg).out
-    monkeypatch.setattr("aces_tools.device_text.sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("aces_tools.console.sys.stdout.isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "60")
     shown = aces("device", "YAW", "-r", leg).out
     assert max(map(len, shown.splitlines())) <= 60
@@ -358,7 +358,7 @@ def test_an_action_that_fails(virtual: Any) -> None:
         (("YAW", "set_gains", "kx=1"), "no argument of set_gains named 'kx'"),
         (("YAW", "get", "--enable"), "--enable is for 'set'"),
         (("YAW", "home", "--for", "3s"), "--for is for 'set' and 'watch'"),
-        (("YAW", "watch", "--every", "often"), "--every 'often' is not a duration"),
+        (("YAW", "watch", "--every", "often"), "--every: 'often' is not a duration"),
         (("YAW", "get", "--bus", "can=can0"), "--virtual has no buses"),
     ],
 )
@@ -394,7 +394,7 @@ def test_a_bus_that_cannot_be_opened(
     none = aces("device", "YAW", "get", "-r", leg, "-i", "aces")
     assert none.status == 2
     assert "bus can (unix:leg0) cannot be opened" in none.err
-    assert "aces sim ROBOT" in none.err
+    assert "aces sim -r ROBOT" in none.err
     assert (
         "no bus of leg named 'cam'; did you mean 'can'"
         in aces("device", "YAW", "get", "-r", leg, "--bus", "cam=can0").err
@@ -459,7 +459,7 @@ def test_a_device_that_is_not_there(
     assert (got.status, got.out) == (1, "YAW.position  unknown\n")
     assert len(got.messages) == 1
     assert got.messages[0].startswith("JMC0: silent:")
-    assert "is it powered, on bus can, and board 0x00? `aces scan`" in got.messages[0]
+    assert "is it powered, on bus can, and board 0x00? `aces discover`" in got.messages[0]
     made = aces("device", "YAW", "set", "position=0", "--enable", "--tx", "-r", leg, "-i", "aces")
     assert made.status == 1
     assert made.messages[0].startswith("JMC0: silent:")

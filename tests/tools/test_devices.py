@@ -64,7 +64,7 @@ def test_a_broken_driver_hides_no_other(aces: Aces, monkeypatch: pytest.MonkeyPa
             raise SpecError("driver 'robotis_rx' cannot be loaded: no module named 'x'")
         return load(name)
 
-    monkeypatch.setattr(devices, "load_driver", loading)
+    monkeypatch.setattr("aces_tools.devices.load_driver", loading)
     shown = aces("devices")
     assert shown.status == 1
     assert "robotis_rx" not in shown.out

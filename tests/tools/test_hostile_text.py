@@ -47,7 +47,7 @@ def test_no_command_prints_an_escape_sequence_of_a_file(
         ["decode", log, "-p", database, "--where", "name=nothing"],
         ["protocols", database],
         ["protocols", database, "Some"],
-        ["spec", "check", database, "--seconds", "0.2"],
+        ["spec", "check", database, "--for", "0.2"],
         ["spec", "show", database],
         ["decode", f"{log}.none", "-p", database],
     ):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from aces_bus import __version__
-from aces_tools.main import VERBS, main
+from aces_tools.main import ACTIONS, VERBS, main
+from aces_tools.options import add_arguments
 
 from .conftest import Aces
 
@@ -33,6 +36,35 @@ def test_help_lists_every_verb(aces: Aces, arguments: list[str]) -> None:
     result = aces(*arguments)
     assert result.status == 0
     assert all(f"  {verb} " in result.out for verb in VERBS)
+    assert max(map(len, result.out.splitlines())) <= 80
+
+
+def test_discover_has_another_name(aces: Aces) -> None:
+    """`aces scan` is `aces discover`."""
+    assert aces("scan", "--help").out == aces("discover", "--help").out
+
+
+def test_python_runs_the_package() -> None:
+    """`python -m aces_tools` is `aces`."""
+    done = subprocess.run(
+        [sys.executable, "-m", "aces_tools", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == f"aces {__version__}\n"
+
+
+def test_one_word_for_one_thing() -> None:
+    """An option has one spelling and one letter in all verbs, and a letter one meaning."""
+    spellings: dict[str, set[str]] = {}
+    for name in [name for name, _ in VERBS.values() if name] + [
+        n for some in ACTIONS.values() for n, _ in some.values()
+    ]:
+        parser = argparse.ArgumentParser(add_help=False)
+        add_arguments(parser, import_module(f"aces_tools.{name}").ARGUMENTS)
+        for action in parser._actions:
+            for option in action.option_strings:
+                spellings.setdefault(option, set()).add(" ".join(sorted(action.option_strings)))
+    several = {option: words for option, words in spellings.items() if len(words) > 1}
+    assert not several
 
 
 def test_version(aces: Aces) -> None:
@@ -73,15 +105,17 @@ def test_an_unknown_option_names_those_that_exist(aces: Aces) -> None:
     assert "--version" in result.err
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    "verb", [*VERBS, *(f"{verb} {one}" for verb, some in ACTIONS.items() for one in some)]
+)
 def test_every_verb_explains_itself(aces: Aces, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """`aces VERB --help` and `aces help VERB` print what the verb is for, on a terminal of 80 columns."""
     monkeypatch.setenv("COLUMNS", "80")
-    result = aces(verb, "--help")
+    result = aces(*verb.split(), "--help")
     assert result.status == 0
     assert f"usage: aces {verb}" in result.out
     assert max(map(len, result.out.splitlines())) <= 80
-    assert aces("help", verb).out == result.out
+    assert " " in verb or aces("help", verb).out == result.out
 
 
 @pytest.mark.parametrize(
@@ -120,7 +154,7 @@ def test_a_benchmark_needs_frames(aces: Aces, frames: str) -> None:
     """With too few it would never end, or end in a traceback."""
     result = aces("bench", "columns", "--frames", frames)
     assert (result.status, result.err.count("\n")) == (2, 1)
-    assert f"--frames {frames}: at least 100" in result.err
+    assert f"--frames: '{frames}' is not a whole number from 100 on" in result.err
 
 
 def test_files_behind_two_dashes(

@@ -254,9 +254,9 @@ def test_bytes_without_times_go_as_fast_as_the_line(
     [
         (["--speed", "0"], "write 1, 0.5, 10 or max"),
         (["--speed", "fast"], "write 1, 0.5, 10 or max"),
-        (["--loop", "-1"], "or 0 for ever"),
+        (["--loop", "-1"], "is not a whole number from 0 on"),
         (["--gap", "x"], "not a duration"),
-        (["--rate", "0"], "a rate is a number above 0"),
+        (["--rate", "0"], "is not a number above 0"),
         (["--map", "can0"], "write OLD=NEW"),
         (["--map", "a=b", "--map", "a=c", "-i", "aces"], "a is named twice"),
         (["--serial", "x", "--map", "a=b"], "--map is for CAN"),

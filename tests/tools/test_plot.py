@@ -20,9 +20,17 @@ from aces_bus.frame_table import NO_TIME, Channels
 from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
 from aces_tools.main import main
 from aces_tools.plotting import terminal
-from aces_tools.plotting.formats import ImageFormat, parse_format
 from aces_tools.plotting.picture import Picture, PlotLine, PlotPanel, value_changes
-from aces_tools.plotting.select import Declared, PlotSignal, declared, parse_groups, parse_pattern, select
+from aces_tools.plotting.select import (
+    Declared,
+    ImageFormat,
+    PlotSignal,
+    declared,
+    parse_format,
+    parse_groups,
+    parse_pattern,
+    select,
+)
 from aces_tools.plotting.series import (
     BUCKETS,
     MOST_LINES,
@@ -467,8 +475,8 @@ def test_damage_is_said_as_by_decode(aces: Aces, log: Path, arm: str) -> None:
         (["--ylim", "5:5"], "write LOW:HIGH"),
         (["--ylim", "0:nan"], "write LOW:HIGH"),
         (["--ymin", "5", "--ymax", "5"], "--ymin 5 is not below --ymax 5"),
-        (["--ymin", "inf"], "'inf' is no number"),
-        (["--break-time", "nan"], "'nan' is no number"),
+        (["--ymin", "inf"], "'inf' is not a number"),
+        (["--break-time", "nan"], "'nan' is not a number"),
         (["-o", "x.bmp"], r"one of \.png, \.svg, \.pdf"),
         (["-o", "nowhere/x.png"], "there is no folder"),
         (["-o", "x.png", "--show"], "choose one of"),

@@ -51,8 +51,8 @@ def test_a_dialect_has_its_messages(aces: Aces) -> None:
 def test_a_message_is_drawn(aces: Aces, spec: Path) -> None:
     """Template, bits, fields with units and ranges, names and sources."""
     out = aces("protocols", f"{spec}:arm", "State").out
-    assert "told by      0x300 + board" in out
-    assert "identifier   board 0…3" in out
+    assert "recognised by  0x300 + board" in out
+    assert "identifier     board 0…3" in out
     assert re.search(r"^ +1 │ error 7…4 +│ cold +│ error 2…1 +│ hot +│$", out, re.MULTILINE)
     assert re.search(r"^angle +byte 2…3 +int16 be +° +0.01 +-100…100", out, re.MULTILINE)
     assert "0=off, 2=torque" in out

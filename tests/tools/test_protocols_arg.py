@@ -193,7 +193,7 @@ def test_tables_of_a_file(spec: Path, tmp_path: Path) -> None:
     robot = tmp_path / "robot.toml"
     robot.write_text('title = "x"\n[channels]\n0x00 = 2\n"1" = 3\n0b10 = 2\n03 = 3\n[devices]\nneck = "y"\n')
     arm = named_protocol(f"{spec}:arm").protocol
-    assert read_configuration(str(robot), arm) == {"channels": {0: 2, 1: 3, 2: 2, 3: 3}}
+    assert read_configuration(str(robot), arm)[0] == {"channels": {0: 2, 1: 3, 2: 2, 3: 3}}
     assert named_protocol(f"{spec}:arm@{robot}").variant().configuration == "custom"
 
 
@@ -202,7 +202,7 @@ def test_a_base_is_changed_entry_by_entry(spec: Path, tmp_path: Path) -> None:
     robot = tmp_path / "robot.toml"
     robot.write_text('base = "two"\n[channels]\n0x01 = 3\n')
     arm = named_protocol(f"{spec}:arm").protocol
-    assert read_configuration(str(robot), arm) == {"channels": {0: 2, 1: 3, 2: 3}}
+    assert read_configuration(str(robot), arm)[0] == {"channels": {0: 2, 1: 3, 2: 3}}
     assert arm.configurations["two"]["channels"] == {0: 2, 1: 2, 2: 3}
 
 

@@ -145,7 +145,7 @@ def test_a_file_is_shown_without_control_characters(aces: Aces, robot: Path) -> 
 def test_a_robots_file_configures_a_protocol(robot: Path) -> None:
     """Its devices say which board is what; its bus says the dialect, unless the call does."""
     hubo = load_protocol("hubo")
-    assert read_configuration(str(robot), hubo) == {"channels": {0x01: 2}, "sensors": {}}
+    assert read_configuration(str(robot), hubo)[0] == {"channels": {0x01: 2}, "sensors": {}}
     assert named_protocol(f"hubo@{robot}").variant().tables["channels"] == {0x01: 2}
     robot.write_text(ROBOT.replace("D12", "D08"))
     assert named_protocol(f"hubo@{robot}").variant().dialect == "D08"

@@ -105,7 +105,7 @@ def test_a_controller_of_a_file_runs_in_virtual_time(
 ) -> None:
     """Set-points reach the simulated joint, the log has both, and the summary counts the cycles."""
     log = tmp_path / "knee.csv"
-    result = aces("run", robot, knee, "--virtual", "--for", "1s", "--log", log)
+    result = aces("run", "-r", robot, knee, "--virtual", "--for", "1s", "--log", log)
     assert result.status == 0
     assert result.summary["set_points"] == 101
     assert result.summary["missed"] == result.summary["tripped"] == result.summary["missing"] == 0
@@ -122,7 +122,7 @@ def test_a_log_that_is_not_whole_is_no_success(
     """A disk that fills up stops nothing; the end says which file lacks rows and why, and the status is 1."""
     log = tmp_path / "knee.csv"
     with small_disk(800):
-        result = aces("run", robot, knee, "--virtual", "--for", "1s", "--log", log, *options)
+        result = aces("run", "-r", robot, knee, "--virtual", "--for", "1s", "--log", log, *options)
     assert result.status == 1
     assert result.summary["set_points"] == 101
     rows = len(numbers(log))
@@ -140,7 +140,7 @@ def test_the_same_seed_is_the_same_log(aces: Aces, robot: Path, knee: Path, tmp_
     for log in logs:
         assert (
             aces(
-                "run", robot, knee, "--virtual", "--for", "0.5s", "--seed", 7, "--log", log, "--quiet"
+                "run", "-r", robot, knee, "--virtual", "--for", "0.5s", "--seed", 7, "--log", log, "--quiet"
             ).status
             == 0
         )
@@ -152,11 +152,13 @@ def test_a_trajectory_is_played_to_its_end(aces: Aces, robot: Path, tmp_path: Pa
     """A file of set-points is played from where the joints are, under its robot's names, and the run ends with it."""
     walk = tmp_path / "walk_10hz.txt"
     walk.write_text("RKP RHP EXTRA\n0.1 0.0 1\n0.2 -0.1 1\n0.3 -0.2 1\n")
-    wrong = aces("run", robot, walk, "--virtual")
+    wrong = aces("run", "-r", robot, walk, "--virtual")
     assert wrong.status == 2
     assert "no joint EXTRA: --rename EXTRA=JOINT" in wrong.err
     log = tmp_path / "walk.csv"
-    result = aces("run", robot, walk, "--rename", "EXTRA=", "--virtual", "--log", f"{log}:R*,RKN.setpoint")
+    result = aces(
+        "run", "-r", robot, walk, "--rename", "EXTRA=", "--virtual", "--log", f"{log}:R*,RKN.setpoint"
+    )
     assert result.status == 0
     assert "seconds=0.740 " in result.err  # of the virtual clock, to the millisecond
     assert log.read_text().splitlines()[0] == "time,RHP,RKN,RKN.setpoint"
@@ -165,25 +167,25 @@ def test_a_trajectory_is_played_to_its_end(aces: Aces, robot: Path, tmp_path: Pa
 
 def test_home_and_enable_come_before_motion(aces: Aces, robot: Path, knee: Path) -> None:
     """--home has what is driven find its home; without --enable a board takes no set-points."""
-    homed = aces("run", robot, knee, "--virtual", "--home", "--for", "0.2s")
+    homed = aces("run", "-r", robot, knee, "--virtual", "--home", "--for", "0.2s")
     assert (homed.status, homed.messages) == (0, ["homed: JMC2"])
 
 
 def test_lines_say_how_it_is(aces: Aces, robot: Path, knee: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there is no terminal a line comes now and then, and --quiet leaves them out."""
     monkeypatch.setattr("aces_tools.running.session.LINE_EVERY", 1)
-    result = aces("run", robot, knee, "--virtual", "--for", "0.05s")
+    result = aces("run", "-r", robot, knee, "--virtual", "--for", "0.05s")
     line = result.out.splitlines()[-1]
     assert "; knee " in line
     assert " Hz missed 0; line " in line
     assert "clipped 0" in line
-    assert aces("run", robot, knee, "--virtual", "--for", "0.05s", "--quiet").out == ""
+    assert aces("run", "-r", robot, knee, "--virtual", "--for", "0.05s", "--quiet").out == ""
 
 
 def test_only_logging_is_a_run_too(aces: Aces, robot: Path, tmp_path: Path) -> None:
     """Without a controller, a log records what the robot's joints do."""
     log = tmp_path / "all.csv"
-    assert aces("run", robot, "--virtual", "--for", "0.1s", "--log", log).status == 0
+    assert aces("run", "-r", robot, "--virtual", "--for", "0.1s", "--log", log).status == 0
     assert log.read_text().splitlines()[0] == "time,RHP,RKN"
 
 
@@ -194,7 +196,7 @@ def test_a_controller_that_raises_ends_it_with_status_1(aces: Aces, robot: Path,
     """Its exception stops motion, and the end names it."""
     bad = tmp_path / "bad.py"
     bad.write_text(KNEE.replace("0.1 * t", "0.1 * t if t < 0.2 else 1 / 0"))
-    result = aces("run", robot, bad, "--virtual", "--for", "60s")
+    result = aces("run", "-r", robot, bad, "--virtual", "--for", "60s")
     assert result.status == 1
     assert "knee was stopped: knee: raised: ZeroDivisionError: division by zero" in result.messages
     assert result.summary["tripped"] == 1
@@ -217,7 +219,7 @@ def test_a_wrong_file_is_one_line(
     """Whatever is wrong with a controller's file is one line and status 2, before anything is opened."""
     bad = tmp_path / "bad.py"
     bad.write_text(content)
-    result = aces("run", robot, bad, "--virtual", "--for", "0.05s")
+    result = aces("run", "-r", robot, bad, "--virtual", "--for", "0.05s")
     if not expected:
         assert result.status == 0
         return
@@ -256,7 +258,7 @@ def test_a_wrong_call_is_one_line(
 ) -> None:
     """Status 2 and one line that says what is wrong."""
     monkeypatch.chdir(robot.parent)
-    result = aces("run", robot, *(word.replace("KNEE", str(knee)) for word in words))
+    result = aces("run", "-r", robot, *(word.replace("KNEE", str(knee)) for word in words))
     assert result.status == 2, result
     assert expected in result.err
     assert len(result.err.splitlines()) == 1
@@ -277,12 +279,12 @@ def served(tmp_path: Path) -> Iterator[tuple[str, ...]]:
 
 def test_real_buses_move_only_with_tx(aces: Aces, robot: Path, knee: Path, served: tuple[str, ...]) -> None:
     """Without --tx the devices are asked and set-points only counted; with it the joint moves, and is stopped."""
-    only = aces("run", robot, knee, *served, "--for", "0.2s")
+    only = aces("run", "-r", robot, knee, *served, "--for", "0.2s")
     assert only.status == 0
     assert only.summary["set_points"] > 0
     assert only.err.splitlines()[-1].endswith("(set-points were not sent)")
     log = robot.parent / "k.csv"
-    moved = aces("run", robot, knee, *served, "--for", "0.6s", "--tx", "--log", log)
+    moved = aces("run", "-r", robot, knee, *served, "--for", "0.6s", "--tx", "--log", log)
     assert moved.status == 0
     assert moved.summary["cycles"] > 0
     rows = numbers(log)
@@ -296,9 +298,9 @@ def test_what_is_missing_is_named_and_nothing_moves(
     """A driven device that does not answer ends the run before motion, with its name and status 1."""
     monkeypatch.setattr("aces_bus.robot.runner.RECEIVE_S", 0.3)
     robot.write_text(FANS.replace("board = 0x02", "board = 0x05"))
-    result = aces("run", robot, knee, *served, "--for", "1s", "--tx")
+    result = aces("run", "-r", robot, knee, *served, "--for", "1s", "--tx")
     assert result.status == 1
-    assert result.messages[0].startswith("not heard: JMC2")
+    assert result.messages[0].startswith("no answer from JMC2")
     assert result.summary["set_points"] == 0
     assert result.summary["missing"] == 1
 
@@ -312,13 +314,13 @@ def test_a_recording_takes_the_buses_place(aces: Aces, robot: Path, knee: Path, 
     walk = tmp_path / "walk.log"
     walk.write_text("".join(lines))
     log = tmp_path / "seen.csv"
-    result = aces("run", robot, knee, "--replay", walk, "--log", f"{log}:RKN")
+    result = aces("run", "-r", robot, knee, "--replay", walk, "--log", f"{log}:RKN")
     assert result.status == 0
     assert "(set-points were not sent)" in result.err
     assert result.messages[0] == "not in the recording: JMC1"
     seen = [row[1] for row in numbers(log)]
     assert seen[-1] > seen[len(seen) // 2] > 0
-    assert aces("run", robot, knee, "--replay", walk, "--tx").status == 2
+    assert aces("run", "-r", robot, knee, "--replay", walk, "--tx").status == 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -326,7 +328,7 @@ def test_a_signal_ends_it_cleanly(aces: Aces, robot: Path, tmp_path: Path, numbe
     """Ctrl-C or SIGTERM ends a run as if its time were up: the log is whole, the summary is last, the status 0."""
     log, path = tmp_path / "cut.csv", tmp_path / "cut.py"
     path.write_text(KNEE + INTERRUPTED.format(number=int(number), once=""))
-    result = aces("run", robot, path, "--virtual", "--log", log)
+    result = aces("run", "-r", robot, path, "--virtual", "--log", log)
     assert result.status == 0
     assert result.err.splitlines()[-1].startswith("seconds=0.2")
     assert 20 <= len(numbers(log)) < 25
@@ -338,7 +340,7 @@ def test_a_second_ctrl_c_ends_it_at_once(aces: Aces, robot: Path, tmp_path: Path
     path.write_text(
         KNEE + INTERRUPTED.format(number=int(signal.SIGINT), once="while True: os.kill(os.getpid(), 2)")
     )
-    result = aces("run", robot, path, "--virtual", "--log", log)
+    result = aces("run", "-r", robot, path, "--virtual", "--log", log)
     assert result.status == 130
     assert result.err.splitlines()[-1].startswith("seconds=0.2")
     assert 20 <= len(numbers(log)) < 25
@@ -432,7 +434,7 @@ def test_a_terminal_gets_the_panel(
     monkeypatch.setattr("aces_tools.running.session.PANEL_EVERY", 1_000_000)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "70")
-    result = aces("run", robot, knee, "--virtual", "--for", "0.2s")
+    result = aces("run", "-r", robot, knee, "--virtual", "--for", "0.2s")
     text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", result.out)
     last = text[text.rindex("boards, virtual") :]
     assert "0.20 s" in last.splitlines()[0]

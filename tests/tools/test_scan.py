@@ -1,4 +1,4 @@
-"""`aces scan`: finds what answers, writes a robot file that works, says what is missing."""
+"""`aces discover`: finds what answers, writes a robot file that works, says what is missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from aces_bus.errors import SpecError
 from aces_bus.robot import load_robot
 from aces_tools.robot_arg import chosen_robot
-from aces_tools.sim_stand import SimulatedRobot
+from aces_tools.sim import SimulatedRobot
 from tests.tools.conftest import Aces
 from tests.tools.test_device import leg as leg
 
@@ -35,7 +35,7 @@ def lone(tmp_path: Path) -> str:
 
 def test_everything_is_there(aces: Aces, leg: str) -> None:
     """With a robot each of its devices is found by name, and nothing is missing."""
-    found = aces("scan", "-r", leg, "--virtual")
+    found = aces("discover", "-r", leg, "--virtual")
     assert found.status == 0
     assert {line.split()[-1] for line in found.out.splitlines()} == {"JMC0", "JMC1", "S7"}
     assert found.err == "found=3 missing=0\n"
@@ -54,12 +54,12 @@ def test_something_is_missing(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPa
     whole = chosen_robot(leg)
     hosts = scan._hosts
     monkeypatch.setattr(scan, "_hosts", lambda robot, *rest: hosts(load_robot(other), *rest))
-    found = aces("scan", "-r", leg, "--virtual")
+    found = aces("discover", "-r", leg, "--virtual")
     assert found.status == 1
     assert "can: hubo_motor board 0x05  not in the robot's file\n" in found.out
     assert "can: hubo_motor board 0x01  JMC1 does not answer\n" in found.out
     assert found.summary == {"found": len([d for d in whole.devices.values() if d.active]), "missing": 1}
-    listed = json.loads(aces("scan", "-r", leg, "--virtual", "--json").out)
+    listed = json.loads(aces("discover", "-r", leg, "--virtual", "--json").out)
     assert listed["missing"] == ["JMC1"]
     assert {one["driver"] for one in listed["found"]} == {"hubo_motor", "robotis_rx"}
 
@@ -80,7 +80,7 @@ def test_a_file_of_what_was_found(
     with ExitStack() as stack:
         stand = SimulatedRobot(robot, {"line": {}}, 0, stack)
         line = stand.reached["line"]["address"]
-        found = aces("scan", "-p", "pololu_qik", "--bus", line, "--baud", "38400", "-o", path)
+        found = aces("discover", "-p", "pololu_qik", "--bus", line, "--baud", "38400", "-o", path)
         assert (found.status, found.out, found.err) == (0, "", "found=2 missing=0\n")
         assert aces("robot", "check", path).status == 0
         assert aces("device", "QIK9", "firmware", "-r", path).out.startswith("QIK9 firmware: done\n")
@@ -96,9 +96,9 @@ def test_nobody_is_there(aces: Aces, lone: str) -> None:
         for twin in stand.simulation.twins.values():
             twin.power(False)
         line = stand.reached["line"]["address"]
-        found = aces("scan", "-p", "pololu_qik", "--bus", line)
+        found = aces("discover", "-p", "pololu_qik", "--bus", line)
     assert (found.status, found.out) == (1, "")
-    assert f"nobody answers on {line}: is it powered" in found.err
+    assert f"no device answers on {line}: is it powered" in found.err
 
 
 def test_a_driver_that_cannot_be_loaded_is_left_out(
@@ -114,8 +114,8 @@ def test_a_driver_that_cannot_be_loaded_is_left_out(
             raise SpecError("driver 'hubovia' cannot be loaded")
         return load(name)
 
-    monkeypatch.setattr(devices, "load_driver", loading)
-    found = aces("scan", "-r", leg, "--virtual")
+    monkeypatch.setattr("aces_tools.discover.load_driver", loading)
+    found = aces("discover", "-r", leg, "--virtual")
     assert found.status == 0
     assert found.messages == ["driver 'hubovia' cannot be loaded; its devices are not looked for"]
 
@@ -141,7 +141,7 @@ def test_a_wrong_call(
     """Status 2, one line that says what would be right, nothing on stdout."""
     monkeypatch.delenv("ACES_ROBOT", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    made = aces("scan", *arguments)
+    made = aces("discover", *arguments)
     assert made.status == 2
     assert said in made.err
     assert made.out == ""

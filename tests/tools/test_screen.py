@@ -403,7 +403,7 @@ def test_a_recording_is_seen_on_a_terminal_and_recorded_again(tmp_path: Path) ->
     termios.tcsetwinsize(mine, (24, 100))
     command = ["sniff", "-i", "aces-replay", "-c", str(log), "-p", "hubo", "--screen", "--record", str(copy)]
     with subprocess.Popen(
-        [sys.executable, "-m", "aces_tools.main", *command],
+        [sys.executable, "-m", "aces_tools", *command],
         stdin=its,
         stdout=its,
         stderr=its,

@@ -11,10 +11,9 @@ from aces_bus.frames import Frame
 from aces_bus.hardware import Received, frame_bits
 from aces_bus.hardware.simulated.frame_time import INTERMISSION
 from aces_bus.protocol import make_scanner
-from aces_tools.screen.meter import Meter
-from aces_tools.screen.model import CHANNELS, Model, changed_bits
+from aces_tools.screen import ModelFeed
+from aces_tools.screen.model import CHANNELS, Meter, Model, changed_bits
 from aces_tools.screen.paint import FADE_NS
-from aces_tools.screen.stream import ModelFeed
 from tests.tools.screening import (
     MS,
     S,

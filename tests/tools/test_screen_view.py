@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from aces_bus.frames import Frame
 from aces_bus.hardware import BusEvent
-from aces_tools.screen.detail import detail
-from aces_tools.screen.head import Status, head, plain_text
+from aces_tools.screen.head import Status, detail, head, plain_text
 from aces_tools.screen.model import Model
 from aces_tools.screen.paint import bar, line, styles, title
 from aces_tools.screen.values import sparkline

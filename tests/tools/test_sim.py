@@ -16,8 +16,7 @@ import pytest
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_tools.robot_arg import chosen_robot
-from aces_tools.sim import parse_fault
-from aces_tools.sim_stand import SimulatedRobot
+from aces_tools.sim import SimulatedRobot, parse_fault
 from tests.tools.conftest import Aces
 from tests.tools.test_device import leg as leg
 
@@ -32,11 +31,11 @@ def folder(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFac
 
 def test_how_to_join_is_said(aces: Aces, leg: str) -> None:
     """stdout has a line a bus and one for all that can be copied; stderr says the rest, and the counts at the end."""
-    made = aces("sim", leg, "--for", "10ms")
+    made = aces("sim", "-r", leg, "--for", "10ms")
     assert made.status == 0
     lines = made.out.splitlines()
     assert lines[0] == f"can: aces sniff -i aces -c unix:leg0 -p hubo@{leg}"
-    assert lines[1].startswith("line: aces scan --bus /dev/")
+    assert lines[1].startswith("line: aces discover --bus /dev/")
     assert lines[2].startswith(f"aces device -r {leg} --bus can=unix:leg0 --bus line=/dev/")
     assert made.messages == ["leg: 3 devices are there; Ctrl-C ends it"]
     assert made.summary == {"requests": 0, "replies": 0, "others": 0}
@@ -44,7 +43,7 @@ def test_how_to_join_is_said(aces: Aces, leg: str) -> None:
 
 def test_as_json(aces: Aces, leg: str) -> None:
     """As JSON: the buses, and at the end the counts."""
-    first, last = aces("sim", leg, "--for", "10ms", "--json").objects
+    first, last = aces("sim", "-r", leg, "--for", "10ms", "--json").objects
     assert first["robot"] == "leg"
     assert first["buses"]["can"] == {"kind": "can", "interface": "aces", "address": "unix:leg0"}
     assert first["buses"]["line"]["baud"] == 1_000_000
@@ -54,7 +53,7 @@ def test_as_json(aces: Aces, leg: str) -> None:
 def test_a_program_of_its_own(leg: str) -> None:
     """As a process: clients come and go, Ctrl-C ends it with the counts and status 0."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "aces_tools.main", "sim", leg],
+        [sys.executable, "-m", "aces_tools", "sim", "-r", leg],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -98,15 +97,15 @@ def test_a_name_that_is_served(aces: Aces, leg: str) -> None:
     robot = chosen_robot(leg)
     with ExitStack() as stack:
         SimulatedRobot(robot, {name: {} for name in robot.buses}, 0, stack)
-        second = aces("sim", leg, "--for", "10ms")
+        second = aces("sim", "-r", leg, "--for", "10ms")
         assert second.status == 2
         assert (
             "unix:leg0 is served already; --bus can=unix:leg0 joins it, --bus can=unix:leg_can" in second.err
         )
-        joined = aces("sim", leg, "--bus", "can=unix:leg0", "--for", "10ms")
+        joined = aces("sim", "-r", leg, "--bus", "can=unix:leg0", "--for", "10ms")
         assert joined.status == 0
         assert "-c unix:leg0" in joined.out
-        other = aces("sim", leg, "--bus", "can=unix:leg_can", "--for", "10ms")
+        other = aces("sim", "-r", leg, "--bus", "can=unix:leg_can", "--for", "10ms")
         assert other.status == 0
         assert "-c unix:leg_can" in other.out
 
@@ -116,13 +115,13 @@ def test_datagrams(aces: Aces) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-        made = aces("sim", "hubovia", "--bus", f"pc=127.0.0.1:{port}", "--for", "10ms")
+        made = aces("sim", "-r", "hubovia", "--bus", f"pc=127.0.0.1:{port}", "--for", "10ms")
         assert made.status == 2
         assert f"bus pc (127.0.0.1:{port}) cannot be opened" in made.err
-    made = aces("sim", "hubovia", "--bus", f"pc=127.0.0.1:{port}", "--for", "10ms")
+    made = aces("sim", "-r", "hubovia", "--bus", f"pc=127.0.0.1:{port}", "--for", "10ms")
     assert made.status == 0
     assert made.out.splitlines()[0] == f"pc: udp 127.0.0.1:{port}, hubovia"
-    assert "pc=127.0.0.1:11000" in aces("sim", "hubovia", "--bus", "pc=11000").err
+    assert "pc=127.0.0.1:11000" in aces("sim", "-r", "hubovia", "--bus", "pc=11000").err
 
 
 def test_faults(aces: Aces, leg: str) -> None:
@@ -137,8 +136,8 @@ def test_faults(aces: Aces, leg: str) -> None:
     for text in ("S7", "S7:", ":silent", "S7:late=soon", "S7:late="):
         with pytest.raises(CallerError):
             parse_fault(robot, text)
-    listed = json.loads(aces("sim", leg, "--list-faults", "--json").out)
+    listed = json.loads(aces("sim", "-r", leg, "--list-faults", "--json").out)
     assert listed["hubo_motor"]["devices"] == ["JMC0", "JMC1"]
     assert "jam" in listed["hubo_motor"]["faults"]
-    assert "hubo_motor:  JMC0, JMC1" in aces("sim", leg, "--list-faults").out
-    assert aces("sim", leg, "--fault", "S7:cold").status == 2
+    assert "hubo_motor:  JMC0, JMC1" in aces("sim", "-r", leg, "--list-faults").out
+    assert aces("sim", "-r", leg, "--fault", "S7:cold").status == 2

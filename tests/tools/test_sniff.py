@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import threading
+from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,9 @@ from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
 from aces_bus.recordings import open_recording
 from aces_bus.recordings.write.candump import CandumpWriter
-from aces_tools.live import Told, parse_duration
+from aces_tools.live import BusEventLines
 from aces_tools.live_text import CandumpLines, Times
+from aces_tools.options import duration
 from tests.tools.conftest import small_disk
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
@@ -129,7 +131,7 @@ def test_without_a_protocol_the_lines_are_candumps(aces: Aces, opened: Opened, t
             node.send(0x001)
 
         opened.then(send)
-        found = aces("sniff", *node.options, "-t", "a", "-n", 5)
+        found = aces("sniff", *node.options, "-t", "absolute", "-n", 5)
     finally:
         node.close()
     frames = list(open_recording(io.BytesIO(found.out.encode()), link="can"))
@@ -155,9 +157,9 @@ STAMPED = [
 @pytest.mark.parametrize(
     ("mode", "shown"),
     [
-        ("a", ["1436509052.250000", "1436509052.500000", "1436509054.000000"]),
-        ("d", ["000.000000", "000.250000", "001.500000"]),
-        ("z", ["000.000000", "000.250000", "001.750000"]),
+        ("absolute", ["1436509052.250000", "1436509052.500000", "1436509054.000000"]),
+        ("delta", ["000.000000", "000.250000", "001.500000"]),
+        ("relative", ["000.000000", "000.250000", "001.750000"]),
     ],
 )
 def test_times_are_candumps(mode: str, shown: list[str]) -> None:
@@ -198,7 +200,7 @@ def frames(draw: st.DrawFn) -> Frame:
 @given(st.lists(frames(), min_size=1, max_size=8))
 def test_lines_are_read_back_as_the_same_frames(sent: list[Frame]) -> None:
     """Whatever is shown, candump's reader reads as it was, but for the flags that candump hides too."""
-    lines = CandumpLines(Times("a")).frames(sent)
+    lines = CandumpLines(Times("absolute")).frames(sent)
     read = list(open_recording(io.BytesIO(lines), link="can"))
     assert len(read) == len(sent)
     for mine, other in zip(sent, read, strict=True):
@@ -215,8 +217,8 @@ def test_lines_are_read_back_as_the_same_frames(sent: list[Frame]) -> None:
 
 
 def test_dates_are_read_back_as_the_same_instant() -> None:
-    """`-t A` is local time, as candump writes and our reader reads it."""
-    lines = CandumpLines(Times("A")).frames(STAMPED)
+    """`-t date` is local time, as candump writes and our reader reads it."""
+    lines = CandumpLines(Times("date")).frames(STAMPED)
     assert [frame.timestamp for frame in open_recording(io.BytesIO(lines), link="can")] == [
         frame.timestamp for frame in STAMPED
     ]
@@ -225,13 +227,13 @@ def test_dates_are_read_back_as_the_same_instant() -> None:
 def test_decoded_lines_have_the_time_that_is_asked_for(
     aces: Aces, node: Node, opened: Opened, arm: str
 ) -> None:
-    """`-t d` counts from the line before, `-t A` gives a date."""
+    """`-t delta` counts from the line before, `-t date` gives a date."""
     opened.then(walk(node))
-    found = aces("sniff", *node.options, "-p", arm, "-t", "d", "-n", 5)
+    found = aces("sniff", *node.options, "-p", arm, "-t", "delta", "-n", 5)
     assert found.out.splitlines()[1].split()[0] == "0.000000"
     opened.event.clear()
     opened.then(walk(node))
-    found = aces("sniff", *node.options, "-p", arm, "-t", "A", "-n", 5)
+    found = aces("sniff", *node.options, "-p", arm, "-t", "date", "-n", 5)
     assert re.match(r" *[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8}\.[0-9]{6} ", found.out.splitlines()[1])
 
 
@@ -451,11 +453,11 @@ def test_what_comes_too_fast_is_counted(
 def test_a_flood_of_events_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
     """Of a thousand events of one kind three are printed, and then one line."""
     gate = CanGate(dict, name="can0", listen_only=True)
-    told = Told(gate)
+    told = BusEventLines(gate)
     for _ in range(1000):
         gate.events.tell(BusEvent("bad input", 0, "can0", "oops"))
-    told.tell()
-    told.tell(last=True)
+    told.report()
+    told.report(last=True)
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["aces: can0: bad input: oops"] * 3 + ["aces: can0: bad input: 997 more times"]
     assert told.counts == {"bad input": 1000}
@@ -465,9 +467,9 @@ def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -
     """An error-passive sender is alone or at another bit rate; who only listens is told the bare fact."""
     for listen_only in (True, False):
         gate = CanGate(dict, name="can0", listen_only=listen_only)
-        told = Told(gate)
+        told = BusEventLines(gate)
         gate.events.tell(BusEvent("error-passive", 0, "can0"))
-        told.tell(last=True)
+        told.report(last=True)
     bare, hinted = capsys.readouterr().err.splitlines()
     assert bare == "aces: can0: error-passive"
     assert hinted.startswith("aces: can0: error-passive; is another node there")
@@ -661,7 +663,7 @@ def test_datagrams_are_whole(aces: Aces, opened: Opened) -> None:
         (["--serial", "a", "--udp", "1"], "two buses; name one"),
         (["--udp", "x:y"], "write PORT or HOST:PORT"),
         (["-i", "aces", "--baud", "9600"], "--baud is for serial lines"),
-        (["-i", "aces", "-n", "0"], "at least one line"),
+        (["-i", "aces", "-n", "0"], "'0' is not a whole number from 1 on"),
         (["-i", "aces", "--for", "soon"], "not a duration; write 10ms"),
         (["-i", "aces", "--message", "Encoder"], "name a protocol: -p NAME"),
         (["-i", "aces", "-p", "hubo", "--message", "Encode"], "did you mean 'Encoder'"),
@@ -721,14 +723,14 @@ def test_python_cans_variables_name_the_bus(
 )
 def test_durations(text: str, ns: int) -> None:
     """Durations are written with a unit, or in seconds."""
-    assert parse_duration("--for", text) == ns
+    assert duration(text) == ns
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1s", "1 fortnight", "nan", "inf", "1e9h"])
 def test_no_durations(text: str) -> None:
     """What is no duration is refused with what is."""
-    with pytest.raises(CallerError, match="10ms"):
-        parse_duration("--for", text)
+    with pytest.raises(ArgumentTypeError, match="10ms"):
+        duration(text)
 
 
 # ---------------------------------------------------------------------- as a program of its own
@@ -744,7 +746,7 @@ def running(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     def run(*arguments: object) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
             [
-                *(sys.executable, "-m", "aces_tools.main", "sniff", "-i", "aces-replay", "-c", str(log)),
+                *(sys.executable, "-m", "aces_tools", "sniff", "-i", "aces-replay", "-c", str(log)),
                 *("--bus-kwargs", "loop=true", *map(str, arguments)),
             ],
             stdout=subprocess.PIPE,

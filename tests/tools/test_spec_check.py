@@ -12,7 +12,7 @@ import pytest
 from aces_bus.protocol import Message, Protocol
 from aces_bus.protocol.lint import Finding
 from aces_tools.authoring import check
-from aces_tools.authoring.proving import LEAST, example_numbers
+from aces_tools.authoring.check import LEAST, example_numbers
 
 from .conftest import Aces
 
@@ -156,23 +156,23 @@ def test_a_database_is_checked(aces: Aces, written: Path) -> None:
     assert result.status == 1
     assert "car.dbc:5: warning: " in result.out
     assert "note: State.speed: 'furlong/fortnight' is no unit" in result.out
-    assert "held on" in aces("spec", "check", "car.dbc", "--seconds", "0.001").messages[-1]
+    assert "held on" in aces("spec", "check", "car.dbc", "--for", "0.001").messages[-1]
 
 
 def test_the_laws_are_asked(aces: Aces, written: Path) -> None:
     """Of the code of a sound spec they hold, and it is said on how many scenes; with 0 seconds they are not asked."""
     Path("sound.py").write_text(SOUND)
-    result = aces("spec", "check", "sound.py", "--seconds", "0.001")
+    result = aces("spec", "check", "sound.py", "--for", "0.001")
     assert (result.status, result.out) == (0, "sound.py: ok: 1 message\n")
     assert result.messages == [f"sound.py: the nine laws held on {LEAST} scenes"]
-    assert aces("spec", "check", "sound.py", "--seconds", "0").messages == []
-    assert "--seconds -1: a number from 0" in aces("spec", "check", "sound.py", "--seconds", "-1").err
+    assert aces("spec", "check", "sound.py", "--for", "0").messages == []
+    assert "'-1' is not a duration" in aces("spec", "check", "sound.py", "--for=-1").err
 
 
 def test_a_broken_law_is_an_error(aces: Aces, written: Path) -> None:
     """With the message and its line, the smallest frame that breaks it, and the command that repeats it."""
     Path("crooked.py").write_text(CROOKED)
-    result = aces("spec", "check", "crooked.py", "--seconds", "0.001")
+    result = aces("spec", "check", "crooked.py", "--for", "0.001")
     assert result.status == 1
     assert result.out.startswith("crooked.py:11: error: B: law 1 (round trip) of crooked, direction None: ")
     assert re.search(r"\[law\]\n +0  006#", result.out)
@@ -180,7 +180,7 @@ def test_a_broken_law_is_an_error(aces: Aces, written: Path) -> None:
     again = re.search(r"again: aces (fuzz crooked.py --law 1 --seed 0:\d+)\n", result.out)
     assert again is not None
     assert aces(*again[1].split(), "--failures", written / "failures").status == 1
-    (told,) = json.loads(aces("spec", "check", "crooked.py", "--seconds", "0.001", "--json").out)
+    (told,) = json.loads(aces("spec", "check", "crooked.py", "--for", "0.001", "--json").out)
     assert next(
         (one["rule"], one["message"], one["line"]) for one in told["findings"] if one["level"] == "error"
     ) == ("law", "B", 11)
@@ -213,7 +213,7 @@ def test_no_check_ends_in_a_traceback(
         monkeypatch.setattr(check, "check_protocol", stumble)
     else:
         monkeypatch.setattr("aces_bus.testing.fuzz.Fuzzer", of_laws)
-    result = aces("spec", "check", "sound.py", "--seconds", "0" if wanted == "rules" else "1")
+    result = aces("spec", "check", "sound.py", "--for", "0" if wanted == "rules" else "1")
     assert result.status == 1
     said = "cannot be checked" if wanted == "rules" else "the generated code cannot be made or run"
     assert result.out.startswith(f"sound.py:4: error: A: {said}: RuntimeError: out of order [law]\n")

@@ -160,8 +160,8 @@ def test_narrow_terminals(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
         (["hubo", "001#0"], "an odd number of digits"),
         (["hubo", "nofile.log"], "no such file"),
         (["nix", "001#00"], "no protocol named 'nix'"),
-        (["hubo", "001#00", "--count", "0"], "at least one"),
-        (["hubo", "001#00", "--at", "-1"], "is not a number from 0 on"),
+        (["hubo", "001#00", "--count", "0"], "is not a whole number from 1 on"),
+        (["hubo", "001#00", "--at", "-1"], "is not a whole number from 0 on"),
     ],
 )
 def test_wrong_calls(aces: Aces, arguments: list[str], says: str) -> None:

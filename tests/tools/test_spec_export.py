@@ -15,7 +15,7 @@ from tests.tools.conftest import Aces
 def test_dbc_is_printed_and_losses_are_said(arm: str, aces: Aces) -> None:
     """The text on stdout, each loss on a line of stderr with message, field and reason; status 0."""
     pytest.importorskip("cantools")
-    result = aces("spec", "export", arm, "--to", "dbc")
+    result = aces("spec", "export", arm, "--format", "dbc")
     assert result.status == 0
     assert result.out.startswith('VERSION "arm:new@two"')
     assert (
@@ -24,14 +24,14 @@ def test_dbc_is_printed_and_losses_are_said(arm: str, aces: Aces) -> None:
     assert "arm.Ask: a remote frame: left out" in result.err.splitlines()
     assert "arm.Limits: told from Gains by its request alone: left out" in result.err.splitlines()
     assert result.messages[-1].startswith("arm:new@two: ")
-    assert aces("spec", "export", arm, "--to", "dbc", "--strict").status == 1
+    assert aces("spec", "export", arm, "--format", "dbc", "--strict").status == 1
 
 
 def test_dbc_loads_as_a_protocol(arm: str, tmp_path: Path, aces: Aces) -> None:
     """With -o the file is Windows-1252, as other tools read it, and our own reader takes it without a complaint."""
     pytest.importorskip("cantools")
     path = tmp_path / "arm.dbc"
-    assert aces("spec", "export", arm, "--to", "dbc", "-o", path).out == ""
+    assert aces("spec", "export", arm, "--format", "dbc", "-o", path).out == ""
     assert "°".encode("cp1252") in path.read_bytes()
     imported = load_database(path)
     assert not imported.losses
@@ -42,14 +42,14 @@ def test_dbc_loads_as_a_protocol(arm: str, tmp_path: Path, aces: Aces) -> None:
 def test_dialect_and_configuration_choose(spec: Path, aces: Aces) -> None:
     """NAME:DIALECT@CONFIGURATION, as -p takes it."""
     pytest.importorskip("cantools")
-    text = aces("spec", "export", f"{spec}:arm:old@three", "--to", "dbc").out
+    text = aces("spec", "export", f"{spec}:arm:old@three", "--format", "dbc").out
     assert "BO_ 96 Encoder3_0:" in text
     assert "State" not in text
 
 
 def test_json_has_text_and_losses(arm: str, aces: Aces) -> None:
     """One object on stdout, nothing on stderr."""
-    result = aces("spec", "export", arm, "--to", "wireshark", "--json")
+    result = aces("spec", "export", arm, "--format", "wireshark", "--json")
     about = json.loads(result.out)
     assert result.err == ""
     assert about["protocol"] == "arm:new@two"
@@ -61,7 +61,7 @@ def test_dissector_of_a_stream_begins_with_what_is_asked(line: str, tmp_path: Pa
     """Port and direction are what its preferences begin with."""
     path = tmp_path / "line.lua"
     result = aces(
-        "spec", "export", line, "--to", "wireshark", "--port", "5000", "--direction", "from", "-o", path
+        "spec", "export", line, "--format", "wireshark", "--port", "5000", "--direction", "from", "-o", path
     )
     assert result.messages == [f"wrote {path}"]
     text = path.read_text(encoding="utf-8")
@@ -70,7 +70,7 @@ def test_dissector_of_a_stream_begins_with_what_is_asked(line: str, tmp_path: Pa
 
 def test_markdown_is_a_page(arm: str, aces: Aces) -> None:
     """Overview, map, messages with pictures, fields and values."""
-    text = aces("spec", "export", arm, "--to", "markdown").out
+    text = aces("spec", "export", arm, "--format", "markdown").out
     assert text.startswith("# arm\n\nAn arm for tests.\n")
     assert "| `0x060 + board` | [Encoder](#encoder) |" in text
     assert "| `angle` | byte 2…3 | int16 be | ° | 0.01 |" in text
@@ -79,15 +79,15 @@ def test_markdown_is_a_page(arm: str, aces: Aces) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("{line}", "--to", "dbc"), "a DBC is for CAN"),
-        (("{arm}", "--to", "dbc", "-m", "Nothing"), "no message of arm:new@two named 'Nothing'"),
-        (("{arm}", "--to", "markdown", "-m", "State"), "-m is for --to dbc"),
-        (("{arm}", "--to", "wireshark", "--port", "5000"), "for streams"),
-        (("{line}", "--to", "wireshark", "--port", "70000"), "ports are 1…65535"),
-        (("{arm}", "--to", "xml"), "invalid choice"),
-        (("{arm}", "--to", "dbc", "-o", "/nonexistent/x.dbc"), "cannot be written"),
-        (("nothing", "--to", "dbc"), "no protocol named 'nothing'"),
-        (("{arm}",), "--to"),
+        (("{line}", "--format", "dbc"), "a DBC is for CAN"),
+        (("{arm}", "--format", "dbc", "-m", "Nothing"), "no message of arm:new@two named 'Nothing'"),
+        (("{arm}", "--format", "markdown", "-m", "State"), "-m is for --format dbc"),
+        (("{arm}", "--format", "wireshark", "--port", "5000"), "for streams"),
+        (("{line}", "--format", "wireshark", "--port", "70000"), "ports are 1…65535"),
+        (("{arm}", "--format", "xml"), "invalid choice"),
+        (("{arm}", "--format", "dbc", "-o", "/nonexistent/x.dbc"), "cannot be written"),
+        (("nothing", "--format", "dbc"), "no protocol named 'nothing'"),
+        (("{arm}",), "--format"),
     ],
 )
 def test_wrong_calls(arguments: tuple[str, ...], said: str, arm: str, line: str, aces: Aces) -> None:

@@ -66,7 +66,7 @@ def test_what_is_written_is_clean(made: Path, aces: Aces) -> None:
     """`aces spec check` finds nothing, formatters change nothing, and the messages are listed."""
     for link in LINKS:
         spec = made / link / f"my_{link}.py"
-        result = aces("spec", "check", spec, "--seconds", "0.2")
+        result = aces("spec", "check", spec, "--for", "0.2")
         assert (result.status, "warning" in result.out) == (0, False), result.out
         listed = aces("protocols", spec).out
         assert "SetRate" in listed

@@ -15,8 +15,7 @@ from aces_bus.protocol import Unknown, make_scanner
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.testing import strategies
 from aces_tools.output.shape import plans_of
-from aces_tools.where import Where
-from aces_tools.where_columns import WhereColumns
+from aces_tools.where import Where, WhereColumns
 from aces_tools.window import TimeWindow
 from tests.specs.catalogue import SPECS
 

@@ -26,7 +26,7 @@ from aces_bus.protocol import (
 from aces_bus.testing import laws, strategies
 from aces_tools.output import Writer
 from aces_tools.output.columns import beside, column_output
-from aces_tools.output.csv import Sheet
+from aces_tools.output.csv import CsvOutput
 from aces_tools.output.jsonl import JsonLines
 from aces_tools.output.shape import Plans, plans_of
 from aces_tools.output.text import TextOutput, decimals, make_paint, no_paint, printable
@@ -131,7 +131,7 @@ def test_rows_have_the_columns_of_the_header(variant: Variant, way: Any, data: s
     link = "can" if variant.link == "can" else "serial"
     for only in (None, data.draw(st.sampled_from(sorted(variant.messages)))):
         kept = [item for item in items if only is None or type(item).__name__ == only]
-        writer = Sheet(plans_of([variant]), None, only=only, links=frozenset({link}))
+        writer = CsvOutput(plans_of([variant]), None, only=only, links=frozenset({link}))
         text = (writer.begin("x", link) + writer.items(kept)).decode()
         head, *rows = list(csv.reader(io.StringIO(text, newline="")))
         assert all(len(row) == len(head) for row in rows)
@@ -289,7 +289,7 @@ def test_writers_are_interchangeable() -> None:
     writers: list[Writer] = [
         TextOutput(Plans([]), None),
         JsonLines(Plans([]), None),
-        Sheet(Plans([]), None, only=None, links=frozenset()),
+        CsvOutput(Plans([]), None, only=None, links=frozenset()),
     ]
     for writer in writers:
         writer.begin("x", "can")

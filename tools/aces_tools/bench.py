@@ -1,15 +1,16 @@
-"""`aces bench`: measure on this machine, beside the libraries people use today."""
+"""Measure on this machine, beside the libraries that people use today."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from aces_bus.errors import CallerError
+from .console import print_json
+from .options import JSON, Arguments, argument, at_least, flag
 
 #: Columns of a table that goes to a file.
 WIDTH = 120
@@ -18,62 +19,45 @@ WIDTH = 120
 FEWEST = 100
 
 if TYPE_CHECKING:
-    from .benchmarks.timing import BenchRow
+    from .benchmarks import BenchRow
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+ARGUMENTS: Arguments = (
+    argument(
         "subject",
         choices=["live", "columns", "bus", "control"],
-        help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole captures, beside "
+        help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside "
         "cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can's; "
-        "control: what a control loop pays for states, filters and controllers, beside deque, np.interp and scipy",
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="a few seconds instead of a minute; rougher figures"
-    )
-    parser.add_argument(
-        "--frames", type=int, metavar="N", help="columns: frames of the log (default: 1,000,000)"
-    )
-    parser.add_argument("--json", action="store_true", help="one JSON object a row instead of the table")
+        "control: states, filters and controllers of a control loop, beside deque, np.interp and scipy",
+    ),
+    flag("--quick", help="a few seconds instead of a minute; rougher figures"),
+    argument(
+        "--frames", type=at_least(FEWEST), metavar="N", help="columns: frames of the log (default: 1,000,000)"
+    ),
+    JSON.but(help="one JSON object a row instead of the table"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    rows: Iterable[BenchRow]
-    if arguments.frames is not None and arguments.frames < FEWEST:
-        raise CallerError(f"--frames {arguments.frames}: at least {FEWEST} are needed to measure anything")
-    if arguments.subject == "live":
-        from .benchmarks import live
-
-        rows = live.run(quick=arguments.quick)
-    elif arguments.subject == "bus":
-        from .benchmarks import bus
-
-        rows = bus.run(quick=arguments.quick)
-    elif arguments.subject == "control":
-        from .benchmarks import control
-
-        rows = control.run(quick=arguments.quick)
-    else:
-        from .benchmarks import columns
-
-        rows = columns.run(quick=arguments.quick, frames=arguments.frames)
+    options = {"frames": arguments.frames} if arguments.subject == "columns" else {}
+    subject = import_module(f".benchmarks.{arguments.subject}", __package__)
+    rows: Iterable[BenchRow] = subject.run(quick=arguments.quick, **options)
     if arguments.json:
         for row in rows:
-            print(json.dumps(asdict(row), ensure_ascii=False), flush=True)
+            print_json(asdict(row), None)
         return 0
     from rich.console import Console
     from rich.table import Table
 
     console = Console() if sys.stdout.isatty() else Console(width=WIDTH)
-    subject = None
+    last = None
     table = Table(box=None, pad_edge=False)
     for column in ("", "figure", "unit", "ratio", "target", ""):
         table.add_column(column, justify="right" if column in ("figure", "ratio") else "left")
     for row in rows:
-        if row.subject != subject:
-            subject = row.subject
-            table.add_row(f"[bold]{subject}[/]")
+        if row.subject != last:
+            last = row.subject
+            table.add_row(f"[bold]{last}[/]")
         mark = {True: "[green]met[/]", False: "[red]below[/]", None: ""}[row.is_met]
         ratio = f"{row.ratio:.2f} ×" if row.ratio is not None else ""
         table.add_row(f"  {row.contender}", _figure(row.value), row.unit, ratio, row.target, mark)

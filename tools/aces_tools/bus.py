@@ -3,14 +3,14 @@
   aces bus serve                        can0 at 500 kbit/s, for this user
   aces bus serve can0 can1 -b 1000000 --socketcand
   aces bus serve --faults drop=0.01,corrupt=0.001 --seed 7
-  aces bus list                         buses that are served here, and those
+  aces bus list                         buses served on this machine, and those
                                         that python-can finds
   aces bus load can0                    frames, load, errors: a line a second
   aces bus load -i socketcan -c can0 -b 500000
 
 Any program with python-can joins: -i aces -c unix:can0, or -i socketcand.
 A served bus has bit rate, arbitration, acknowledgement and errors like a real
-one; --no-physics has none of them and is the quickest.
+one; --no-physics has none of them and is the fastest.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
-from .bus_arg import ChosenBus, chosen_bus
-from .console import Patience, say
+from .bus_arg import ChosenBus, can_options, chosen_bus
+from .console import Patience, print_json, say
+from .options import FOR, JSON, SEED, Arguments, Group, argument, flag
 
 if TYPE_CHECKING:
     from aces_bus.hardware.simulated.faults import Faults
@@ -36,58 +37,56 @@ _NOT_ASKED = frozenset({"aces", "virtual"})
 #: Between two lines of `load`.
 INTERVAL_NS = 1_000_000_000
 #: socketcand's beacon comes every three seconds.
-_BEACON_S = 3.5
+_BEACON_NS = 3_500_000_000
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    from can.cli import add_bus_arguments
-
-    parser.add_argument("what", choices=["serve", "load", "list"], help="what to do")
-    parser.add_argument(
+ARGUMENTS: Arguments = (
+    argument("what", choices=["serve", "load", "list"], help="what to do"),
+    argument(
         "channels", nargs="*", metavar="CHANNEL", help="names (default: can0); load: one, or an address"
-    )
-    add_bus_arguments(parser, group_title="rates of a served bus; the bus to look at (python-can's options)")
-    for action in parser._actions:
-        if action.dest == "interface":
-            action.metavar = "INTERFACE"  # its two dozen choices hide the rest of the help
-    group = parser.add_argument_group("serve")
-    group.add_argument(
-        "--unix",
-        metavar="PATH",
-        help="the socket; of several channels, its folder (default: this user's runtime folder, unless --tcp)",
-    )
-    group.add_argument("--tcp", metavar="HOST:PORT", help="serve on TCP too, for programs of this machine")
-    group.add_argument(
-        "--socketcand",
-        nargs="?",
-        const="",
-        metavar="HOST:PORT",
-        help="speak the socketcand protocol too (default: 127.0.0.1:29536)",
-    )
-    group.add_argument(
-        "--bind-anywhere", action="store_true", help="let other machines in; whoever comes may send"
-    )
-    group.add_argument(
-        "--faults",
-        metavar="WHAT=CHANCE,…",
-        help="drop, corrupt, duplicate, delay: chances from 0 to 1; delay_us: how late at most",
-    )
-    group.add_argument("--seed", type=int, default=0, metavar="N", help="of the faults (default: 0)")
-    group.add_argument(
-        "--no-ack", action="store_true", help="acknowledge nothing: a sender with only listeners is not heard"
-    )
-    group.add_argument("--no-physics", action="store_true", help="no bit rate, no arbitration, no errors")
-    group = parser.add_argument_group("load, list")
-    group.add_argument("--once", action="store_true", help="load: one second, and every node; then end")
-    group.add_argument("--json", action="store_true", help="one JSON object a line")
-    group.add_argument(
-        "--wait",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="list: how long to look (default: 1; from 3.5 on for socketcand's beacons too)",
-    )
-    parser.set_defaults(serial=None, udp=None, baud=None, half_duplex=False)  # what `bus_arg` asks for
+    ),
+    can_options("bit rates of a served bus; the bus to measure (python-can's options)"),
+    Group(
+        "serve",
+        (
+            argument(
+                "--unix",
+                metavar="PATH",
+                help="the socket; of several channels, its folder (default: this user's runtime folder, unless --tcp)",
+            ),
+            argument("--tcp", metavar="HOST:PORT", help="serve on TCP too, for programs of this machine"),
+            argument(
+                "--socketcand",
+                nargs="?",
+                const="",
+                metavar="HOST:PORT",
+                help="speak the socketcand protocol too (default: 127.0.0.1:29536)",
+            ),
+            flag("--bind-anywhere", help="let other machines in; anyone who connects may send"),
+            argument(
+                "--faults",
+                metavar="WHAT=CHANCE,…",
+                help="drop, corrupt, duplicate, delay: chances from 0 to 1; delay_us: the longest delay",
+            ),
+            SEED.but(help="of the faults (default: 0)"),
+            flag("--no-ack", help="acknowledge nothing: a sender with only listeners gets errors"),
+            flag("--no-physics", help="no bit rate, no arbitration, no errors"),
+        ),
+    ),
+    Group(
+        "load, list",
+        (
+            flag("--once", help="load: one second, and every node; then end"),
+            JSON.but(help="one JSON object a line"),
+            FOR.but(
+                default="1s",
+                help="list: how long to look (default: %(default)s; from 3.5s on for socketcand's beacons too)",
+            ),
+        ),
+    ),
+)
+#: What `chosen_bus` also asks for.
+DEFAULTS: dict[str, Any] = {"serial": None, "udp": None, "baud": None, "half_duplex": False}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -204,18 +203,18 @@ def _list(arguments: argparse.Namespace) -> int:
         for channel in status["channels"]
     ]
     asked = sorted(
-        can.VALID_INTERFACES - _NOT_ASKED - ({"socketcand"} if arguments.wait < _BEACON_S else set())
+        can.VALID_INTERFACES - _NOT_ASKED - ({"socketcand"} if arguments.duration < _BEACON_NS else set())
     )
     log = logging.getLogger("can")
     before = log.level
     log.setLevel(logging.CRITICAL)  # what backends say about drivers that are not there
     try:
-        configs = can.detect_available_configs(asked, timeout=arguments.wait)
+        configs = can.detect_available_configs(asked, timeout=arguments.duration / 1e9)
     finally:
         log.setLevel(before)
     if arguments.json:
         for channel in found:
-            print(json.dumps({"kind": "served", **channel}))
+            print_json({"kind": "served", **channel}, None)
         for config in configs:
             print(json.dumps({"kind": "detected", **config}, default=str))
         return 0
@@ -265,7 +264,7 @@ def _load(arguments: argparse.Namespace) -> int:
     with Patience() as patience:
         for measure in patience.each(measures):
             if arguments.json:
-                print(json.dumps(measure), flush=True)
+                print_json(measure, None)
             else:
                 print(_line(measure), flush=True)
                 if arguments.once:

@@ -15,18 +15,21 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
 
+from .options import Group, argument, at_least, flag
+
 if TYPE_CHECKING:
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
 
+    AnyGate = CanGate | SerialGate | DatagramGate
+
 Kind = Literal["can", "serial", "datagram"]
-AnyGate = "CanGate | SerialGate | DatagramGate"
 
 #: What python-can's options put into a namespace.
 CAN_OPTIONS = ("channel", "interface", "bitrate", "fd", "data_bitrate", "timing", "bus_kwargs")
@@ -40,23 +43,41 @@ HELP = (
 )
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add python-can's options of a bus, and ours of a line."""
-    from can import cli
+def can_options(title: str) -> Callable[[argparse.ArgumentParser], None]:
+    """python-can's options of a bus, under a title."""
 
-    before = set(parser._actions)
-    cli.add_bus_arguments(parser, group_title="CAN bus (python-can's options)")
-    for action in set(parser._actions) - before:
-        if action.dest == "timing":
-            _hush(action)
-        elif action.dest == "interface":
-            action.metavar = "INTERFACE"  # or all thirty stand in the help, in a line
-    group = parser.add_argument_group("serial line, datagrams")
-    add = group.add_argument
-    add("--serial", metavar="URL", help="a port, socket://HOST:PORT, rfc2217://…")
-    add("--baud", type=int, metavar="N", help=f"line speed (default: the protocol's, else {BAUD})")
-    add("--half-duplex", action="store_true", help="one pair of wires for both ways (RS-485), with its echo")
-    add("--udp", metavar="[HOST:]PORT", help="UDP datagrams, by default of this machine only")
+    def add(parser: argparse.ArgumentParser) -> None:
+        from can import cli
+
+        before = set(parser._actions)
+        cli.add_bus_arguments(parser, group_title=title)
+        for action in set(parser._actions) - before:
+            if action.dest == "timing":
+                _hush(action)
+            elif action.dest == "interface":
+                action.metavar = "INTERFACE"  # its thirty choices would fill the help
+
+    return add
+
+
+#: python-can's options of a bus, and ours of a line.
+BUS_ARGUMENTS = (
+    can_options("CAN bus (python-can's options)"),
+    Group(
+        "serial line, datagrams",
+        (
+            argument("--serial", metavar="URL", help="a port, socket://HOST:PORT, rfc2217://…"),
+            argument(
+                "--baud",
+                type=at_least(1),
+                metavar="N",
+                help=f"line speed (default: the protocol's, else {BAUD})",
+            ),
+            flag("--half-duplex", help="one pair of wires for both ways (RS-485), with its echo"),
+            argument("--udp", metavar="[HOST:]PORT", help="UDP datagrams, by default of this machine only"),
+        ),
+    ),
+)
 
 
 def _hush(action: Any) -> None:
@@ -95,9 +116,7 @@ class ChosenBus:
         """The same kind of CAN bus, another channel of it."""
         return replace(self, name=channel, options={**self.options, "channel": channel})
 
-    def gate(
-        self, *, listen_only: bool, send_rate: float | None = None
-    ) -> CanGate | SerialGate | DatagramGate:
+    def gate(self, *, listen_only: bool, send_rate: float | None = None) -> AnyGate:
         """Its gatekeeper, not yet started. With `listen_only` the gate has no way to send."""
         if self.kind == "can":
             from aces_bus.hardware import CanGate
@@ -115,7 +134,7 @@ class ChosenBus:
         near = LOOPBACK if host.startswith("127.") or host == "localhost" else "0.0.0.0"
         return DatagramGate((near, 0), peer=(host, port), name=self.name)
 
-    def start(self, gate: CanGate | SerialGate | DatagramGate) -> None:
+    def start(self, gate: AnyGate) -> None:
         """Start its gate; raises `CallerError` for whatever opening raises."""
         try:
             gate.start()
@@ -187,8 +206,6 @@ def _serial(arguments: argparse.Namespace, variants: Sequence[Variant]) -> Chose
     if baud is None:
         speeds = {variant.protocol.baud for variant in variants if variant.protocol.baud is not None}
         baud = speeds.pop() if len(speeds) == 1 else BAUD
-    if baud <= 0:
-        raise CallerError(f"--baud {baud}: a line speed is a number above 0")
     options = {"url": arguments.serial, "baud": baud, "half_duplex": bool(arguments.half_duplex)}
     return ChosenBus("serial", arguments.serial, options)
 
@@ -199,6 +216,3 @@ def _datagrams(text: str) -> ChosenBus:
         raise CallerError(f"--udp {text!r}: write PORT or HOST:PORT, such as 14550 or 0.0.0.0:14550")
     address = (host or LOOPBACK, int(port))
     return ChosenBus("datagram", f"udp {address[0]}:{address[1]}", {"address": address})
-
-
-__all__ = ["ChosenBus", "add_bus_arguments", "chosen_bus"]

@@ -9,7 +9,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Generator, Iterable, Iterator
+import time
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, BinaryIO, TypeVar
@@ -18,6 +19,8 @@ from aces_bus.errors import CallerError
 from aces_bus.plain_text import printable_lines
 
 T = TypeVar("T")
+#: Unreadable lines that are named, of each file.
+SHOWN = 3
 
 
 def say(message: str, *, who: str = "aces: ") -> None:
@@ -29,13 +32,54 @@ def say(message: str, *, who: str = "aces: ") -> None:
 
 
 def abandon_stdout() -> None:
-    """Nobody reads any more: what is still buffered must not raise once again when Python ends."""
+    """Discard what is still buffered for a reader that has gone, or it raises once again when Python ends."""
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
     except (OSError, ValueError, AttributeError):
         pass  # not a file of the system (a test's)
+
+
+def print_json(value: Any, indent: int | None = 2) -> None:
+    """A value on standard output, for programs; without `indent` on one line."""
+    import json
+
+    print(json.dumps(value, ensure_ascii=False, indent=indent), flush=True)
+
+
+def counted(number: int, what: str) -> str:
+    """`1 message`, `2 messages`, `3 buses`.
+
+    >>> counted(1, "bus"), counted(2, "bus"), counted(0, "joint")
+    ('1 bus', '2 buses', '0 joints')
+    """
+    return f"{number} {what}" + ("" if number == 1 else "es" if what.endswith("s") else "s")
+
+
+def check_not_read(path: str, inputs: Iterable[str]) -> None:
+    """Raise `CallerError` for an output that is one of the inputs."""
+    for name in inputs:
+        if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
+            raise CallerError(f"--output {path} is one of the files to read; choose another name")
+
+
+def write_text(
+    path: str | None,
+    text: str,
+    inputs: Iterable[str] = (),
+    *,
+    encoding: str = "utf-8",
+    is_quiet: bool = False,
+) -> None:
+    """Write a text to a file, or for None and `-` to standard output. Raises `CallerError`."""
+    output = Output(path, inputs)
+    try:
+        output.write(text.encode(encoding))
+    finally:
+        output.close()
+    if path not in (None, "-") and not is_quiet:
+        say(f"wrote {path}")
 
 
 def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
@@ -48,15 +92,13 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
 
 
 class Output:
-    """Bytes to stdout, or to a file that is none of the inputs. Raises `BrokenPipeError` when nobody reads any more."""
+    """Bytes to stdout, or to a file that is none of the inputs. Raises `BrokenPipeError` when the reader has gone."""
 
     def __init__(self, path: str | None, inputs: Iterable[str] = ()) -> None:
         self.path = path
         self._file: BinaryIO | None = None
         if path is not None and path != "-":
-            for name in inputs:
-                if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
-                    raise CallerError(f"--output {path} is one of the files to read; choose another name")
+            check_not_read(path, inputs)
             try:
                 self._file = open(path, "wb")  # noqa: SIM115 - closed by `close`
             except FileNotFoundError:
@@ -117,6 +159,40 @@ class Output:
         if self._file is not None:
             with self._checked():
                 self._file.close()
+
+
+class StatusLine:
+    """A line on stderr that is written over again and again: on a terminal only, unless it is not wanted."""
+
+    def __init__(self, *, is_wanted: bool = True) -> None:
+        self.is_shown = is_wanted and sys.stderr is not None and sys.stderr.isatty()
+        self._width = 0
+
+    def show(self, text: str) -> None:
+        """Show this instead of what was shown before."""
+        if self.is_shown:
+            text = text[: max(20, terminal_width() - 1)]
+            print(f"\r{text:<{self._width}}", end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+
+    def clear(self) -> None:
+        """Take the line away."""
+        if self._width:
+            self.show("")
+            print("\r", end="", file=sys.stderr, flush=True)
+
+
+def report_unreadable(capture: Any, shown: int = 0, *, is_over: bool = False) -> int:
+    """Name the unreadable lines of a recording from the one of number `shown` on, up to `SHOWN`; how many were named.
+
+    With `is_over` also how many more there are.
+    """
+    named = capture.problems[shown:SHOWN]
+    for problem in named:
+        say(f"{capture.name}:{problem}")
+    if is_over and capture.lines_unreadable > SHOWN:
+        say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
+    return shown + len(named)
 
 
 def terminal_width() -> int:
@@ -200,3 +276,82 @@ class Patience:
             except (StopIteration, KeyboardInterrupt):
                 return
             yield item
+
+
+# ---------------------------------------------------------------------- progress
+
+#: Bytes of all files together from which on there is a bar.
+LARGE = 8 << 20
+#: Seconds between two looks.
+STEP_S = 0.1
+
+
+class Progress:
+    """The bar of a run over several files; nothing where there is no terminal, or where the files are small.
+
+    progress = Progress(files)
+    progress.opened(capture)       # for each of them
+    progress.step(len(frames))     # for each piece
+    progress.close()
+    """
+
+    def __init__(self, files: Sequence[str]) -> None:
+        self._bar: Any = None
+        self._task: Any = None
+        self._file: Any = None
+        self._before = self._place = self._frames = 0
+        self._began = self._next = 0.0
+        self.total = sum(os.path.getsize(name) for name in files if os.path.isfile(name))
+        self._is_wanted = self.total > LARGE and sys.stderr is not None and sys.stderr.isatty()
+
+    def opened(self, capture: Any) -> None:
+        """The next file is being read."""
+        self._before += self._place
+        self._place = 0
+        # The file beneath the capture, packed or not: its place says how much has been read.
+        self._file = getattr(getattr(capture, "_source", None), "_file", None)
+        if self._is_wanted and self._bar is None:
+            self._bar, self._task = self._show()
+
+    def _show(self) -> tuple[Any, Any]:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        bar = Progress(
+            TextColumn("{task.percentage:>3.0f} %"),
+            BarColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            redirect_stdout=False,
+        )
+        bar.start()
+        self._began = time.monotonic()
+        return bar, bar.add_task("", total=self.total, rate="")
+
+    def step(self, frames: int) -> None:
+        """So many frames more have been read; of a serial line none."""
+        if self._bar is None:
+            return
+        self._frames += frames
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + STEP_S
+        try:
+            self._place = int(self._file.tell())
+        except (AttributeError, OSError, ValueError):
+            pass  # no place to tell, or closed at its end
+        done, passed = self._before + self._place, max(now - self._began, 1e-3)
+        rate = f"{done / passed / 1e6:.0f} MB/s"
+        if self._frames:
+            rate += f", {self._frames / passed / 1e6:.2f} M frames/s"
+        self._bar.update(self._task, completed=done, rate=rate)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+            self._is_wanted = False

@@ -3,14 +3,14 @@
   aces convert walk.log walk.blf
   aces convert drive.asc.gz drive.log
   aces convert monday.log tuesday.log both.mf4
-  aces convert --merge left.log right.log --channel can1=arm body.blf
+  aces convert --merge left.log right.log --map can1=arm body.blf
   candump -L can0 | aces convert - walk.pcapng
-  aces convert walk.blf --filter 060:7F0 --from 10 --until 20 --to candump -
+  aces convert walk.blf --filter 060:7F0 --from 10 --to 20 --format candump -
   aces convert session.slog session.bin
 
-The last name is what is written; its suffix says the format, also with .gz
-or .zst behind it. What the others are, their content says; `-` is standard
-input, or output with --to.
+The last name is the output, and its suffix the format, also before .gz or
+.zst. Formats of the others are recognised by content. - is standard input, or
+with --format standard output.
 """
 
 from __future__ import annotations
@@ -27,86 +27,72 @@ import numpy as np
 
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, to_ns
-from aces_bus.recordings import CanRecording, Chunk, SerialRecording, formats, open_recording, parse_filter
+from aces_bus.recordings import CanRecording, SerialRecording, formats, open_recording, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import Relabel, merge_by_time
 from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, writer_format
 
-from .console import Patience, abandon_stdout, say
-from .progress import Progress
+from .console import SHOWN, Patience, Progress, abandon_stdout, report_unreadable, say
+from .options import FILTER, FROM, MAP, STRICT, TO, Arguments, argument, flag
 from .window import TimeWindow
 
-#: Unreadable lines that are shown, of each file.
-SHOWN = 3
 #: Suffixes that promise no format: recordings of many programs have them.
 PLAIN = (".log", ".txt", ".bin", ".raw")
 KINDS = {"can": "CAN frames", "serial": "bytes of a serial line"}
 
-EPILOG = """\
-times (--from, --until; in seconds):
+
+def _listed(title: str, names: Iterable[str]) -> str:
+    return textwrap.fill(f"{title}: {' '.join(names)}", 78, subsequent_indent="  ") + "\n"
+
+
+EPILOG = f"""\
+{_listed("formats written", FORMATS)}{_listed("formats read", formats())}
+times (--from, --to; in seconds):
   12.5           from the first frame of each file (with --merge: of all)
   1436509052.25  above 100000000: since 1970, as in the recording
-  A frame is taken from --from on and before --until; one whose time is not
+  A frame is taken from --from on and before --to; one whose time is not
   known is left out when either is given.
 
 channels:
   Formats name channels (candump, pcapng, MF4) or number them from 1 (ASC, BLF,
   TRC). can0 is number 1, can1 number 2 and back; another name gets the number
   at its end plus one (vcan4: 5), or the lowest that is free.
-  --channel 0=can3 gives a channel another name before that. --filter goes by
-  the names in the recording.
+  --map 0=can3 renames a channel before that. --filter goes by the names in
+  the recording.
 
 summary (last on stderr):
   frames = written + filtered; errors: error frames among those written   (CAN)
   bytes = written + filtered                                           (serial)
-  Before it one line for each kind of thing that the format written does not
-  hold, and of what was read that is no frame.
+  Above it, a line for each kind of entry that the output format cannot hold,
+  and for each kind of entry in the input that is no frame.
 
 exit status:
   0    also after Ctrl-C where the input was live: what had come is written
-  1    --strict, and anything was unreadable, no frame, or is not held by the
-       format written
+  1    --strict, and anything was unreadable, no frame, or cannot be held by
+       the output format
   2    a wrong call, or a file that cannot be read or written
   130  after Ctrl-C
-The file that is written has its name only when it is whole: an error, or
-Ctrl-C while a file is read, leaves what was there before.
+The output appears only when it is whole: an error, or Ctrl-C while a file is
+read, leaves what was there before.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = f"{_listed('formats written', FORMATS)}{_listed('formats read', formats())}\n{EPILOG}"
-    add = parser.add_argument
-    add(
+ARGUMENTS: Arguments = (
+    argument(
         "files",
         nargs="+",
         metavar="FILE",
         help="recordings, or - for standard input; the last one is what is written",
-    )
-    add("--to", metavar="FORMAT", help="the format written (default: by the suffix)")
-    add("--input-format", metavar="FORMAT", help="the format read (default: by the content)")
-    add("--merge", action="store_true", help="put frames of several files in order of time")
-    add("--from", dest="start", metavar="TIME", help="only frames from then on; see below")
-    add("--until", metavar="TIME", help="only frames before then")
-    add(
-        "--filter",
-        action="append",
-        default=[],
-        metavar="FILTER",
-        help="CAN: candump's filters, such as 060:7F0 or can0,150~7FF",
-    )
-    add(
-        "--channel",
-        action="append",
-        default=[],
-        metavar="OLD=NEW",
-        help="CAN: rename a channel; without OLD, the one that has no name",
-    )
-    add("--strict", action="store_true", help="exit 1 when anything was lost; see below")
-
-
-def _listed(title: str, names: Iterable[str]) -> str:
-    return textwrap.fill(f"{title}: {' '.join(names)}", 78, subsequent_indent="  ") + "\n"
+    ),
+    argument("--format", metavar="FORMAT", help="the format written (default: by the suffix)"),
+    argument("--input-format", metavar="FORMAT", help="the format read (default: by the content)"),
+    flag("--merge", help="put frames of several files in order of time"),
+    FROM,
+    TO,
+    FILTER,
+    MAP.but(help="CAN: another name for channel OLD; without OLD, for the one that has no name"),
+    STRICT.but(help="exit 1 when anything was lost; see below"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -124,12 +110,12 @@ class Conversion:
         self.target: str = arguments.files[-1]
         self.form = self._form()
         if self.form.link == "serial":
-            for option in ("filter", "channel", "merge"):
+            for option in ("filter", "map", "merge"):
                 if getattr(arguments, option):
                     raise CallerError(f"--{option} is for CAN frames, and {self.form.what} has none")
         self.filter = parse_filter(*arguments.filter) if arguments.filter else None
-        self.relabel = Relabel(_renamed(arguments.channel))
-        self.window = _window(arguments.start, arguments.until)
+        self.relabel = Relabel(_renamed(arguments.map))
+        self.window = TimeWindow.parse(arguments.start, arguments.stop)
         #: The first time of the file, or with --merge of all, so far.
         self.first: int | None = None
         self.progress = Progress(self._measured())
@@ -141,12 +127,10 @@ class Conversion:
         self.status = 0
 
     def _form(self) -> FormatOut:
-        name: str | None = self.arguments.to
+        name: str | None = self.arguments.format
         if name is None and self.target == "-":
-            raise CallerError(f"standard output has no suffix; name the format: --to {'|'.join(FORMATS)}")
+            raise CallerError(f"standard output has no suffix; name the format: --format {'|'.join(FORMATS)}")
         if name is not None and name not in FORMATS:
-            if name[:1].isdecimal():
-                raise CallerError(f"--to {name}: this names the format; a time goes to --until")
             raise UnknownNameError("format", name, FORMATS)
         form = FORMATS[name] if name is not None else writer_format(self.target)
         for other in FORMATS.values():
@@ -155,8 +139,8 @@ class Conversion:
                 mine
             ):
                 raise CallerError(
-                    f"{self.target}: the suffix says {other.name}, and --to {form.name}; leave --to away, or give the"
-                    " file another name"
+                    f"{self.target}: the suffix says {other.name}, and --format {form.name}; leave one of them away,"
+                    " or give the file another name"
                 )
         if self.target == "-" and not form.is_text and sys.stdout is not None and sys.stdout.isatty():
             raise CallerError(f"{form.what} is nothing for a terminal; redirect it, or name a file")
@@ -271,13 +255,10 @@ class Conversion:
             for chunk in patience.each(capture):
                 self.total += len(chunk.data)
                 self.progress.step(0)
-                if self._is_inside(chunk):
+                if self.window is None or self.window.inside(np.array([to_ns(chunk.time)]))[0]:
                     self.written += len(chunk.data)
                     writer.write(chunk)
                 self._after(writer)
-
-    def _is_inside(self, chunk: Chunk) -> bool:
-        return self.window is None or bool(self.window.inside(np.array([to_ns(chunk.time)]))[0])
 
     # ------------------------------------------------------------------ what goes to stderr
 
@@ -289,14 +270,11 @@ class Conversion:
     def _problems(self) -> None:
         """Name the first unreadable lines of each file, each once."""
         for place, capture in enumerate(self.captures):
-            for problem in capture.problems[self.said.get(place, 0) : SHOWN]:
-                self.said[place] = self.said.get(place, 0) + 1
-                say(f"{capture.name}:{problem}")
+            self.said[place] = report_unreadable(capture, self.said.get(place, 0))
 
     def _summarise(self, writer: OpenWriter) -> None:
         for capture in self.captures:
-            if capture.lines_unreadable > SHOWN:
-                say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
+            report_unreadable(capture, SHOWN, is_over=True)
             self.lines_unreadable += capture.lines_unreadable
             for kind, count in capture.others.items():
                 self.others[kind] = self.others.get(kind, 0) + count
@@ -308,7 +286,7 @@ class Conversion:
             say(f"the recorder says that it lost {self.dropped} frames")
         if self.window is not None and self.window.untimed:
             what = "frames" if self.form.link == "can" else "chunks"
-            say(f"{what} without a time, which are outside of --from and --until: {self.window.untimed}")
+            say(f"{what} without a time, which are outside of --from and --to: {self.window.untimed}")
         for kind, count in self.others.items():
             say(f"not written, being no {unit}s: {count} {kind}")
         for kind, count in writer.lossy.items():
@@ -336,7 +314,7 @@ class Conversion:
         wanted = (
             {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
         )
-        for option, names in (("--filter", wanted), ("--channel", set(self.relabel.names))):
+        for option, names in (("--filter", wanted), ("--map", set(self.relabel.names))):
             for name in sorted(str(name) for name in names - seen):
                 say(f"{option}: no frame came from {name!r} (there are: {there})")
 
@@ -346,20 +324,11 @@ def _renamed(texts: list[str]) -> dict[str | None, str]:
     for text in texts:
         old, sign, new = text.partition("=")
         if not sign or not new:
-            raise CallerError(f"--channel {text}: write OLD=NEW, such as can0=drive")
+            raise CallerError(f"--map {text}: write OLD=NEW, such as can0=drive")
         if (old or None) in names:
-            raise CallerError(f"--channel {text}: {old or 'the one without a name'} has a new name already")
+            raise CallerError(f"--map {text}: {old or 'the one without a name'} has a new name already")
         names[old or None] = new
     return names
-
-
-def _window(start: str | None, until: str | None) -> TimeWindow | None:
-    try:
-        return TimeWindow.parse(start, until)
-    except CallerError as error:
-        raise CallerError(
-            str(error).replace("--to ", "--until ")
-        ) from None  # the verb's other --to is a format
 
 
 def _link(name: str) -> str | None:

@@ -1,4 +1,4 @@
-"""Decode recordings and live captures; say where every frame and byte went.
+"""Decode recordings and live captures; account for every frame and byte.
 
   aces decode walk.log -p hubo
   aces decode session.bin -p robotis --direction from
@@ -9,14 +9,16 @@
 A FILE is a recording of CAN (candump, BLF, ASC, TRC, MF4, pcap, pcapng, CSV,
 python-can's SQLite and others: `aces convert --help` lists them) or of a serial
 line (.slog, the vendor's hex dump, raw bytes), also packed with gzip or zstd.
-What it is, its content says; `-` is standard input. With protocols of several
-links, each file goes to those of its own. More: docs/captures.md.
+Formats are recognised by content; - is standard input. With protocols for CAN
+and serial lines, each file goes to those of its kind. More: docs/captures.md.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterable, Mapping
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -28,12 +30,30 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
-from aces_bus.recordings.serial.raw import RawCapture
 
 from .console import Output, Patience, abandon_stdout, terminal_width, wants_colour
-from .decoding import DIRECTIONS, SHOWN, CaptureReading, Decoding, Direction, Link, Requests, Totals, utf8
-from .output import Writer
-from .output.chosen import LIVE, line_format, table_format
+from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
+from .options import (
+    COLOR,
+    DIRECTION,
+    FILTER,
+    FROM,
+    JOBS,
+    MESSAGE,
+    OUTPUT,
+    PROTOCOL,
+    QUIET,
+    STRICT,
+    TIME,
+    TO,
+    UNKNOWN,
+    WHERE,
+    Arguments,
+    argument,
+    flag,
+    several,
+)
+from .output import LIVE, Writer, line_format, table_format
 from .where import Where
 
 BATCH = 1024
@@ -62,12 +82,12 @@ conditions (--where):
 formats:
   text    for people: times count from the first item of a file; on a terminal
           coloured, and folded to its width
-  jsonl   one JSON object a line; numbers in the sheet's units, enumerations by
+  jsonl   one JSON object a line; numbers in the spec's units, enumerations by
           name, flags as a list of names, bytes as hexadecimal, NaN as null
   csv     with one --message: one row a record, one column a field; otherwise
           one row a value (field, value, unit)
 
-tables (-o FILE, told by its suffix; millions of frames a second):
+tables (-o FILE, by its suffix; millions of frames a second):
   .parquet .arrow .feather   a folder with one file a message, or with a single
                   --message that file; units, enumerations and docs are in
                   the schema's metadata
@@ -77,15 +97,15 @@ tables (-o FILE, told by its suffix; millions of frames a second):
   .mcap           for Foxglove and PlotJuggler
   Enumerations are numbers unless --names is given (in CSV they are names).
   What is not decoded is counted, and with --unknown show written to _lost.
-  An output stands when it is whole: after Ctrl-C on a file, or an error while
-  writing, what was there before is still there.
+  An output appears only when it is whole: Ctrl-C on a file, or an error while
+  writing, leaves what was there before.
 
 summary (last on stderr, one line a kind of link; the parts sum to the total):
   frames = decoded + unknown + malformed + filtered + errors           (CAN)
   bytes = decoded + unknown + malformed + skipped + filtered + pending (streams)
   filtered: refused by --filter, --from or --to; or decoded, and refused by
   --message, --signals or --where. Filters apply after recognition, so that a
-  reply is told by its request even where the request is not shown.
+  reply is recognised by its request even where the request is not shown.
 
 exit status:
   0    also after Ctrl-C where the input was live
@@ -96,99 +116,42 @@ exit status:
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("files", nargs="+", metavar="FILE", help="a recording, or - for standard input")
-    add(
-        "-p",
-        "--protocol",
-        action="append",
-        required=True,
-        metavar="PROTOCOL",
-        help="may be given several times; the first wins",
-    )
-    add(
-        "--direction",
-        choices=["to", "from", "both"],
-        help="which way the bytes of a raw file went: to or from the device; both pairs requests and replies",
-    )
-    add(
+ARGUMENTS: Arguments = (
+    argument("files", nargs="+", metavar="FILE", help="a recording, or - for standard input"),
+    PROTOCOL.but(default=None, required=True, help="what is spoken; see below; the first wins"),
+    DIRECTION,
+    argument(
         "--format",
         choices=[*LIVE, *(name for name in FORMATS if name not in LIVE)],
         metavar="FORMAT",
         help="text, jsonl, csv, or one of the tables below (default: by the suffix of --output, else text)",
-    )
-    add("--output", "-o", metavar="FILE", help="write there instead of standard output; see tables below")
-    add(
-        "--filter",
-        action="append",
-        default=[],
-        metavar="FILTER",
-        help="CAN: candump's filters, such as 060:7F0 or can0,150~7FF",
-    )
-    add(
-        "--message",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="only these messages; may be given several times",
-    )
-    add(
-        "--where",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="only records such as field=value; see below",
-    )
-    add(
-        "--signals",
-        action="append",
-        default=[],
-        metavar="GLOB",
-        help="tables: only these columns, such as Encoder.position.* or *.speed",
-    )
-    add(
-        "--from",
-        dest="start",
-        metavar="TIME",
-        help="from this time on: seconds from the first frame, or since 1970",
-    )
-    add("--to", dest="stop", metavar="TIME", help="up to this time, without it")
-    add(
-        "--unknown",
-        choices=["show", "hide", "only"],
-        help="print what is not decoded (default: show; hide with --message or --where, and in tables)",
-    )
-    add("-q", "--quiet", action="store_true", help="print no records, only the summary")
-    add(
-        "--strict",
-        action="store_true",
-        help="exit 1 when anything was unknown, malformed, skipped, pending or unreadable",
-    )
-    add("--names", action="store_true", help="tables: enumerations as names instead of numbers")
-    add("--float32", action="store_true", help="tables: physical values in half the size, and less exact")
-    add(
-        "--jobs",
-        type=int,
-        default=1,
-        metavar="N",
-        help="tables: so many processes; each message is then a folder of parts (Parquet, Arrow)",
-    )
-    add("--time", choices=["relative", "absolute"], default="relative", help="of text (default: relative)")
-    add(
-        "--color",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help="colour, also where the output is no terminal; or never",
-    )
+    ),
+    OUTPUT.but(help="write there instead of on standard output; see tables below"),
+    FILTER,
+    MESSAGE,
+    WHERE.but(help="only records such as field=value; see below"),
+    several(
+        "--signals", metavar="GLOB", help="tables: only these columns, such as Encoder.position.* or *.speed"
+    ),
+    FROM,
+    TO,
+    UNKNOWN,
+    QUIET.but(help="print no records, only the summary"),
+    STRICT.but(help="exit 1 when anything was unknown, malformed, skipped, pending or unreadable"),
+    flag("--names", help="tables: enumerations as names instead of numbers"),
+    flag("--float32", help="tables: physical values in half the size, and less exact"),
+    JOBS.but(
+        help="tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts"
+        " (Parquet, Arrow)",
+    ),
+    TIME,
+    COLOR,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
     form = table_format(arguments.output, arguments.format)
-    if arguments.jobs < 1:
-        raise CallerError(f"--jobs {arguments.jobs}: at least one process has to do it")
+    arguments.jobs = arguments.jobs or os.cpu_count() or 1
     if form is not None and arguments.jobs > 1:
         from .decode_jobs import JobsDecoding
 
@@ -216,7 +179,7 @@ class LiveDecoding(Decoding):
         self.shows_records = show != "only" and not arguments.quiet
         self.shows_losses = show != "hide" and not arguments.quiet
         self.scanners: dict[tuple[Link, Direction | None], Scanner] = {}
-        #: The source that the writer has not been told of yet.
+        #: The source that the writer does not know of yet.
         self.pending: tuple[str, Link] | None = None
         self.output = Output(arguments.output, self.files)
         self.writer = self._writer(arguments)
@@ -229,11 +192,11 @@ class LiveDecoding(Decoding):
 
             return JsonLines(self.plans, stated)
         if form == "csv":
-            from .output.csv import Sheet
+            from .output.csv import CsvOutput
 
             only = next(iter(self.messages)) if len(self.messages) == 1 else None
             links = frozenset(link for link, variants in self.variants.items() if variants)
-            return Sheet(self.plans, stated, only=only, links=links)
+            return CsvOutput(self.plans, stated, only=only, links=links)
         from .output.text import TextOutput, make_paint, no_paint
 
         is_terminal = self.output.is_terminal
@@ -279,7 +242,7 @@ class LiveDecoding(Decoding):
     def _scanner(self, link: Link, direction: Direction | None) -> Scanner:
         if (link, direction) not in self.scanners:
             if link == "serial":
-                self._check_direction(direction)
+                check_direction(self.variants["serial"], direction)
             self.scanners[link, direction] = make_scanner(
                 self.variants[link], direction=direction, include_unknown=True
             )
@@ -291,7 +254,7 @@ class LiveDecoding(Decoding):
         try:
             for frames in patience.each(capture.batches(BATCH)):
                 self._frames(scanner, frames, totals)
-                self._after_batch(capture)
+                self._after(capture)
         finally:
             totals.count(scanner.counts)
 
@@ -303,60 +266,24 @@ class LiveDecoding(Decoding):
             self._warn_of(scanner.contested, items)
         if self.absent:
             self._seen({str(frame.channel) for frame in frames})
-        items = self._inside(items, totals, is_can=True)
+        passed = self._in_window(items)
         if self.filter is not None:
             matches = self.filter.matches
-            kept = []
-            for frame, item in zip(frames, items, strict=True):
-                if item is None:
-                    continue
-                if matches(frame):
-                    kept.append(item)
-                else:
-                    self._reject(item, 1, totals)
-            items = kept
-        self._emit(items, totals, is_can=True)
+            passed = [
+                ok and matches(frame) for ok, frame in zip(passed or repeat(True), frames, strict=False)
+            ]
+        self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
 
-    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
-        used: dict[Direction | None, Scanner] = {}
-        requests = Requests(self.variants["serial"])
+    def _stream_scanner(self, direction: Direction | None) -> Any:
+        scanner: Any = self._scanner("serial", direction)
+        scanner.reset()
+        return scanner
 
-        def gap() -> float:
-            return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
+    def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
+        return scanner.feed(data, time)
 
-        chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
-        reading = CaptureReading(patience.each(chunks))
-        try:
-            for chunk in reading:
-                if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
-                    for one in used.values():
-                        self._emit(self._inside(one.idle(), totals, is_can=False), totals, is_can=False)
-                    self._after_batch(capture)
-                    continue
-                direction: Direction | None = self.direction or chunk.direction
-                if direction not in used:
-                    scanner: Any = self._scanner("serial", direction)
-                    scanner.reset()
-                    used[direction] = scanner
-                if direction == "to device" and self.direction is None:
-                    if "from device" not in used:
-                        used["from device"] = other = self._scanner("serial", "from device")
-                        other.reset()
-                    replies: Any = used["from device"]
-                    for packet, time in requests.of(chunk.data, chunk.time):
-                        replies.sent(packet, time)
-                if self.window is not None:
-                    self.window.see(to_ns(chunk.time))
-                feed: Any = used[direction].feed
-                items = self._inside(feed(chunk.data, chunk.time), totals, is_can=False)
-                self._emit(items, totals, is_can=False)
-                self._after_batch(capture)
-            for scanner in used.values():
-                self._emit(self._inside(scanner.close(), totals, is_can=False), totals, is_can=False)
-            reading.check()
-        finally:
-            for scanner in used.values():
-                totals.count(scanner.counts)
+    def _found(self, items: Any, totals: Totals) -> None:
+        self._emit(self._kept(items, self._in_window(items), totals, is_can=False), totals, is_can=False)
 
     def _begin(self, first: Any) -> None:
         """Tell the writer that a source begins, once its first item is known, or that there is none."""
@@ -365,7 +292,7 @@ class LiveDecoding(Decoding):
             self.pending = None
             self.output.write(self.writer.begin(source, link, None if first is None else first.meta.time))
 
-    def _after_batch(self, capture: Recording) -> None:
+    def _after(self, capture: Recording, frames: int = 0) -> None:
         if capture.live or self.output.is_terminal:
             self.output.flush()
         if capture.live:
@@ -373,33 +300,31 @@ class LiveDecoding(Decoding):
 
     # ------------------------------------------------------------------ items
 
-    def _inside(self, items: list[Any], totals: Totals, *, is_can: bool) -> list[Any]:
-        """The items, with None for those that --from and --to refuse; these go into the bin `filtered`."""
+    def _in_window(self, items: list[Any]) -> list[bool] | None:
+        """Which items --from and --to let pass; None: all."""
         if self.window is None or not items:
-            return items
+            return None
         instants = (to_ns(i.meta.time if type(i) is Unknown else i._time) for i in items)
-        kept = self.window.inside(np.fromiter(instants, np.int64, len(items))).tolist()
-        if all(kept):
+        passed: list[bool] = self.window.inside(np.fromiter(instants, np.int64, len(items))).tolist()
+        return passed
+
+    def _kept(
+        self, items: list[Any], passed: list[bool] | None, totals: Totals, *, is_can: bool
+    ) -> list[Any]:
+        """The items that pass; the others go into the bin `filtered`."""
+        if passed is None or all(passed):
             return items
-        for item, is_inside in zip(items, kept, strict=True):
-            if not is_inside:
-                self._reject(item, 1 if is_can else item.meta.size, totals)
-        return [item if is_inside else None for item, is_inside in zip(items, kept, strict=True)]
+        for item in (item for item, is_kept in zip(items, passed, strict=True) if not is_kept):
+            self._reject(item, 1 if is_can else item.meta.size, totals)
+        return [item for item, is_kept in zip(items, passed, strict=True) if is_kept]
 
     def _emit(self, items: list[Any], totals: Totals, *, is_can: bool) -> None:
         """Write what is to be shown; what --message and --where refuse goes into the bin `filtered`."""
-        if self.window is not None:
-            items = [item for item in items if item is not None]
         if items:
             self._begin(items[0])
         if self.is_selective:
-            kept = []
-            for item in items:
-                if type(item) is Unknown or self._is_wanted(item):
-                    kept.append(item)
-                else:
-                    self._reject(item, 1 if is_can else item.meta.size, totals)
-            items = kept
+            wanted = [type(item) is Unknown or self._is_wanted(item) for item in items]
+            items = self._kept(items, wanted, totals, is_can=is_can)
         if not (self.shows_records and self.shows_losses):
             items = [
                 item for item in items if (self.shows_losses if type(item) is Unknown else self.shows_records)
@@ -434,6 +359,3 @@ class LiveDecoding(Decoding):
             if key in contested and type(item) is not Unknown:
                 self._warn(contested, key, meta.identifier)
                 return
-
-
-__all__ = ["DIRECTIONS", "SHOWN", "Direction", "Link", "LiveDecoding", "Totals", "add_arguments", "run"]

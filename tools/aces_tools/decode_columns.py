@@ -2,13 +2,13 @@
 
 1. What is counted, said and left out is what the live way counts, says and leaves out.
 2. Memory is bounded whatever the capture's size: a piece is decoded, written and forgotten.
-3. The output stands when it is whole: an interrupted or failed run leaves what was there before.
+3. The output appears when it is whole: an interrupted or failed run leaves what was there before.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
@@ -17,23 +17,134 @@ import numpy as np
 
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.export import Export, open_export
-from aces_bus.frame_table import FrameTable, to_ns
+from aces_bus.frame_table import FrameTable
 from aces_bus.protocol.columns.decode import feed
-from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
+from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
-from aces_bus.recordings import CanRecording, SerialRecording
+from aces_bus.recordings import CanRecording, Recording, SerialRecording
 from aces_bus.recordings.filters import passing
 
-from .console import Patience, say
-from .decoding import CaptureReading, Decoding, Direction, Requests, Totals, utf8
-from .progress import Progress
-from .where_columns import Rows, WhereColumns
+from .console import Patience, Progress, check_not_read, say
+from .decoding import Decoding, Direction, Totals, utf8
+from .where import Rows, WhereColumns
 
 #: Frames that are decoded at once, at least, where they need not be waited for.
 PIECE = 1 << 18
 
 
-class ColumnDecoding(Decoding):
+class TableDecoding(Decoding):
+    """A run that decodes whole pieces into tables; what becomes of them, a subclass says in `_take`."""
+
+    #: Whether what is not decoded is wanted, too.
+    include_unknown = False
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        super().__init__(arguments)
+        self.progress = Progress(self.files)
+
+    def _opened(self, capture: CanRecording | SerialRecording) -> None:
+        self.progress.opened(capture)
+
+    @abstractmethod
+    def _take(self, tables: Sequence[MessageTable], totals: Totals) -> None:
+        """Take decoded tables."""
+
+    def _stream_scanner(self, direction: Direction | None) -> Any:
+        return make_column_scanner(
+            self.variants["serial"], direction=direction, include_unknown=self.include_unknown
+        )
+
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
+        scanner = make_column_scanner(
+            self.variants["can"], direction=self.direction, include_unknown=self.include_unknown
+        )
+        first = 0
+        try:
+            for frames in pieces_of(patience.each(capture.tables()), is_live=capture.live):
+                tables = scanner.feed(frames)
+                contested = getattr(scanner, "contested", None)
+                if contested and not self.is_warned:
+                    self._warn_of(contested, tables)
+                if self.absent:
+                    numbers = np.unique(frames.channel).tolist()
+                    self._seen({str(frames.channels.names[number]) for number in numbers})
+                kept = self._kept(frames)
+                if kept is not None:
+                    tables = [self._part(table, kept[table.row - first], totals) for table in tables]
+                self._take(tables, totals)
+                first += len(frames)
+                self._after(capture, len(frames))
+            self._take(scanner.close(), totals)
+        finally:
+            totals.count(scanner.counts)
+
+    def _kept(self, frames: FrameTable) -> Rows | None:
+        """Which frames --filter, --from and --to let pass; None: all."""
+        kept: Rows | None = None
+        if self.window is not None:
+            kept = self.window.inside(frames.time)
+        if self.filter is not None:
+            passed = passing(self.filter, frames)
+            kept = passed if kept is None else kept & passed
+        return kept
+
+    def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
+        return feed(scanner, data, time)
+
+    def _found(self, items: Any, totals: Totals) -> None:
+        self._take(self._inside(items, totals), totals)
+
+    def _after(self, capture: Recording, frames: int = 0) -> None:
+        self.progress.step(frames)
+        if capture.live:
+            self._problems(capture)
+
+    def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
+        """The packets that --from and --to let pass."""
+        if self.window is None:
+            return tables
+        return [self._part(table, self.window.inside(table.time), totals) for table in tables]
+
+    def _part(self, table: MessageTable, kept: Rows, totals: Totals) -> MessageTable:
+        """The rows that are kept; the others go into the bin `filtered`."""
+        if kept.all():
+            return table
+        self._reject(table.take(np.flatnonzero(~kept)), totals)
+        return table.take(np.flatnonzero(kept))
+
+    @staticmethod
+    def _reject(table: MessageTable, totals: Totals) -> None:
+        """Move rows from their bins to `filtered`."""
+        sizes: Any = np.ones(len(table), np.int64) if table.size is None else table.size
+        total = int(sizes.sum())
+        totals.add("filtered", total)
+        if table.message:
+            totals.add("decoded", -total)
+            totals.add("records", -len(table))
+            return
+        for reason, size in zip(table["reason"].values.tolist(), sizes.tolist(), strict=True):
+            totals.add("errors" if reason == "error frame" else reason.partition(":")[0], -size)
+
+    def _warn_of(self, contested: Any, tables: Sequence[MessageTable]) -> None:
+        """Warn when a decoded frame is of an identifier that two protocols claim: of the first such frame."""
+        found = self._first_contested(contested, tables)
+        if found is not None:
+            self._warn(contested, found, found & 0x1FFF_FFFF)
+
+    @staticmethod
+    def _first_contested(contested: Any, tables: Sequence[MessageTable]) -> int | None:
+        """The key of the first decoded frame that two protocols claim."""
+        keys = np.fromiter(contested, np.uint32, len(contested))
+        found: list[tuple[int, int]] = []
+        for table in tables:
+            if table.message:
+                places = np.flatnonzero(np.isin(table.key, keys))
+                if len(places):
+                    found.append((int(table.row[places[0]]), int(table.key[places[0]])))
+        return min(found)[1] if found else None
+
+
+class ColumnDecoding(TableDecoding):
     """One run into an output of tables. A wrong call raises before anything is read or written."""
 
     def __init__(self, arguments: argparse.Namespace, form: str) -> None:
@@ -50,10 +161,7 @@ class ColumnDecoding(Decoding):
         self.include_unknown = self.shows_losses or self.filter is not None or self.window is not None
         self.source: str | None = None
         path: str = arguments.output
-        for name in self.files:
-            if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
-                raise CallerError(f"--output {path} is one of the files to read; choose another name")
-        self.progress = Progress(self.files)
+        check_not_read(path, self.files)
         self.form = form
         self.export: Export = self._open_export(path)
 
@@ -106,13 +214,13 @@ class ColumnDecoding(Decoding):
     # ------------------------------------------------------------------ running
 
     def _opened(self, capture: CanRecording | SerialRecording) -> None:
+        super()._opened(capture)
         self.source = utf8(capture.name)
-        self.progress.opened(capture)
 
     def _finish(self, *, is_whole: bool) -> None:
         self.progress.close()
         if not self.totals:
-            return  # no file could be opened: what stands at the output still stands
+            return  # no file could be opened: what is at the output stays
         if not is_whole:
             self.interrupted = True
             return
@@ -130,78 +238,6 @@ class ColumnDecoding(Decoding):
         if self.interrupted:
             self.status = self.status or 130
             say(f"interrupted: {self.arguments.output} is not written")
-
-    def _scanner(self, direction: Direction | None, link: str) -> ColumnScanner:
-        variants = self.variants["can" if link == "can" else "serial"]
-        if link != "can":
-            self._check_direction(direction)
-        return make_column_scanner(variants, direction=direction, include_unknown=self.include_unknown)
-
-    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
-        scanner = self._scanner(self.direction, "can")
-        first = 0
-        try:
-            for frames in pieces_of(patience.each(capture.tables()), is_live=capture.live):
-                tables = scanner.feed(frames)
-                contested = getattr(scanner, "contested", None)
-                if contested and not self.is_warned:
-                    self._warn_of(contested, tables)
-                if self.absent:
-                    numbers = np.unique(frames.channel).tolist()
-                    self._seen({str(frames.channels.names[number]) for number in numbers})
-                kept = self._kept(frames)
-                if kept is not None:
-                    tables = [self._part(table, kept[table.row - first], totals) for table in tables]
-                self._take(tables, totals)
-                first += len(frames)
-                self.progress.step(len(frames))
-                if capture.live:
-                    self._problems(capture)
-            self._take(scanner.close(), totals)
-        finally:
-            totals.count(scanner.counts)
-
-    def _kept(self, frames: FrameTable) -> Rows | None:
-        """Which frames --filter, --from and --to let pass; None: all."""
-        kept: Rows | None = None
-        if self.window is not None:
-            kept = self.window.inside(frames.time)
-        if self.filter is not None:
-            passed = passing(self.filter, frames)
-            kept = passed if kept is None else kept & passed
-        return kept
-
-    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
-        used: dict[Direction | None, ColumnScanner] = {}
-        requests = Requests(self.variants["serial"])
-        reading = CaptureReading(patience.each(capture))
-        try:
-            for chunk in reading:
-                direction: Direction | None = self.direction or chunk.direction
-                if direction not in used:
-                    used[direction] = self._scanner(direction, "serial")
-                if direction == "to device" and self.direction is None:
-                    if "from device" not in used:
-                        used["from device"] = self._scanner("from device", "serial")
-                    other: Any = used["from device"]
-                    for packet, time in requests.of(chunk.data, chunk.time):
-                        self._take(self._inside(other.sent(packet, time), totals), totals)
-                if self.window is not None:
-                    self.window.see(to_ns(chunk.time))
-                self._take(self._inside(feed(used[direction], chunk.data, chunk.time), totals), totals)
-                self.progress.step(0)
-            for scanner in used.values():
-                self._take(self._inside(scanner.close(), totals), totals)
-            reading.check()
-        finally:
-            for scanner in used.values():
-                totals.count(scanner.counts)
-
-    def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
-        """The packets that --from and --to let pass."""
-        if self.window is None:
-            return tables
-        return [self._part(table, self.window.inside(table.time), totals) for table in tables]
 
     # ------------------------------------------------------------------ tables
 
@@ -223,44 +259,6 @@ class ColumnDecoding(Decoding):
             if self.shows_records:
                 shown.append(table)
         self.export.write(shown, source=self.source, columns=self.columns)
-
-    def _part(self, table: MessageTable, kept: Rows, totals: Totals) -> MessageTable:
-        """The rows that are kept; the others go into the bin `filtered`."""
-        if kept.all():
-            return table
-        self._reject(table.take(np.flatnonzero(~kept)), totals)
-        return table.take(np.flatnonzero(kept))
-
-    @staticmethod
-    def _reject(table: MessageTable, totals: Totals) -> None:
-        """Move rows from their bins to `filtered`."""
-        sizes: Any = np.ones(len(table), np.int64) if table.size is None else table.size
-        total = int(sizes.sum())
-        totals.add("filtered", total)
-        if table.message:
-            totals.add("decoded", -total)
-            totals.add("records", -len(table))
-            return
-        for reason, size in zip(table["reason"].values.tolist(), sizes.tolist(), strict=True):
-            totals.add("errors" if reason == "error frame" else reason.partition(":")[0], -size)
-
-    def _warn_of(self, contested: Any, tables: Sequence[MessageTable]) -> None:
-        """Warn when a decoded frame is of an identifier that two protocols claim: of the first such frame."""
-        found = self._first_contested(contested, tables)
-        if found is not None:
-            self._warn(contested, found, found & 0x1FFF_FFFF)
-
-    @staticmethod
-    def _first_contested(contested: Any, tables: Sequence[MessageTable]) -> int | None:
-        """The key of the first decoded frame that two protocols claim."""
-        keys = np.fromiter(contested, np.uint32, len(contested))
-        found: list[tuple[int, int]] = []
-        for table in tables:
-            if table.message:
-                places = np.flatnonzero(np.isin(table.key, keys))
-                if len(places):
-                    found.append((int(table.row[places[0]]), int(table.key[places[0]])))
-        return min(found)[1] if found else None
 
 
 def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameTable]:
@@ -284,6 +282,3 @@ def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameT
         yield FrameTable.concat(waiting)
     if failure is not None:
         raise failure
-
-
-__all__ = ["ColumnDecoding", "pieces_of"]

@@ -36,13 +36,15 @@ from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
 from aces_bus.recordings.open import open_part, split_capture
 
-from .console import Patience, say
+from .console import SHOWN, Patience, say
 from .decode_columns import ColumnDecoding, pieces_of
-from .decoding import SHOWN, Totals
-from .where_columns import Rows
+from .decoding import Totals
+from .where import Rows
 
 #: Bytes of a log that are one piece, at most; each process gets as many.
 PIECE = 32 << 20
+#: What a recording counts of its lines and frames.
+COUNTED = ("lines", "lines_unreadable", "lines_comment", "lines_blank", "frames_dropped")
 #: Outputs that are folders of tables, which parts can be put into.
 FORMS = ("parquet", "arrow", "feather")
 
@@ -56,8 +58,8 @@ class PieceResult:
     channels: set[str]
     #: The key of the first frame that two protocols claim.
     contested: int | None = None
-    lines: tuple[int, int, int, int] = (0, 0, 0, 0)
-    frames_dropped: int = 0
+    #: What a part of a log counts, by the names of its attributes; none where the frames came from this process.
+    counts: dict[str, int] = field(default_factory=dict)
     others: dict[str, int] = field(default_factory=dict)
     problems: list[UnreadableEntry] = field(default_factory=list)
     #: Frames without a time, where times are asked for.
@@ -178,12 +180,9 @@ class JobsDecoding(ColumnDecoding):
         for name, number in done.totals.bins.items():
             totals.add(name, number)
         before = capture.lines
-        if any(done.lines):  # a part of a log, which the process has read itself
-            capture.lines += done.lines[0]
-            capture.lines_unreadable += done.lines[1]
-            capture.lines_comment += done.lines[2]
-            capture.lines_blank += done.lines[3]
-            capture.frames_dropped += done.frames_dropped
+        for name, number in done.counts.items():
+            setattr(capture, name, getattr(capture, name) + number)
+        if any(done.counts.values()):  # a part of a log, which the process has read itself
             for kind, number in done.others.items():
                 capture.others[kind] = capture.others.get(kind, 0) + number
             room = max(0, SHOWN - len(capture.problems))
@@ -269,17 +268,8 @@ class JobsDecoding(ColumnDecoding):
         if self.window is not None:
             done.untimed = self.window.untimed
         if capture is not None:
-            done.lines = (
-                capture.lines,
-                capture.lines_unreadable,
-                capture.lines_comment,
-                capture.lines_blank,
-            )
-            done.frames_dropped, done.others, done.problems = (
-                capture.frames_dropped,
-                capture.others,
-                capture.problems,
-            )
+            done.counts = {name: getattr(capture, name) for name in COUNTED}
+            done.others, done.problems = capture.others, capture.problems
         return done
 
 
@@ -299,7 +289,7 @@ def _work(task: Any, place: str) -> PieceResult:
     try:
         return _worker.work(task, place)
     except AcesError as error:
-        # The piece has a temporary name, which nobody knows.
+        # The piece has a temporary name, which means nothing to the user.
         said = str(error).replace(place, _worker.arguments.output)
         return PieceResult(None, Totals(), set(), error=said, is_of_capture=isinstance(error, CaptureError))
 

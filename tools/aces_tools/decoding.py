@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
+from aces_bus.frame_table import to_ns
 from aces_bus.protocol import ScanCounts, Variant, make_scanner
 from aces_bus.recordings import (
     CanFilter,
@@ -23,8 +24,9 @@ from aces_bus.recordings import (
     open_recording,
     parse_filter,
 )
+from aces_bus.recordings.serial.raw import RawCapture
 
-from .console import Patience, abandon_stdout, say
+from .console import Patience, abandon_stdout, report_unreadable, say
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
 from .window import TimeWindow
@@ -33,12 +35,6 @@ T = TypeVar("T")
 Link = Literal["can", "serial"]
 Direction = Literal["to device", "from device", "both"]
 
-DIRECTIONS: Mapping[str | None, Direction | None] = {
-    "to": "to device",
-    "from": "from device",
-    "both": "both",
-    None: None,
-}
 #: Options that leave something out, by the names of their arguments.
 FILTERS = (
     ("start", "--from"),
@@ -48,8 +44,6 @@ FILTERS = (
     ("where", "--where"),
     ("signals", "--signals"),
 )
-#: Unreadable lines that are shown, of each file.
-SHOWN = 3
 
 
 @dataclass
@@ -136,13 +130,24 @@ def has_requests(variant: Variant) -> bool:
     return any(message.reply_to or message.after for message in variant.messages.values())
 
 
+def check_direction(variants: Sequence[Variant], direction: Direction | None) -> None:
+    """Raise `CallerError` where bytes of a stream have two meanings unless their direction is known."""
+    for variant in variants if direction is None else ():
+        clash = variant.direction_conflict
+        if clash is not None and variant.link != "can":
+            raise CallerError(
+                f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
+                " say which way they went: --direction to (to the device), from, or both"
+            )
+
+
 class Decoding(ABC):
     """One run of `aces decode`."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments = arguments
         self.files: list[str] = arguments.files
-        self.direction: Direction | None = DIRECTIONS[arguments.direction]
+        self.direction: Direction | None = arguments.direction
         self.variants: dict[Link, list[Variant]] = {"can": [], "serial": []}
         variants = parse_protocols(arguments.protocol)
         for variant in variants:
@@ -187,9 +192,65 @@ class Decoding(ABC):
     def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
         """Decode frames, and count them whatever happens."""
 
-    @abstractmethod
     def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
-        """Decode bytes, and count them whatever happens."""
+        """Decode bytes, each direction as a stream of its own, and count them whatever happens."""
+        used: dict[Direction | None, Any] = {}
+        requests = Requests(self.variants["serial"])
+
+        def scanner_of(direction: Direction | None) -> Any:
+            if direction not in used:
+                check_direction(self.variants["serial"], direction)
+                used[direction] = self._stream_scanner(direction)
+            return used[direction]
+
+        def gap() -> float:
+            return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
+
+        chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
+        reading = CaptureReading(patience.each(chunks))
+        try:
+            for chunk in reading:
+                if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
+                    for one in used.values():
+                        self._found(one.idle(), totals)
+                    self._after(capture)
+                    continue
+                direction: Direction | None = self.direction or chunk.direction
+                scanner = scanner_of(direction)
+                if direction == "to device" and self.direction is None:
+                    replies = scanner_of("from device")
+                    for packet, time in requests.of(chunk.data, chunk.time):
+                        self._found(replies.sent(packet, time) or [], totals)
+                self._see(to_ns(chunk.time))
+                self._found(self._feed(scanner, chunk.data, chunk.time), totals)
+                self._after(capture)
+            for scanner in used.values():
+                self._found(scanner.close(), totals)
+            reading.check()
+        finally:
+            for scanner in used.values():
+                totals.count(scanner.counts)
+
+    def _see(self, instant: int) -> None:
+        """Note the instant (ns) of bytes that are about to be decoded."""
+        if self.window is not None:
+            self.window.see(instant)
+
+    @abstractmethod
+    def _stream_scanner(self, direction: Direction | None) -> Any:
+        """A scanner for the bytes of one direction."""
+
+    @abstractmethod
+    def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
+        """What a scanner makes of bytes."""
+
+    @abstractmethod
+    def _found(self, items: Any, totals: Totals) -> None:
+        """Take what a scanner of bytes has found."""
+
+    @abstractmethod
+    def _after(self, capture: Recording, frames: int = 0) -> None:
+        """A piece of a recording has been decoded, with so many frames."""
 
     def _opened(self, capture: CanRecording | SerialRecording) -> None:  # noqa: B027 - a way may have nothing to do
         """A file is about to be decoded."""
@@ -203,7 +264,7 @@ class Decoding(ABC):
 
     @abstractmethod
     def _flush(self) -> None:
-        """What has been written stands before what is said about it. Must not raise."""
+        """Flush what has been written before a message about it is printed. Must not raise."""
 
     def _clean_up(self) -> None:  # noqa: B027
         """The run is over, whichever way."""
@@ -265,9 +326,7 @@ class Decoding(ABC):
             except CaptureError as error:
                 self._complain(str(error))
             finally:
-                self._problems(capture)
-                if capture.lines_unreadable > SHOWN:
-                    say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
+                self._problems(capture, is_over=True)
                 if capture.others:
                     kinds = ", ".join(f"{number} {kind}" for kind, number in capture.others.items())
                     say(f"{capture.name}: beside its frames it holds {kinds}")
@@ -288,16 +347,6 @@ class Decoding(ABC):
                     raise
                 return open_recording(name, link="serial")  # none of the formats that say what they are
 
-    def _check_direction(self, direction: Direction | None) -> None:
-        """Streams of some protocols are not to be told apart without it."""
-        for variant in self.variants["serial"] if direction is None else ():
-            clash = variant.direction_conflict
-            if clash is not None:
-                raise CallerError(
-                    f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
-                    " say which way they went: --direction to (to the device), from, or both"
-                )
-
     def _seen(self, channels: set[str]) -> None:
         """These interfaces have occurred."""
         self.present |= channels
@@ -305,12 +354,11 @@ class Decoding(ABC):
 
     # ------------------------------------------------------------------ what goes to stderr
 
-    def _problems(self, capture: Recording) -> None:
+    def _problems(self, capture: Recording, *, is_over: bool = False) -> None:
         """Name the first unreadable lines, each once; those of live sources as they come."""
-        for problem in capture.problems[self.shown : SHOWN]:
-            self.shown += 1
+        if capture.lines_unreadable > self.shown:
             self._flush()
-            say(f"{capture.name}:{problem}")
+            self.shown = report_unreadable(capture, self.shown, is_over=is_over)
 
     def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
         """Two protocols claim a frame that has come: say so, once."""
@@ -357,6 +405,3 @@ class Decoding(ABC):
 def utf8(name: str) -> str:
     """A file's name as JSON and terminals take it."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-
-
-__all__ = ["DIRECTIONS", "SHOWN", "CaptureReading", "Decoding", "Direction", "Link", "Totals", "utf8"]

@@ -14,24 +14,29 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
+from array import array
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol.columns.table import ColumnKind
 
-from .console import Output, say, terminal_width, wants_colour
+from .console import say
+from .options import OUTPUT, SEED, Arguments
+from .plotting.picture import Picture, PlotLine, PlotPanel
+from .plotting.select import ImageFormat, PlotSignal
+from .plotting.series import Series, TimeAxis
 
 if TYPE_CHECKING:
     from aces_bus.controller import ViaPath
 
-    from .plotting.picture import Picture
-    from .running.replay_log import Tape
 
-ROBOT, RATE, SEED = "hubo2plus", 200.0, 6
+ROBOT, RATE, SEED_OF_DEMO = "hubo2plus", 200.0, 6
 #: The joint that is drawn.
 JOINT = "RKN"
 PICTURE = "aces-demo.png"
@@ -44,18 +49,10 @@ exit status: 0; 1 when the robot did not do it; 2 a wrong call
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    parser.add_argument(
-        "--output",
-        "-o",
-        default=PICTURE,
-        metavar="FILE",
-        help="the picture: .png, .svg, .pdf (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=SEED, metavar="N", help="of the twins (default: %(default)s)"
-    )
+ARGUMENTS: Arguments = (
+    OUTPUT.but(default=PICTURE, help="the picture: .png, .svg, .pdf (default: %(default)s)"),
+    SEED.but(default=SEED_OF_DEMO, help="of the simulated devices (default: %(default)s)"),
+)
 
 
 def knee_bends() -> ViaPath:
@@ -76,16 +73,14 @@ def run(arguments: argparse.Namespace) -> int:
     from aces_bus.controller import Player
     from aces_bus.robot import run_virtual
 
-    from .running.replay_log import Tape
-
     robot = load_robot(ROBOT)
     path = knee_bends()
     player = Player("knee bends", path, rate_hz=RATE)
-    tape = Tape([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
+    log = MemoryLog([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
     say(
         f"{robot.name} bends its knees for {path.duration_s:.0f} s, simulated with all of its boards and buses …"
     )
-    run = run_virtual(robot, [player], rate_hz=RATE, seed=arguments.seed, loggers=[tape])
+    run = run_virtual(robot, [player], rate_hz=RATE, seed=arguments.seed, loggers=[log])
     with run:
         run.do("enable")
         began = time.perf_counter()
@@ -93,10 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
         took = time.perf_counter() - began
     joints = sum(joint.active for joint in robot.joints.values())
     frames = sum(wire.load.frames for wire in run.world.wires.values())
-    asked, did = tape[f"{JOINT}.setpoint"], tape[JOINT]
+    asked, did = log[f"{JOINT}.setpoint"], log[JOINT]
     known = ~(np.isnan(asked) | np.isnan(did))
     furthest = float(np.abs(asked - did)[known].max()) if known.any() else np.nan
-    _draw(_picture(tape), arguments.output if has_figure else None)
+    _draw(_picture(log), arguments.output if has_figure else None)
     print(
         f"{robot.name}: {joints} joints on {len(run.rig.devices)} devices, {len(robot.buses)} CAN buses, {frames} frames;"
         f" {ended.seconds:.1f} s in {took:.1f} s"
@@ -125,30 +120,12 @@ def _can_draw(path: str) -> bool:
     return True
 
 
-def _picture(tape: Tape) -> Picture:
-    from .plotting.formats import ImageFormat
-    from .plotting.picture import Picture
-    from .plotting.series import TimeAxis
-    from .running.replay_log import Curve, panel_of
-
-    seconds, asked, did = tape.seconds, tape[f"{JOINT}.setpoint"], tape[JOINT]
+def _picture(log: MemoryLog) -> Picture:
+    seconds, asked, did = log.seconds, log[f"{JOINT}.setpoint"], log[JOINT]
     return Picture(
         [
-            panel_of(
-                "right knee",
-                "rad",
-                seconds,
-                [
-                    Curve("set-point", asked, ImageFormat(line="--")),
-                    Curve("actual", did, ImageFormat(line="-")),
-                ],
-            ),
-            panel_of(
-                "actual − set-point",
-                "rad",
-                seconds,
-                [Curve("difference", did - asked, ImageFormat(line="-"))],
-            ),
+            panel_of("right knee", "rad", seconds, {"set-point": (asked, "--"), "actual": (did, "-")}),
+            panel_of("actual − set-point", "rad", seconds, {"difference": (did - asked, "-")}),
         ],
         TimeAxis(0, is_set=True),
         "Hubo 2+, simulated: set-point and actual",
@@ -156,23 +133,71 @@ def _picture(tape: Tape) -> Picture:
 
 
 def _draw(picture: Picture, path: str | None) -> None:
-    from .plotting import terminal
+    from .plotting import figure, terminal
 
-    output = Output(None)
-    paint: Any = terminal.make_plot_paint() if wants_colour(None, output.is_terminal) else None
-    height = None
-    if output.is_terminal:
-        try:
-            height = os.get_terminal_size(sys.stdout.fileno()).lines - 4
-        except (OSError, ValueError, AttributeError):
-            pass
-    text = terminal.draw_terminal(
-        picture, min(terminal_width(), 120), paint=paint, height=height, encoding=output.encoding
-    )
-    output.write(text.encode(output.encoding, "replace"))
-    output.close()
+    terminal.print_picture(picture, None, 120, 4)
     if path is not None:
-        from .plotting import figure
-
         figure.save_figure(picture, path)
         print(f"the same as a picture: {path}")
+
+
+# ---------------------------------------------------------------------- a log in memory, and curves of it
+
+Array = npt.NDArray[np.float64]
+
+
+class MemoryLog:
+    """Samples states at a rate, for a `Runner`; `log["RKN"]` is an array, `log.seconds` when (s since the start)."""
+
+    def __init__(self, states: Sequence[str], *, rate_hz: float, name: str = "log") -> None:
+        self.name, self.rate_hz, self.states = name, rate_hz, tuple(states)
+        self._bound: list[Any] = []
+        self._rows = array("d")
+        self._began = 0
+
+    def bind(self, states: Mapping[str, Any]) -> None:
+        """Take the states; raises `UnknownNameError`."""
+        self._bound = [states[name] for name in self.states]
+
+    def start(self, now: int) -> None:
+        """Begin anew at `now` (ns)."""
+        self._began = now
+        self._rows = array("d")
+
+    def step(self, now: int) -> None:
+        """Sample once."""
+        row = self._rows
+        row.append((now - self._began) / 1e9)
+        for state in self._bound:
+            value = state[0]
+            row.append(float(value) if isinstance(value, int | float) else np.nan)
+
+    def stop(self, now: int) -> None:
+        """Nothing is to be closed."""
+
+    def _table(self) -> Array:
+        return np.array(self._rows, np.float64).reshape(-1, 1 + len(self.states))
+
+    @property
+    def seconds(self) -> Array:
+        """When each sample was taken, in s since the start."""
+        return self._table()[:, 0]
+
+    def __getitem__(self, name: str) -> Array:
+        """The samples of a state."""
+        return self._table()[:, 1 + self.states.index(name)]
+
+
+def panel_of(title: str, unit: str, seconds: Array, curves: Mapping[str, tuple[Array, str]]) -> PlotPanel:
+    """A panel with these curves, values and line style by label, over one time axis (s)."""
+    lines = [
+        PlotLine(
+            Series(PlotSignal("run", title, label, label, ColumnKind(label, unit)), ()),
+            ImageFormat(line=style),
+            seconds,
+            values,
+            label,
+        )
+        for label, (values, style) in curves.items()
+    ]
+    return PlotPanel("numbers", [lines], title, [unit], [""], [(None, None)])

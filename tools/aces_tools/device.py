@@ -2,7 +2,7 @@
 
   aces device -r hubo2plus              its devices, their joints and sensors
   aces device RHY                       what one has: signals, actions
-  aces device RHY get                   all it knows, once
+  aces device RHY get                   all its values, once
   aces device RHY get position velocity
   aces device RHY watch position        kept up to date; in a pipe a line each
   aces device RHY home --tx             an action, with its progress
@@ -11,57 +11,60 @@
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
 
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
-nothing else is needed: its twins answer, in virtual time. On real buses,
-whatever changes a device needs --tx. Values are SI. A joint's name is enough:
-the device that has it is found. Other devices of the robot are neither asked
-nor told anything.
+simulated devices answer, in virtual time, and nothing else is needed. On real
+buses, whatever changes a device needs --tx. Values are in SI units. A joint's
+name is enough: its device is found. Nothing is sent to other devices.
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from msgspec.structs import replace
+
+from aces_bus.device import Device, DeviceConfig, Robot
 from aces_bus.errors import CallerError, NotStoppedError, UnknownNameError
 
 from .console import say
 from .device_do import Doing, checked, signals_of
-from .device_show import show_device, show_devices
 from .device_text import parse_pairs
-from .live import LivePatience, parse_duration
-from .robot_arg import add_robot_arguments, chosen_robot, open_robot
-
-if TYPE_CHECKING:
-    from aces_bus.device import Device, DeviceConfig, Robot
+from .devices import show_device, show_devices
+from .live import LivePatience
+from .options import EVERY, FOR, JSON, TX, Arguments, argument, flag
+from .robot_arg import ROBOT_OR_TWINS, chosen_robot, open_robot
 
 #: The rate of the host where the robot's file says none (Hz).
 RATE = 50.0
+#: Between two lines of `watch`.
+EVERY_NS = 100_000_000
 #: What every device can: these ask, and change nothing, but for `set`.
 VERBS = ("get", "watch", "set")
 
 EPILOG = """\
-exit status: 0; 1 when a value stayed unknown, what was set cannot have been
-followed, an action failed or was interrupted, a device was NOT switched off
-at the end, or --tx is missing; 2 a wrong
-call, or a bus that cannot be opened
+exit status:
+  0  done
+  1  a value stayed unknown, a set-point cannot have been followed, an action
+     failed or was interrupted, a device was NOT switched off at the end, or
+     --tx is missing
+  2  a wrong call, or a bus that cannot be opened
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.usage = "%(prog)s [NAME [get|watch|set|ACTION] [SIGNAL|NAME=VALUE …]] [options]"
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("name", nargs="?", metavar="NAME", help="a device, joint or sensor of the robot")
-    add("action", nargs="?", metavar="ACTION", help="get, set, watch, or an action of the device")
-    add("values", nargs="*", metavar="SIGNAL|NAME=VALUE", help="signals to read; what to set; arguments")
-    add("--tx", action="store_true", help="really change something; nothing else makes it")
-    add("--enable", action="store_true", help="set: enable the device before, and stop it after")
-    add(
-        "--for", dest="duration", metavar="DURATION", help="set: keep it up so long (default: 2s); watch: end"
-    )
-    add("--every", metavar="DURATION", help="watch: between two lines (default: 0.1s)")
-    add("--json", action="store_true", help="JSON; watch: an object a line")
-    add_robot_arguments(parser)
+USAGE = "%(prog)s [NAME [ACTION] [SIGNAL|NAME=VALUE …]] [options]"
+ARGUMENTS: Arguments = (
+    argument("name", nargs="?", metavar="NAME", help="a device, joint or sensor of the robot"),
+    argument("action", nargs="?", metavar="ACTION", help="get, set, watch, or an action of the device"),
+    argument(
+        "values", nargs="*", metavar="SIGNAL|NAME=VALUE", help="signals to read; values to set; arguments"
+    ),
+    TX.but(help="really change something; nothing else makes it"),
+    flag("--enable", help="set: enable the device before, and stop it after"),
+    FOR.but(help="set: keep it up so long (default: 2s); watch: end after so long"),
+    EVERY.but(help="watch: between two lines (default: 0.1s)"),
+    JSON.but(help="JSON; watch: an object a line"),
+    ROBOT_OR_TWINS,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -82,8 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     if action is None:
         return show_device(described, config, signals_of(described, part), arguments.json)
     _check_options(arguments, action)
-    every = parse_duration("--every", arguments.every or "0.1s")
-    duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
+    every, duration = arguments.every or EVERY_NS, arguments.duration
     values: Any = arguments.values if action in ("get", "watch") else parse_pairs(arguments.values)
     checked(described, part, action, values)
     asks = action in ("get", "watch") or action in described.asking
@@ -94,10 +96,10 @@ def run(arguments: argparse.Namespace) -> int:
         LivePatience() as patience,
         open_robot(alone(robot, config.name), arguments, rate_hz=robot.rate_hz or RATE) as live,
     ):
-        from .event_lines import Happenings
+        from .live import DeviceEventLines
 
-        told = Happenings(live.rig, robot)
-        doing = Doing(live, live.rig.devices[config.name], part, arguments, patience, told)
+        events = DeviceEventLines(live.rig, robot)
+        doing = Doing(live, live.rig.devices[config.name], part, arguments, patience, events)
         try:
             if action == "get":
                 return doing.get()
@@ -107,11 +109,11 @@ def run(arguments: argparse.Namespace) -> int:
                 return doing.set(values, duration)
             return doing.act(action, values)
         except NotStoppedError as error:
-            told.tell(last=True)
+            events.report(last=True)
             say(str(error))
             return 1
         finally:
-            told.tell(last=True)
+            events.report(last=True)
 
 
 def _check_options(arguments: argparse.Namespace, action: str) -> None:
@@ -149,9 +151,7 @@ def config_of(robot: Robot, name: str) -> DeviceConfig:
 
 
 def alone(robot: Robot, name: str) -> Robot:
-    """The robot with this device only: nobody else is asked anything."""
-    from msgspec.structs import replace
-
+    """The robot with this device only: nothing is sent to others."""
     devices = {n: replace(c, active=c.active and n == name) for n, c in robot.devices.items()}
     return replace(robot, devices=devices)
 

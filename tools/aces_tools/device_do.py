@@ -8,28 +8,30 @@
 from __future__ import annotations
 
 import inspect
-import json
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from aces_bus.device import Device, Signal, stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
-from .console import say
-from .device_text import json_reading, reading, result_lines, shown_value, value_for
+from .console import StatusLine, print_json, say
+from .device_text import reading, result_lines, shown_value, value_for
 from .live import LivePatience
+from .output.shape import json_value
 
 if TYPE_CHECKING:
-    from aces_bus.device import Device, Signal
-
-    from .event_lines import Happenings
+    from .live import DeviceEventLines
     from .robot_arg import Opened
 
-#: Seconds in which a signal must be heard by `get`, and a device before it is told anything.
+
+#: Seconds in which `get` must receive a signal, and a device must answer before anything is sent to it.
 HEARD_S, ANSWERS_S = 2.0, 1.0
-#: How long `set` keeps it up when nobody says (ns); how long an action may take at most (ns); a look at what happens (ns).
+#: How long `set` keeps it up without --for (ns); how long an action may take at most (ns); a look at what happens (ns).
 SET_FOR, LONGEST, STEP = 2_000_000_000, 300_000_000_000, 200_000_000
 
 
@@ -113,7 +115,7 @@ class Doing:
     part: str | None
     arguments: Namespace
     patience: LivePatience
-    told: Happenings
+    events: DeviceEventLines
 
     def wait(self, until: Any, duration: int) -> bool:
         """Let time pass until that holds or Ctrl-C, telling what happens meanwhile; whether it holds."""
@@ -121,7 +123,7 @@ class Doing:
         end = clock.now() + duration
         while not until() and not self.patience.is_over and clock.now() < end:
             clock.wait(lambda: until() or self.patience.is_over, min(STEP, end - clock.now()))
-            self.told.tell()
+            self.events.report()
         return bool(until())
 
     def readable(self, names: list[str]) -> list[Signal]:
@@ -138,10 +140,14 @@ class Doing:
         self.wait(lambda: all(one.instant is not None for one in signals), round(HEARD_S * 1e9))
         if self.arguments.json:
             whole = {
-                one.name: {"value": json_reading(one.value), "unit": one.unit, "age_s": _age(one)}
+                one.name: {
+                    "value": json_value(one.value),
+                    "unit": one.unit,
+                    "age_s": None if one.age_ns is None else one.age_ns / 1e9,
+                }
                 for one in signals
             }
-            print(json.dumps(whole, ensure_ascii=False, indent=2))
+            print_json(whole)
         else:
             width = max(len(one.name) for one in signals)
             for one in signals:
@@ -153,8 +159,6 @@ class Doing:
         signals = self.readable(self.arguments.values)
         is_terminal = sys.stdout is not None and sys.stdout.isatty()
         if is_terminal and not self.arguments.json:
-            from .device_watch import watched
-
             with watched(signals) as show:
                 return self._watch(signals, every, duration, show, is_paced=True)
         show = self._print_object if self.arguments.json else self._print_line
@@ -172,7 +176,7 @@ class Doing:
         while not self.patience.is_over and (duration is None or due <= start + duration):
             self.wait(lambda: False, due - clock.now())
             if self.live.virtual is not None and is_paced:
-                self.patience.wait_until(began + due - start)  # somebody looks on
+                self.patience.wait_until(began + due - start)  # a person is watching
             if not self.patience.is_over:
                 show((clock.now() - start) / 1e9, signals)
             due += every
@@ -187,8 +191,8 @@ class Doing:
 
     @staticmethod
     def _print_object(seconds: float, signals: list[Signal]) -> None:
-        values = {one.name: json_reading(one.value) for one in signals}
-        print(json.dumps({"time": round(seconds, 6), **values}, ensure_ascii=False), flush=True)
+        values = {one.name: json_value(one.value) for one in signals}
+        print_json({"time": round(seconds, 6), **values}, None)
 
     # ------------------------------------------------------------------ set
 
@@ -198,10 +202,10 @@ class Doing:
         if self.arguments.enable and "enable" not in device.actions:
             raise CallerError(f"{device.name} is not enabled or disabled; leave --enable away")
         if not self._is_there():
-            self.told.tell(last=True)
+            self.events.report(last=True)
             say(f"{device.name} does not answer: nothing was set")
             return 1
-        self.told.holding.add("not sent")
+        self.events.holding.add("not sent")
         targets = _targets(device, self.part, values)  # again: now it is known what kind of value each has
         if not self.arguments.enable:
             return self._set(targets, duration)
@@ -220,12 +224,12 @@ class Doing:
             self.wait(lambda: False, SET_FOR if duration is None else duration)
             return self._show_set(targets)
         except DeviceError as error:
-            self.told.tell(without=("no reply",))
+            self.events.report(without=("no reply",))
             say(f"{self.arguments.name} set: {error}")
             return 1
 
     def _is_there(self) -> bool:
-        """Whether the device has been heard; one that is never asked anything may be there."""
+        """Whether the device has answered; one that is never polled may be there."""
         device = self.device
         return not device.polls or self.wait(
             lambda: device.last_heard is not None or self.patience.is_over, round(ANSWERS_S * 1e9)
@@ -234,15 +238,15 @@ class Doing:
     def _show_set(self, targets: list[tuple[Signal, Any]]) -> int:
         device = self.device
         if self.arguments.json:
-            print(json.dumps({one.name: json_reading(one.value) for one, _ in targets}, ensure_ascii=False))
+            print_json({one.name: json_value(one.value) for one, _ in targets}, None)
         else:
             for one, value in targets:
                 now = f", is {reading(one)}" if one.name in device.readable else ""
-                print(f"{one.name}: set to {shown_value(json_reading(value))} {one.unit}".rstrip() + now)
+                print(f"{one.name}: set to {shown_value(json_value(value))} {one.unit}".rstrip() + now)
         owners = {one.name.partition(".")[0] for one, _ in targets}
         idle = [o for o in owners if (e := device.signals.get(f"{o}.enabled")) and e.value is False]
         if idle and not self.arguments.enable:
-            self.told.drop("not sent")
+            self.events.drop("not sent")
             say(f"{', '.join(sorted(idle))}: not enabled, so it follows no set-points; add --enable")
             return 1
         is_deaf = bool(device.polls) and device.is_silent
@@ -250,13 +254,11 @@ class Doing:
         if missing:
             say(f"{device.name}: was not sent; its word needs {', '.join(missing)} too: set both at once")
             return 1
-        # What it has not taken is told at the end.
+        # What it has not taken is reported at the end.
         return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
 
     def stop(self) -> None:
         """Stop what moves, whatever was interrupted. Raises `NotStoppedError`."""
-        from aces_bus.device import stop_devices, wait_stopped
-
         device, clock = self.device, self.live.clock
         wait_stopped(clock.call(lambda: stop_devices(clock, device.name, [device])))
 
@@ -277,14 +279,14 @@ class Doing:
         except NotStoppedError:
             raise
         except DeviceError as error:
-            self.told.tell(without=("no reply", "silent"))
+            self.events.report(without=("no reply", "silent"))
             say(f"{self.arguments.name} {action}: {error}")
             return 1
         except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise CallerError(f"{action}: one of its arguments is not of the right kind: {error}") from None
-        found = json_reading(result)
+        found = json_value(result)
         if self.arguments.json:
-            print(json.dumps({"action": action, "result": found}, ensure_ascii=False))
+            print_json({"action": action, "result": found}, None)
         else:
             lines = result_lines(found)
             if len(lines) == 1:
@@ -295,17 +297,14 @@ class Doing:
 
     def finish(self, awaited: Any, *, stops: bool = True) -> Any:
         """Wait for a ticket or job, with its progress; Ctrl-C cancels it and stops what moves. Raises its error."""
-        is_shown = sys.stderr is not None and sys.stderr.isatty() and self.live.virtual is None
+        status_line = StatusLine(is_wanted=self.live.virtual is None)
         end = self.live.clock.now() + LONGEST
-        text = ""
         try:
             while not awaited.is_over and not self.patience.is_over and self.live.clock.now() < end:
                 self.wait(lambda: awaited.is_over, STEP)
-                if is_shown and hasattr(awaited, "progress"):
-                    before, text = text, f"{awaited.progress:4.0%} {awaited.text:.60}".rstrip()
-                    print(f"\r{text:<{len(before)}}", end="", file=sys.stderr, flush=True)
-            if text:
-                print(f"\r{' ' * len(text)}\r", end="", file=sys.stderr, flush=True)
+                if hasattr(awaited, "progress"):
+                    status_line.show(f"{awaited.progress:4.0%} {awaited.text:.60}".rstrip())
+            status_line.clear()
         except BaseException:  # a terminal that has gone, for one
             if stops:
                 self.stop()
@@ -334,8 +333,43 @@ def _width(one: Signal) -> int:
     return max(len(one.name), 14)
 
 
-def _age(one: Signal) -> float | None:
-    return None if one.age_ns is None else one.age_ns / 1e9
+# ---------------------------------------------------------------------- on a terminal
+
+Show = Callable[[float, "list[Signal]"], None]
 
 
-__all__ = ["Doing", "checked", "chosen_signals", "signals_of"]
+@contextmanager
+def watched(signals: list[Signal]) -> Generator[Show]:
+    """A function that shows them, at so many seconds; messages on stderr meanwhile appear above."""
+    from rich.live import Live
+    from rich.text import Text
+
+    with Live(Text("…"), auto_refresh=False, redirect_stdout=False) as live:
+
+        def show(seconds: float, signals: list[Signal]) -> None:
+            live.update(_table(seconds, signals), refresh=True)
+
+        yield show
+
+
+def _table(seconds: float, signals: list[Signal]) -> Any:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        box=None, padding=(0, 1, 0, 0), show_header=False, title=f"{seconds:.1f} s", title_justify="left"
+    )
+    table.add_column(no_wrap=True)
+    table.add_column(justify="right", overflow="fold")
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="ellipsis", no_wrap=True)
+    for one in signals:
+        value, note, style = "unknown", "", "dim"
+        if one.instant is not None:
+            value, style = shown_value(json_value(one.last)), ""
+            if one.is_stale and one.age_ns is not None:
+                note, style = f"stale, {one.age_ns / 1e9:.1f} s old", "dim"
+        table.add_row(
+            one.name, Text(value, style), one.unit if one.instant is not None else "", Text(note, "dim")
+        )
+    return table

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-import sys
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 
-from .console import terminal_width
+from .console import Output, terminal_width
+from .output.columns import column_output
+from .output.shape import json_value
+from .output.text import no_paint
 from .values import parse_value
 
 if TYPE_CHECKING:
@@ -23,34 +24,6 @@ _DEGREES = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?:deg|°)(/s)?")
 
 
 # ---------------------------------------------------------------------- values
-
-
-def json_reading(value: Any) -> Any:
-    """A value as JSON has it: unknown, NaN and infinities are null, flags a list of names, bytes hexadecimal."""
-    from aces_bus.device import UNKNOWN
-    from aces_bus.protocol.declare.fields import FlagSet
-
-    if value is UNKNOWN or value is None:
-        return None
-    if isinstance(value, FlagSet):
-        return [*value, hex(value.unknown)] if value.unknown else list(value)
-    if isinstance(value, bool | str):
-        return value
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, bytes | bytearray):
-        return value.hex()
-    if isinstance(value, Mapping):
-        return {str(key): json_reading(item) for key, item in value.items()}
-    if hasattr(value, "__struct_fields__"):
-        names = [name for name in value.__struct_fields__ if not name.startswith("_")]
-        return {name: json_reading(getattr(value, name)) for name in names}
-    try:
-        return [json_reading(item) for item in value]
-    except TypeError:
-        return str(value)
 
 
 def shown_value(value: Any) -> str:
@@ -72,7 +45,7 @@ def reading(one: Signal) -> str:
     """A signal's value with its unit; what is unknown or stale says so."""
     if one.instant is None:
         return "unknown"
-    whole = f"{shown_value(json_reading(one.last))} {one.unit}".rstrip()
+    whole = f"{shown_value(json_value(one.last))} {one.unit}".rstrip()
     age = one.age_ns
     return f"{whole} (stale, {age / 1e9:.1f} s old)" if one.is_stale and age is not None else whole
 
@@ -98,26 +71,8 @@ def aligned_rows(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[st
     """Columns under each other; on a terminal the last one is wrapped to its width."""
     if not rows:
         return []
-    widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]) - 1)]
-    is_terminal = sys.stdout is not None and sys.stdout.isatty()
-    lines: list[str] = []
-    for row in rows:
-        head = indent + "".join(f"{cell:<{width}}  " for cell, width in zip(row, widths, strict=False))
-        room = terminal_width() - len(head)
-        if not is_terminal:
-            lines.append(f"{head}{row[-1]}".rstrip())
-        elif room >= 20:
-            lines += _wrapped(head, " " * len(head), row[-1])
-        else:  # a narrow terminal: what is long stands below
-            lines.append(head.rstrip())
-            lines += _wrapped(indent * 3, indent * 3, row[-1]) if row[-1] else []
-    return lines
-
-
-def _wrapped(first: str, others: str, text: str) -> list[str]:
-    width = max(terminal_width(), len(others) + 10)
-    made = textwrap.wrap(text, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
-    return made or [first.rstrip()]
+    width = terminal_width() - len(indent) if Output(None).is_terminal else None
+    return [indent + line for line in column_output([""] * len(rows[0]), rows, width, no_paint)]
 
 
 # ---------------------------------------------------------------------- what people write
@@ -159,14 +114,3 @@ def value_for(one: Signal, value: Any) -> Any:
         also = ", or degrees: 30deg" if one.unit == "rad" else ""
         raise CallerError(f"{one.name}: {value!r} is no number of {one.unit}{also}")
     return value
-
-
-__all__ = [
-    "aligned_rows",
-    "json_reading",
-    "parse_pairs",
-    "reading",
-    "result_lines",
-    "shown_value",
-    "value_for",
-]

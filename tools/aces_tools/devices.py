@@ -8,30 +8,28 @@ aces devices --json            for programs
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+from aces_bus.device import Device, DeviceConfig, Driver, Robot, Signal, list_drivers, load_driver
+from aces_bus.device.twin import FAULTS
 from aces_bus.errors import AcesError
 
-from .console import say
+from .console import print_json, say
 from .device_text import aligned_rows
+from .options import JSON, Arguments, argument
 
-if TYPE_CHECKING:
-    from aces_bus.device import Driver
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("driver", nargs="?", metavar="NAME", help="a driver")
-    parser.add_argument("--json", action="store_true", help="for programs")
+ARGUMENTS: Arguments = (
+    argument("driver", nargs="?", metavar="NAME", help="a driver"),
+    JSON,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from aces_bus.device import list_drivers, load_driver
-
     if arguments.driver is not None:
         whole = describe_driver(load_driver(arguments.driver))
-        print(json.dumps(whole, ensure_ascii=False, indent=2)) if arguments.json else _show(whole)
+        print_json(whole) if arguments.json else _show(whole)
         return 0
     found: list[dict[str, Any]] = []
     status = 0
@@ -45,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
             say(str(error))
             status = 1
     if arguments.json:
-        print(json.dumps(found, ensure_ascii=False, indent=2))
+        print_json(found)
         return status
     print("\n".join(aligned_rows([(one["driver"], one["protocol"], one["doc"]) for one in found], "")))
     return status
@@ -53,13 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def describe_driver(driver: Driver) -> dict[str, Any]:
     """A driver with what the devices of its example robot have."""
-    from aces_bus.device.twin import FAULTS
-
     signals: dict[str, dict[str, Any]] = {}
     actions = dict(driver.device.actions)
     asking = set(driver.device.asking)
     if driver.virtual:
-        from aces_bus.device import load_driver
         from aces_bus.robot import VirtualRobot, parse_robot
 
         robot, _ = parse_robot(driver.example, f"{driver.name}.toml")
@@ -93,7 +88,7 @@ def describe_driver(driver: Driver) -> dict[str, Any]:
 def _show(whole: dict[str, Any]) -> None:
     head = [("protocol", whole["protocol"]), ("source", whole["source"])]
     print("\n".join(aligned_rows([(f"{whole['driver']}:", whole["doc"])], "") + aligned_rows(head, "")))
-    print(f"'aces scan' {'finds' if whole['finds_itself'] else 'cannot find'} these devices")
+    print(f"'aces discover' {'finds' if whole['finds_itself'] else 'cannot find'} these devices")
     _table(
         "signals",
         [
@@ -113,3 +108,98 @@ def _show(whole: dict[str, Any]) -> None:
 def _table(title: str, rows: Sequence[tuple[str, ...]]) -> None:
     if rows:
         print("\n".join([f"\n{title}", *aligned_rows(rows)]))
+
+
+# ---------------------------------------------------------------------- one device of a robot, for `aces device`
+
+
+def show_devices(robot: Robot, as_json: bool) -> int:
+    """The devices of a robot with their joints and sensors."""
+    rows: list[dict[str, Any]] = [
+        {
+            "device": name,
+            "driver": config.driver,
+            "bus": config.bus,
+            "credentials": config.credentials,
+            "active": config.active,
+            "joints": [joint.name for joint in robot.joints_of(name)],
+            "sensors": [sensor.name for sensor in robot.sensors_of(name)],
+        }
+        for name, config in robot.devices.items()
+    ]
+    if as_json:
+        print_json(rows)
+        return 0
+    table: list[tuple[str, ...]] = []
+    for row in rows:
+        parts = " ".join([*row["joints"], *row["sensors"]])
+        state = "" if row["active"] else " (inactive)"
+        table.append(
+            (row["device"], row["bus"], row["driver"], credential_text(row["credentials"]) + state, parts)
+        )
+    print("\n".join(aligned_rows(table, "")))
+    return 0
+
+
+def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_json: bool) -> int:
+    """The signals and actions of a device."""
+    if as_json:
+        whole = {
+            "device": device.name,
+            "driver": config.driver,
+            "signals": {
+                one.name: {
+                    "unit": one.unit,
+                    "read": one.name in device.readable,
+                    "set": one.is_writable,
+                    "lower": one.lower,
+                    "upper": one.upper,
+                    "doc": one.doc,
+                }
+                for one in signals
+            },
+            "actions": {
+                name: {"doc": doc, "arguments": arguments_of(device, name), "asks": name in device.asking}
+                for name, doc in device.actions.items()
+            },
+        }
+        print_json(whole)
+        return 0
+    print(f"{device.name}: {config.driver} on bus {config.bus}, {credential_text(device.credentials)}")
+    table: list[tuple[str, ...]] = []
+    for one in signals:
+        ways = ["set"] * one.is_writable + ["read"] * (one.name in device.readable)
+        limits = "" if one.lower is None or one.upper is None else f" {one.lower:g}…{one.upper:g}"
+        table.append((one.name, one.unit or "–", ", ".join(ways) + limits, one.doc))
+    print("\n".join(aligned_rows(table)) if table else "  no signals")
+    if device.actions:
+        is_marked = any(name in device.asking for name in device.actions)
+        print("actions" + (" (those with * only ask, and need no --tx)" if is_marked else ""))
+        rows = [
+            (name + "*" * (name in device.asking), _with_arguments(doc, arguments_of(device, name)))
+            for name, doc in device.actions.items()
+        ]
+        print("\n".join(aligned_rows(rows)))
+    return 0
+
+
+def credential_text(credentials: Mapping[str, int]) -> str:
+    """`board 0x03, sensor 0x01`."""
+    return ", ".join(f"{key} {value:#04x}" for key, value in credentials.items())
+
+
+def arguments_of(device: Device, action: str) -> dict[str, bool]:
+    """The names of an action's arguments; True: must be given."""
+    parameters = inspect.signature(getattr(device, action)).parameters.values()
+    return {
+        one.name: one.default is inspect.Parameter.empty
+        and one.kind is not inspect.Parameter.VAR_KEYWORD
+        and one.name != "joint"
+        for one in parameters
+    }
+
+
+def _with_arguments(doc: str, arguments: dict[str, bool]) -> str:
+    if not arguments:
+        return doc
+    return f"{doc}  ({' '.join(name if is_needed else f'[{name}]' for name, is_needed in arguments.items())})"

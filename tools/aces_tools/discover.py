@@ -1,53 +1,58 @@
-"""Find what answers on a bus, and write a robot's file of it.
+"""Find the devices on a bus, and write a robot's file of them.
 
-  aces scan -p hubo --bus can0 -i socketcan > found.toml
-  aces scan -p robotis --bus /dev/ttyUSB0 --baud 1000000
-  aces scan --robot hubo2plus            is everything there that should be?
-                                         1 when something is missing
-  aces scan --robot hubo2plus --virtual  the same, on its twins
+  aces discover -p hubo --bus can0 -i socketcan > found.toml
+  aces discover -p robotis --bus /dev/ttyUSB0 --baud 1000000
+  aces discover -r hubo2plus             are all devices of the robot there?
+  aces discover -r hubo2plus --virtual   the same, with simulated devices
 
-It asks each number in turn and reads: nothing is set, nothing moves. On a bus
-in use it adds traffic. The file has what devices say of themselves; gears,
-limits and names of joints are for you to add.
+Each possible device is asked in turn, by requests that only read: nothing is
+set, nothing moves. On a bus in use this adds traffic. The file has what devices
+report about themselves; gears, limits and names of joints are for you to add.
 
-  aces scan -p hubo --bus unix:can0 > found.toml
+  aces discover -p hubo --bus unix:can0 > found.toml
   aces device JMC3 get -r found.toml
+
+'aces scan' is another name of this verb.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from msgspec.structs import replace
+
+from aces_bus.device import Bus, Driver, Host, Job, Robot, list_drivers, load_driver
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.protocol import load_protocol
 
-from .console import Output, check_suffix, say, terminal_width
-from .device_show import credential_text
+from .console import StatusLine, check_suffix, print_json, say, write_text
+from .devices import credential_text
 from .live import LivePatience
-from .robot_arg import add_robot_arguments, bus_options, channel_of, check_channels, chosen_robot, open_host
-
-if TYPE_CHECKING:
-    from aces_bus.device import Driver, Host, Robot
+from .options import JSON, OUTPUT, PROTOCOL, Arguments
+from .robot_arg import ROBOT_OR_TWINS, bus_options, channel_of, check_channels, chosen_robot, open_host
 
 #: Seconds of the bus's time that a scan may take at most.
 LONGEST_S = 600
 
 EPILOG = """\
-exit status: 0; 1 when something is missing, nothing was found, or a bus could
-not be looked through; 2 a wrong call, or a bus that cannot be opened
+exit status: 0; 1 when a device is missing, none was found, or the search of a
+bus was not completed; 2 a wrong call, or a bus that cannot be opened
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    add_robot_arguments(parser)
-    add = parser.add_argument
-    add("-p", "--protocol", metavar="NAME[:DIALECT]", help="without a robot: what is spoken on the bus")
-    add("-o", "--output", metavar="FILE.toml", help="write the robot's file there (default: stdout)")
-    add("--json", action="store_true", help="what was found, as JSON")
+ARGUMENTS: Arguments = (
+    PROTOCOL.but(
+        action="store",
+        default=None,
+        metavar="NAME[:DIALECT]",
+        help="without a robot: what is spoken on the bus",
+    ),
+    OUTPUT.but(metavar="FILE.toml", help="write the robot's file there (default: standard output)"),
+    JSON.but(help="what was found, as JSON"),
+    ROBOT_OR_TWINS,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -70,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
                     found += these or []
     expected = {(c.bus, tuple(sorted(c.credentials.items()))): c for c in robot.devices.values() if c.active}
     there = {(c.bus, tuple(sorted(c.credentials.items()))) for c in found}
-    # Of what was not looked for to the end, nobody can say that it is missing.
+    # After an interrupted search it is not known what is missing.
     missing = [config.name for key, config in expected.items() if key not in there and not patience.is_over]
     if arguments.json:
         listed = [
@@ -84,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             }
             for c in found
         ]
-        print(json.dumps({"found": listed, "missing": missing}, ensure_ascii=False, indent=2))
+        print_json({"found": listed, "missing": missing})
     elif expected:
         for config in found:
             key = (config.bus, tuple(sorted(config.credentials.items())))
@@ -99,16 +104,15 @@ def run(arguments: argparse.Namespace) -> int:
         _write(robot, found, arguments)
     else:
         options = bus_options(robot, arguments)["bus"]
-        say(f"nobody answers on {options.get('channel')}: is it powered, and is the bit rate or baud right?")
+        say(
+            f"no device answers on {options.get('channel')}: is it powered, and is the bit rate or baud right?"
+        )
     say(f"found={len(found)} missing={len(missing)}" + (" (interrupted)" if patience.is_over else ""), who="")
     return 1 if missing or not found or not is_whole else 0
 
 
 def _robot(arguments: argparse.Namespace) -> Robot:
     """The robot of the call, or one without devices on the bus that is named."""
-    from aces_bus.device import Bus, Robot
-    from aces_bus.protocol import load_protocol
-
     arguments.robot_given = arguments.protocol is None
     if arguments.protocol is None:
         return chosen_robot(arguments.robot)
@@ -136,7 +140,6 @@ def _robot(arguments: argparse.Namespace) -> Robot:
 
 def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Host]:
     """A host without devices for each bus, open."""
-    from aces_bus.device import Host
     from aces_bus.robot.rig import bus_variants
 
     hosts: dict[str, Host] = {}
@@ -150,7 +153,6 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
         stack.enter_context(virtual.simulation)
         ports: dict[str, Any] = virtual.ports("scan")
     else:
-        from aces_bus.protocol import load_protocol
         from aces_bus.robot import gate_of, port_for
         from aces_bus.runtime import Loop
 
@@ -172,8 +174,6 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
 
 def _scanners(robot: Robot) -> list[Driver]:
     """The drivers that can find their devices on the robot's buses; one that cannot be loaded is said, and left out."""
-    from aces_bus.device import list_drivers, load_driver
-
     wanted = {bus.protocol for bus in robot.buses.values()}
     wanted |= {robot.protocol_of(config)[0] for config in robot.devices.values() if config.active}
     found: list[Driver] = []
@@ -194,22 +194,15 @@ def _scanners(robot: Robot) -> list[Driver]:
 
 def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any] | None:
     """What a driver finds on a bus; None: it was interrupted, or failed."""
-    from msgspec.structs import replace
-
-    from aces_bus.device import Job
-
     scan = driver.scan
     assert scan is not None
     job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))
-    is_shown = sys.stderr is not None and sys.stderr.isatty()
+    status_line = StatusLine()
     end = host.clock.now() + LONGEST_S * 1_000_000_000
     while not job.is_over and host.clock.now() < end and not patience.is_over:
         host.clock.wait(lambda: job.is_over or patience.is_over, 200_000_000)
-        if is_shown:
-            text = f"{name} {driver.name}: {job.progress:4.0%} {job.text:<20.20}"
-            print(f"\r{text:.{terminal_width() - 1}}", end="", file=sys.stderr, flush=True)
-    if is_shown:
-        print("\r" + " " * (terminal_width() - 1) + "\r", end="", file=sys.stderr, flush=True)
+        status_line.show(f"{name} {driver.name}: {job.progress:4.0%} {job.text}")
+    status_line.clear()
     if not job.is_over:
         host.clock.call(job.cancel)
         if not patience.is_over:
@@ -222,8 +215,6 @@ def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> l
 
 
 def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> None:
-    from msgspec.structs import replace
-
     from aces_bus.robot import print_robot
 
     options = bus_options(robot, arguments)
@@ -231,6 +222,4 @@ def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> Non
         robot.buses["bus"], **{k: v for k, v in options["bus"].items() if k in ("channel", "interface")}
     )
     whole = replace(robot, buses={"bus": bus}, devices={config.name: config for config in found})
-    output = Output(arguments.output)
-    output.write(print_robot(whole).encode())
-    output.close()
+    write_text(arguments.output, print_robot(whole), is_quiet=True)

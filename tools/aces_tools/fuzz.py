@@ -1,37 +1,35 @@
-"""Look for a stream that breaks a protocol: nine laws on what nobody thought of.
+"""Search for a stream that breaks a protocol: nine laws on generated input.
 
   aces fuzz robotis
-  aces fuzz my_spec.py --minutes 10 --jobs 2
+  aces fuzz my_spec.py --for 10min --jobs 2
   aces fuzz hubo --law oracle --law 3 --seed 7 --examples 100000
   aces fuzz my_spec.py --corpus fuzz/ --json
 
 Each example is a scene: valid packets, damaged ones, garbage, silences, our own
-requests, cut into chunks; all laws (docs/fuzzing.md) are asked of it. A scene
-that breaks one is made as small as it can be, drawn, and saved as a capture.
+requests, cut into chunks. All laws (docs/fuzzing.md) are tried on it. A scene
+that breaks one is reduced to the smallest that does, drawn, and saved.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 import os
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
 from aces_bus.errors import CallerError
 
-from .console import say, terminal_width
+from .console import StatusLine, say, terminal_width
+from .options import FOR, JOBS, JSON, QUIET, Arguments, Group, argument, at_least, several
 
 if TYPE_CHECKING:
     from aces_bus.testing.coverage import Coverage
 
-    from .fuzzing.work import FoundFailure, FuzzJob, FuzzTask, TaskResult
+    from .fuzz_work import FoundFailure, FuzzJob, FuzzTask, TaskResult
 
 #: Examples when neither a number nor a time is given.
 EXAMPLES = 20_000
@@ -44,12 +42,12 @@ EPILOG = """\
 laws (--law takes a number or a name, several times):
   1 round trip         what is built is read again, bit for bit
   2 oracle             the generated scanner, the columns and construct agree
-  3 chunking           records do not depend on how the words were cut
-  4 resynchronisation  no whole packet is overlooked, whatever stands before it
+  3 chunking           records do not depend on how the bytes were cut
+  4 resynchronisation  no whole packet is missed, whatever comes before it
   5 no false accept    every record satisfies its template and its check
   6 accounting         every byte and frame ends in exactly one bin
   7 bounded            memory and work stay within their limits
-  8 calm               nothing raises
+  8 calm               nothing raises an exception
   9 unambiguous        no two messages accept the same packet
 
 A NAME alone is fuzzed in all its dialects, configurations and directions;
@@ -57,9 +55,9 @@ hubo:D08 and hubo@drc_hubo only there. Several NAMEs take turns.
 
 again:
   Every example follows from the seed and its number: --seed 7:4130 is example
-  4130 of seed 7, alone. --replay FILE asks the laws of a scene that was saved
-  (.json), or of any capture. A corpus keeps scenes that reached something new
-  and those that failed; they are judged first the next time.
+  4130 of seed 7, alone. --replay FILE tries the laws on a saved scene (.json)
+  or on any recording. A corpus keeps scenes that reached something new and
+  those that failed; they are judged first the next time.
 
 exit status:
   0    the laws hold
@@ -69,53 +67,52 @@ exit status:
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("names", nargs="+", metavar="NAME", help="a protocol as -p takes it: installed, my_spec.py, car.dbc")
-    add("--law", action="append", default=[], metavar="LAW", help="only this law; may be given several times")
-    many = parser.add_mutually_exclusive_group()
-    many.add_argument(
-        "--examples",
-        type=int,
-        metavar="N",
-        help=f"how many scenes (default: {EXAMPLES:,}; 0: the corpus only)",
-    )
-    many.add_argument("--minutes", type=float, metavar="M", help="for so long instead")
-    add(
+ARGUMENTS: Arguments = (
+    argument(
+        "names", nargs="+", metavar="NAME", help="a protocol as -p takes it: installed, my_spec.py, car.dbc"
+    ),
+    several("--law", metavar="LAW", help="only this law; may be given several times"),
+    Group(
+        "how much",
+        (
+            argument(
+                "--examples",
+                type=at_least(0),
+                metavar="N",
+                help=f"how many scenes (default: {EXAMPLES:,}; 0: the corpus only)",
+            ),
+            FOR.but(help="for so long instead: 10min"),
+        ),
+        is_exclusive=True,
+    ),
+    argument(
         "--seed",
         metavar="S[:N]",
         help="begin with this seed (default: another each time); :N that example alone",
-    )
-    add("--corpus", metavar="DIR", help="judge what is there first, and keep what is new there")
-    add(
-        "--replay",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="judge this scene or capture, nothing else",
-    )
-    add(
+    ),
+    argument("--corpus", metavar="DIR", help="judge the scenes in DIR first, and keep new ones there"),
+    several("--replay", metavar="FILE", help="judge this scene or recording, nothing else"),
+    argument(
         "--failures",
         metavar="DIR",
         default=os.path.join(".aces", "failures"),
         help="where to save what fails (default: %(default)s)",
-    )
-    add(
+    ),
+    argument(
         "--most",
-        type=int,
+        type=at_least(1),
         default=3,
         metavar="N",
         help="stop after so many failures (default: %(default)s); each law of a protocol fails once",
-    )
-    add("--jobs", type=int, default=1, metavar="N", help="so many processes (default: 1; 0: one a processor)")
-    add("--json", action="store_true", help="one JSON object on standard output")
-    add("-q", "--quiet", action="store_true", help="no progress, no table; failures and the summary")
+    ),
+    JOBS,
+    JSON,
+    QUIET.but(help="no progress, no table; failures and the summary"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from .fuzzing.report import as_json, coverage_table, failure_text
-    from .fuzzing.work import FuzzJob, chosen_laws
+    from .fuzz_work import FuzzJob, as_json, chosen_laws, coverage_table, failure_text
 
     seed, only = _seed(arguments.seed)
     job = FuzzJob(
@@ -126,8 +123,6 @@ def run(arguments: argparse.Namespace) -> int:
         most=arguments.most,
         corpus=arguments.corpus,
     )
-    if arguments.jobs < 0 or arguments.most < 1:
-        raise CallerError("--jobs is 0 or more, --most 1 or more")
     jobs = arguments.jobs or os.cpu_count() or 1
     budget = _Budget(arguments, only)
     tally = Tally(arguments, job)
@@ -136,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
         for done in _all(job, budget, jobs):
             for found in tally.add(done):
                 if not arguments.json:
-                    tally.clear()
+                    tally.status_line.clear()
                     print(failure_text(found), flush=True)
             # A law that has failed on a protocol is not asked there again: in the end there is none left to ask.
             if len(tally.found) >= min(arguments.most, len(job.laws) * len(job.names)):
@@ -144,7 +139,7 @@ def run(arguments: argparse.Namespace) -> int:
             tally.show(budget)
     except KeyboardInterrupt:
         is_over = True
-    tally.clear()
+    tally.status_line.clear()
     numbers = tally.numbers(is_over)
     if arguments.json:
         print(as_json(job.names, numbers, tally.found, tally.coverage()))
@@ -168,23 +163,19 @@ def _seed(text: str | None) -> tuple[int, int | None]:
 
 
 class _Budget:
-    """What there is to do: tasks, until the examples or the minutes are used up."""
+    """What there is to do: tasks, until the examples or the time are used up."""
 
     def __init__(self, arguments: argparse.Namespace, only: int | None) -> None:
-        if arguments.examples is not None and arguments.examples < 0:
-            raise CallerError("--examples is 0 or more")
-        if arguments.minutes is not None and not 0 < arguments.minutes < math.inf:
-            raise CallerError("--minutes is more than 0")
         self.only = only
         self.files = tuple(arguments.replay)
         self.is_single = only is not None or bool(self.files)
-        self.minutes: float | None = arguments.minutes
+        self.seconds: float | None = arguments.duration / 1e9 if arguments.duration else None
         self.examples = EXAMPLES if arguments.examples is None else int(arguments.examples)
         self.began = time.monotonic()
 
     def tasks(self) -> Iterator[FuzzTask]:
         """The tasks, for as long as there is something to do."""
-        from .fuzzing.work import FuzzTask
+        from .fuzz_work import FuzzTask
 
         if self.only is not None:
             yield FuzzTask(self.only, 1)
@@ -193,23 +184,23 @@ class _Budget:
             yield FuzzTask(files=self.files)
             return
         at = 0
-        while self.minutes is not None or at < self.examples:
-            if self.minutes is not None and time.monotonic() - self.began > 60 * self.minutes:
+        while self.seconds is not None or at < self.examples:
+            if self.seconds is not None and time.monotonic() - self.began > self.seconds:
                 return
-            count = TASK if self.minutes is not None else min(TASK, self.examples - at)
+            count = TASK if self.seconds is not None else min(TASK, self.examples - at)
             yield FuzzTask(at, count)
             at += count
 
     def part(self, examples: int) -> float:
         """How much of it is done."""
-        if self.minutes is not None:
-            return min(1.0, (time.monotonic() - self.began) / (60 * self.minutes))
+        if self.seconds is not None:
+            return min(1.0, (time.monotonic() - self.began) / self.seconds)
         return min(1.0, examples / max(1, self.examples))
 
 
 def _all(job: FuzzJob, budget: _Budget, jobs: int) -> Generator[TaskResult, None, None]:
     """What each task did, as they finish."""
-    from .fuzzing.work import ignore_interrupts, places, work, worker_of
+    from .fuzz_work import ignore_interrupts, places, work, worker_of
 
     for name in job.names:
         places(name)  # complains here, and not in another process
@@ -218,26 +209,17 @@ def _all(job: FuzzJob, budget: _Budget, jobs: int) -> Generator[TaskResult, None
         for task in budget.tasks():
             yield work(job, task)
         return
-    with _pool(jobs, ignore_interrupts) as pool:
+    pool = ProcessPoolExecutor(jobs, initializer=ignore_interrupts)
+    try:
         waiting: set[Future[TaskResult]] = set()
         tasks = budget.tasks()
         while True:
-            for task in islice(tasks, 2 * jobs - len(waiting)):
-                waiting.add(pool.submit(work, job, task))
+            waiting |= {pool.submit(work, job, task) for task in islice(tasks, 2 * jobs - len(waiting))}
             if not waiting:
                 return
             finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
-
-
-@contextmanager
-def _pool(jobs: int, begin: Callable[[], None]) -> Generator[ProcessPoolExecutor, None, None]:
-    """Processes that end with us: what waits is dropped, what runs is a fraction of a second."""
-    pool = ProcessPoolExecutor(jobs, initializer=begin)
-    try:
-        yield pool
-    finally:
+            yield from (future.result() for future in finished)
+    finally:  # what waits is dropped, what runs is a fraction of a second
         pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -251,9 +233,9 @@ class Tally:
         self.found: list[FoundFailure] = []
         self._latest: dict[int, TaskResult] = {}
         self._is_shown = not arguments.quiet and not arguments.json
-        self._is_terminal = sys.stderr is not None and sys.stderr.isatty()
-        self._next = self.began + (STEP_S if self._is_terminal else LOG_S)
-        self._width = 0
+        self.status_line = StatusLine()
+        self._step_s = STEP_S if self.status_line.is_shown else LOG_S
+        self._next = self.began + self._step_s
 
     def add(self, done: TaskResult) -> list[FoundFailure]:
         """Count what a task did; gives the failures that are new."""
@@ -298,20 +280,11 @@ class Tally:
             f"{budget.part(self.examples):4.0%}  {self.examples:,} examples  {self.rate:,.0f}/min  "
             f"{reached:.0%} reached  {len(self.found)} failed"
         )
-        if self._is_terminal:
-            line = line[: max(20, terminal_width() - 1)]
-            print(f"\r{line:<{self._width}}", end="", file=sys.stderr, flush=True)
-            self._width = len(line)
-            self._next = now + STEP_S
+        self._next = now + self._step_s
+        if self.status_line.is_shown:
+            self.status_line.show(line)
         else:
             say(line, who="")
-            self._next = now + LOG_S
-
-    def clear(self) -> None:
-        """Take the line of progress away."""
-        if self._width:
-            print(f"\r{'':<{self._width}}\r", end="", file=sys.stderr, flush=True)
-            self._width = 0
 
     def numbers(self, is_over: bool) -> dict[str, object]:
         """The run in numbers."""

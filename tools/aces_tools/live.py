@@ -1,28 +1,29 @@
 """What the live commands share: ending well, events on stderr, absolute deadlines, frames with a time and a channel.
 
-1. Ctrl-C, SIGTERM and SIGHUP end a command as if its time were up: what was heard is shown and counted.
+1. Ctrl-C, SIGTERM and SIGHUP end a command as if its time were up: what was received is shown and counted.
 2. Waiting is done in steps, so that a signal never waits long; the last step ends at the deadline.
 3. An event is said when it happens, but a flood of one kind is counted instead of printed.
 """
 
 from __future__ import annotations
 
-import re
 import signal
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 
 from .console import Patience, say
 
 if TYPE_CHECKING:
+    from aces_bus.device import DeviceEvent, Robot
     from aces_bus.hardware import BusEvent, CanGate, DatagramGate, Received, SerialGate
+    from aces_bus.robot import Rig
+
 
 #: Seconds after which a waiting command looks at other things than its bus.
 STEP_S = 0.1
@@ -30,35 +31,15 @@ STEP_S = 0.1
 LINGER_S = 0.05
 #: Events of one kind that are printed within `PAUSE_S`.
 FEW, PAUSE_S = 3, 1.0
-#: What nobody needs to be told: it was asked for.
+#: What is as it should be.
 EXPECTED = frozenset({"opened", "closed"})
 
-#: Events of one who sends → what to look at.
+#: Events → what to look at.
 HINTS: Mapping[str, str] = {
     "error-passive": "is another node there, at the same bit rate? One that only sniffs acknowledges nothing",
     "bus-off": "the controller left the bus after too many errors; look at bit rate, wires and terminators",
+    "duplicate reply": "`aces discover` shows which devices answer",
 }
-
-_DURATION = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(ns|us|µs|ms|s|min|h)?")
-_UNITS: Mapping[str | None, float] = {
-    "ns": 1,
-    "us": 1e3,
-    "µs": 1e3,
-    "ms": 1e6,
-    "s": 1e9,
-    "min": 60e9,
-    "h": 3600e9,
-    None: 1e9,
-}
-
-
-def parse_duration(option: str, text: str) -> int:
-    """A duration in ns: `10ms`, `0.5s`, `2min`, or plain seconds; raises `CallerError` for anything else, and for 0."""
-    found = _DURATION.fullmatch(text.strip())
-    duration = round(float(found[1]) * _UNITS[found[2]]) if found else 0
-    if not 0 < duration < 1 << 62:
-        raise CallerError(f"{option} {text!r} is not a duration; write 10ms, 0.5s, 2min, or seconds")
-    return duration
 
 
 class LivePatience(Patience):
@@ -80,7 +61,7 @@ class LivePatience(Patience):
         super().__exit__(*details)
 
     def wait_until(self, instant: int) -> bool:
-        """Wait until `instant` (ns of the monotonic clock); False when the command was told to end before."""
+        """Wait until `instant` (ns of the monotonic clock); False when the command has to end before."""
         while not self.is_over:
             left = instant - time.monotonic_ns()
             if left <= 0:
@@ -89,20 +70,20 @@ class LivePatience(Patience):
         return False
 
 
-class Told:
+class BusEventLines:
     """The events of a gate as lines on stderr. Listens from when it is made; `tell` prints what has come since."""
 
     def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
         self._queue: deque[BusEvent] = deque(maxlen=4096)
         self._hints = {} if gate.listen_only else HINTS
         gate.on_event(self._queue.append)
-        #: How many events of each kind were told.
+        #: How many events of each kind came.
         self.counts: dict[str, int] = {}
         self._shown: dict[str, int] = {}
         self._held: dict[tuple[str, str], int] = {}
         self._since = time.monotonic()
 
-    def tell(self, *, last: bool = False) -> bool:
+    def report(self, *, last: bool = False) -> bool:
         """Print what has happened; whether anything was printed. With `last`, also what is held back."""
         said = False
         while self._queue:
@@ -196,13 +177,102 @@ class SendQueue:
         return True
 
 
-__all__ = [
-    "LINGER_S",
-    "STEP_S",
-    "LivePatience",
-    "SendQueue",
-    "Told",
-    "heard_frame",
-    "losses",
-    "parse_duration",
-]
+# ---------------------------------------------------------------------- events of devices
+
+#: How long a device must be silent before that is said (ns).
+SILENCE_NS = 600_000_000
+#: Late answers are reported when they are more than `FEW` and more than this share of all.
+LATE_SHARE = 0.1
+
+
+class DeviceEventLines:
+    """Listens to a rig from when it is made; `tell` prints what has come since.
+
+    `robot` is the whole robot: its other devices, which other programs talk to, are known.
+    """
+
+    def __init__(self, rig: Rig, robot: Robot) -> None:
+        self.rig, self.robot = rig, robot
+        self._queue: deque[DeviceEvent] = deque(maxlen=4096)
+        #: Kinds that are kept back until `last`, and what has been: the caller may know better why they happen.
+        self.holding: set[str] = set()
+        self._held: list[DeviceEvent] = []
+        #: Who has fallen silent, and that has not been said yet.
+        self._silent: dict[str, DeviceEvent] = {}
+        self._said_silent: set[str] = set()
+        #: The buses that are lost.
+        self._lost: set[str] = set()
+        self._others = {
+            frozenset(f"{name} {value:#04x}" for name, value in config.credentials.items())
+            for config in robot.devices.values()
+        }
+        rig.on_event(self._queue.append)
+
+    def report(self, *, last: bool = False, without: Collection[str] = ()) -> None:
+        """Print what has happened, `without` some kinds; with `last` also what was held back."""
+        while self._queue:
+            event = self._queue.popleft()
+            if event.kind in self.holding:
+                self._held.append(event)
+            elif event.kind not in {*EXPECTED, "error-active", *without}:
+                self._sort(event)
+        if last:
+            self.holding.clear()
+            for event in self._held:
+                self._sort(event)
+            self._held.clear()
+        now = self.rig.clock.now()
+        for name, event in list(self._silent.items()):
+            if now - event.instant > SILENCE_NS or last:
+                del self._silent[name]
+                self._said_silent.add(name)
+                if "silent" not in without:
+                    say(f"{name}: silent: {event.detail}; {self._look_at(name)}")
+        if last:
+            self._tell_late()
+
+    def drop(self, kind: str) -> None:
+        """Say nothing of what was held back of a kind."""
+        self._held = [event for event in self._held if event.kind != kind]
+
+    def _sort(self, event: DeviceEvent) -> None:
+        who = event.device
+        if event.kind == "silent":
+            self._silent[who] = event
+        elif event.kind == "answers":
+            if self._silent.pop(who, None) is None and who in self._said_silent:
+                self._said_silent.discard(who)
+                say(f"{who}: answers again")
+        elif event.kind == "late reply":
+            pass  # counted by the rig; see `_tell_late`
+        elif event.kind == "lost":
+            self._lost.add(event.bus)
+            say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
+        elif event.kind == "not sent" and event.bus in self._lost:
+            pass  # of course
+        elif not (event.kind == "unknown device" and self._is_known(event.detail)):
+            self._lost -= {event.bus} if event.kind == "reopened" else set()
+            hint = HINTS.get(event.kind)
+            detail = f": {event.detail}" if event.detail else ""
+            say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")
+
+    def _is_known(self, detail: str) -> bool:
+        """Whether an unknown device ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""
+        numbers = set(detail.partition(" of ")[2].partition(", which")[0].split(", "))
+        return any(numbers <= other for other in self._others)
+
+    def _look_at(self, name: str) -> str:
+        """What to look at when a device does not answer."""
+        config = self.robot.devices.get(name)
+        if config is None:
+            return "is it powered?"
+        numbers = ", ".join(f"{key} {value:#04x}" for key, value in config.credentials.items())
+        return f"is it powered, on bus {config.bus}, and {numbers}? `aces discover` shows who is there"
+
+    def _tell_late(self) -> None:
+        answered = sum(host.counts.answered for host in self.rig.hosts.values())
+        for (kind, who), number in self.rig.events.counts.items():
+            if kind == "late reply" and number > FEW and number > LATE_SHARE * answered:
+                say(
+                    f"{who}: {number} answers came late, {answered} in time; is the bus or this machine busy?"
+                )

@@ -3,7 +3,7 @@
      (1436509052.249713)  can0  123   [4]  DE AD BE EF
 
 1. The lines are candump's, byte by byte, so that what reads candump reads these.
-2. A delta is to the line before, as it is shown; the zero of `z` is the first item heard.
+2. A delta is to the line before, as it is shown; the zero of `relative` is the first item heard.
 
 *Facts*: candump.c and lib.c of can-utils: times have ten digits before the point (`a`) or three (`d`, `z`); once a
 29-bit identifier was shown, 11-bit ones are indented to its width.
@@ -20,13 +20,8 @@ from aces_bus.recordings import Chunk
 
 from .output.text import Paint, TextOutput, no_paint, printable
 
-#: `-t`, as candump has it, and what it means.
-TIME_MODES = {
-    "a": "absolute",
-    "d": "delta to the line before",
-    "z": "from the first on",
-    "A": "date and time",
-}
+#: How times are shown; candump's `-t z`, `a`, `d` and `A`.
+TIME_MODES = ("relative", "absolute", "delta", "date")
 
 
 class Times:
@@ -39,20 +34,20 @@ class Times:
 
     def number(self, time: float) -> float | None:
         """What is shown for an instant (s); None where that is a date."""
-        if self.mode == "A":
+        if self.mode == "date":
             return None
-        if self.mode == "a":
+        if self.mode == "absolute":
             return time
         if self.start is None:
             self.start = time
-        if self.mode == "z":
+        if self.mode == "relative":
             return time - self.start
         last, self._last = self._last, time
         return 0.0 if last is None else time - last
 
     @staticmethod
     def date(time: float) -> str:
-        """An instant as candump's `-t A`: local time."""
+        """An instant as date and local time."""
         try:
             return f"{datetime.datetime.fromtimestamp(time):%Y-%m-%d %H:%M:%S.%f}"
         except (OverflowError, ValueError, OSError):
@@ -63,11 +58,11 @@ class LiveText(TextOutput):
     """Decoded lines with candump's time modes."""
 
     def __init__(self, *arguments: Any, times: Times, **options: Any) -> None:
-        super().__init__(*arguments, is_relative=times.mode == "z", **options)
+        super().__init__(*arguments, is_relative=times.mode == "relative", **options)
         self._times = times
 
     def _stamp(self, time: float) -> str:
-        if self._times.mode == "z":
+        if self._times.mode == "relative":
             return super()._stamp(time)
         number = self._times.number(time)
         return self._times.date(time) if number is None else f"{number:.6f}"
@@ -104,7 +99,7 @@ class CandumpLines:
         if number is None:
             text = self._times.date(time)
         else:
-            text = f"{number:0{17 if self._times.mode == 'a' else 10}.6f}"
+            text = f"{number:0{17 if self._times.mode == 'absolute' else 10}.6f}"
         return self._paint("place", f" ({text})")
 
     def _frame(self, frame: Frame) -> str:
@@ -137,6 +132,3 @@ def notation(frame: Frame) -> str:
         return f"{identifier}#R{frame.length or ''}"
     flags = f"#{frame.bitrate_switch + 2 * frame.error_state_indicator}" if frame.is_fd else ""
     return f"{identifier}#{flags}{frame.data.hex().upper()}"
-
-
-__all__ = ["TIME_MODES", "CandumpLines", "LiveText", "Times", "notation"]

@@ -15,34 +15,50 @@ from io import TextIOWrapper
 from typing import NoReturn
 
 from aces_bus import __version__
-from aces_bus.errors import AcesError, UnknownNameError
+from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
 from .console import abandon_stdout, say
 
-#: Verb → its module in this package, and what it is for. The module has `add_arguments(parser)` and `run(arguments)`,
-#: and describes itself in its docstring, which `aces VERB --help` shows; or a table ACTIONS of the same form, one deeper.
+#: Verb → its module in this package, and what it is for. The module has a table ARGUMENTS (see `options`) and
+#: `run(arguments)`, where it needs them also EPILOG, USAGE and DEFAULTS, and its docstring is what `aces VERB --help` says.
 VERBS: dict[str, tuple[str, str]] = {
-    "decode": ("decode", "decode recordings: candump, BLF, ASC, MF4 …, serial captures, standard input"),
+    "decode": ("decode", "decode recordings: candump, BLF, ASC, MF4, serial captures, pipes"),
     "plot": ("plot", "draw signals over time: in the terminal, PNG, SVG, PDF"),
-    "convert": ("convert", "convert recordings between formats: candump, ASC, BLF, TRC, MF4, pcapng, serial"),
-    "sniff": ("sniff", "listen to a bus: decoded lines, filters, recordings; it cannot send"),
-    "send": ("send", "send a message, once or every so often; only with --tx"),
+    "convert": ("convert", "convert recordings: candump, ASC, BLF, TRC, MF4, pcapng, serial"),
+    "sniff": ("sniff", "listen to a bus: decoded lines, filters, recordings; cannot send"),
+    "send": ("send", "send a message, once or periodically; only with --tx"),
     "play": ("play", "play recordings onto a bus at their pace; only with --tx"),
-    "bus": ("bus", "serve a virtual bus to other programs; list buses; measure a bus's load"),
-    "robot": ("robot", "robots as files: check, show, list; import from HuboCan and hubo-ach"),
+    "bus": ("bus", "serve virtual buses, list buses, measure the load of a bus"),
+    "robot": ("robot", "robots as files: check, show, list; import from other programs"),
     "devices": ("devices", "list the drivers, and what their devices can do"),
-    "device": ("device", "read, set, watch, enable and home the devices of a robot; motion only with --tx"),
-    "scan": ("scan", "find what answers on a bus, and write a robot's file of it"),
+    "device": ("device", "read, set, watch, enable, home a device; motion only with --tx"),
+    "discover": ("discover", "find the devices on a bus, and write a robot's file of them"),
     "sim": ("sim", "put a robot's simulated devices on a bus"),
-    "run": (
-        "run",
-        "run controllers on a robot: virtual, on its buses (motion only with --tx), on a recording",
-    ),
-    "protocols": ("protocols", "list protocols, their messages, and how a message is laid out"),
-    "spec": ("spec", "for the authors of protocols: new, check, show, explain, export, import, stubs"),
-    "fuzz": ("fuzz", "look for a stream that breaks a protocol: nine laws, shrunk failures, coverage"),
-    "demo": ("demo", "a simulated robot follows a trajectory: set-point against actual, drawn"),
+    "run": ("run", "run controllers on a robot, simulated, real (--tx) or recorded"),
+    "protocols": ("protocols", "list protocols, their messages, and the layout of a message"),
+    "spec": ("", "for authors of protocols: new, check, show, explain, export, …"),
+    "fuzz": ("fuzz", "search for a stream that breaks a protocol: laws and coverage"),
+    "demo": ("demo", "a simulated robot follows a trajectory, drawn"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
+}
+
+#: Other names of verbs.
+ALIASES = {"scan": "discover"}
+
+#: Verb → its actions, of the same form; one without an action is a verb itself.
+ACTIONS: dict[str, dict[str, tuple[str, str]]] = {
+    "spec": {
+        "new": ("authoring.new", "begin a protocol: a commented spec, a test, a README"),
+        "check": (
+            "authoring.check",
+            "find what is wrong or doubtful in a spec, with file and line",
+        ),
+        "show": ("authoring.show", "show how messages are laid out and decoded; compare specs"),
+        "explain": ("authoring.explain", "explain why bytes are decoded as they are"),
+        "stubs": ("authoring.stubs", "write the types of records, for editors and type checkers"),
+        "export": ("authoring.export", "write a DBC, a Wireshark dissector, a page in Markdown"),
+        "import": ("authoring.importing", "turn a DBC, KCD, SYM, ARXML or EDS file into a spec"),
+    },
 }
 
 
@@ -50,7 +66,7 @@ class Parser(argparse.ArgumentParser):
     """An ArgumentParser whose complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"aces: {message} (see '{self.prog} --help')\n")
+        self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,10 +74,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         # python-can imports asammdf where it is installed, for a format that we read in a process of its own: a second
         # of every start. In this program it is not to be found.
-        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how import is told
+        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how an import is forbidden
         if isinstance(
             sys.stdout, TextIOWrapper
-        ):  # where there is no Unicode, "?" stands for what cannot be written
+        ):  # where there is no Unicode, "?" replaces what cannot be written
             sys.stdout.reconfigure(errors="replace")
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
@@ -84,65 +100,56 @@ def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         if arguments[1:] and not arguments[1].startswith("-"):
             return _run([arguments[1], "--help"])
-        print(_help())
+        print(f"aces {__version__}: devices on CAN and serial lines, from one declared protocol\n")
+        print(f"usage: aces VERB …\n\n{_listed(VERBS)}\n")
+        print("'aces VERB --help' says more; 'aces --version' prints the version.")
         return 0
     if arguments[0] in ("-V", "--version"):
         print(f"aces {__version__}")
         return 0
-    verb = arguments[0]
+    verb = ALIASES.get(arguments[0], arguments[0])
     if verb.startswith("-"):
         raise UnknownNameError("option", verb, ["--help", "--version"])
     if verb not in VERBS:
         raise UnknownNameError("verb", verb, VERBS)
-    module = import_module(f"{__package__}.{VERBS[verb][0]}")
-    actions: dict[str, tuple[str, str]] | None = getattr(module, "ACTIONS", None)
-    if actions is not None:
-        if len(arguments) < 2 or arguments[1] in ("-h", "--help"):
-            text = _help_of_actions(verb, str(module.__doc__), actions)
-            if len(arguments) > 1:
-                print(text)
-                return 0
-            say(f"which action of 'aces {verb}'? {', '.join(actions)} (see 'aces {verb} --help')")
-            return 2
+    name = VERBS[verb][0]
+    if actions := ACTIONS.get(verb):
+        if len(arguments) < 2:
+            raise CallerError(
+                f"which action of 'aces {verb}'? {', '.join(actions)} (see 'aces {verb} --help')"
+            )
+        if arguments[1] in ("-h", "--help"):
+            print(f"aces {verb}: {VERBS[verb][1]}\n\nusage: aces {verb} ACTION …\n\n{_listed(actions)}\n")
+            print(f"'aces {verb} ACTION --help' says more.")
+            return 0
         if arguments[1] not in actions:
             raise UnknownNameError(f"action of 'aces {verb}'", arguments[1], actions)
-        module = import_module(f"{__package__}.{actions[arguments[1]][0]}")
+        name = actions[arguments[1]][0]
         verb, arguments = f"{verb} {arguments[1]}", arguments[1:]
+    from .options import add_arguments
+
+    module = import_module(f"{__package__}.{name}")
     parser = Parser(
         prog=f"aces {verb}",
+        usage=getattr(module, "USAGE", None),
         description=module.__doc__,
+        epilog=getattr(module, "EPILOG", None),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    module.add_arguments(parser)
+    add_arguments(parser, module.ARGUMENTS)
+    parser.set_defaults(**getattr(module, "DEFAULTS", {}))
     return int(module.run(parser.parse_intermixed_args(_plain(arguments[1:]))))
 
 
 def _plain(arguments: list[str]) -> list[str]:
-    """Without `--`, which the parser mistakes between options: what stands behind it are files, even `-x.log`."""
+    """Without `--`, which the parser does not understand between options: what follows it are files, even `-x.log`."""
     if "--" not in arguments:
         return arguments
     end = arguments.index("--")
     return arguments[:end] + [f"./{a}" if a[:1] == "-" and a != "-" else a for a in arguments[end + 1 :]]
 
 
-def _help_of_actions(verb: str, doc: str, actions: dict[str, tuple[str, str]]) -> str:
-    width = max(map(len, actions))
-    lines = "\n".join(f"  {action:<{width}}  {text}" for action, (_, text) in actions.items())
-    return (
-        f"{doc.strip()}\n\nusage: aces {verb} ACTION …\n\n{lines}\n\n'aces {verb} ACTION --help' says more."
-    )
-
-
-def _help() -> str:
-    width = max(map(len, VERBS))
-    verbs = "\n".join(f"  {verb:<{width}}  {text}" for verb, (_, text) in VERBS.items())
-    return (
-        f"aces {__version__}: devices on CAN and serial lines, from one declared protocol\n\n"
-        f"usage: aces VERB …\n\n{verbs}\n\n"
-        "'aces VERB --help' says more; 'aces --version' prints the version."
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def _listed(names: dict[str, tuple[str, str]]) -> str:
+    width = max(map(len, names))
+    return "\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in names.items())

@@ -1,4 +1,4 @@
-"""Play recordings onto a bus, at their pace. Without --tx it only tells of them.
+"""Play recordings onto a bus, at their pace. Without --tx they are only described.
 
   aces play walk.log
   aces play walk.log -i socketcan -c can0 --tx
@@ -13,7 +13,6 @@ a serial line onto a line or into datagrams.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -24,10 +23,10 @@ from aces_bus.frame_table import NO_TIME, to_ns
 from aces_bus.frames import Frame
 from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recording, parse_filter
 
-from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
-from .console import say
-from .decoding import SHOWN
-from .live import LINGER_S, LivePatience, SendQueue, Told, parse_duration
+from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
+from .console import StatusLine, report_unreadable, say
+from .live import LINGER_S, BusEventLines, LivePatience, SendQueue
+from .options import DIRECTION, FILTER, LOOP, MAP, RATE, TX, Arguments, argument, duration
 
 if TYPE_CHECKING:
     from aces_bus.hardware.replay import Pace
@@ -61,25 +60,20 @@ call, a file that cannot be read, or a bus that cannot be opened
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("files", nargs="+", metavar="FILE", help="recordings, played one after another; - is standard input")
-    add("--tx", action="store_true", help="really send; nothing else makes it")
-    add("--speed", default="1", metavar="N", help="so many times as fast, or max (default: 1)")
-    add("--loop", type=int, default=1, metavar="N", help="so many times; 0: until Ctrl-C")
-    add("--gap", metavar="DURATION", help="no silence is longer than this: 1s, 500ms")
-    add("--rate", type=float, metavar="N", help="CAN: at most N frames a second")
-    add(
-        "--filter",
-        action="append",
-        default=[],
-        metavar="FILTER",
-        help="CAN: only what candump's filters let pass, such as 060:7F0; by the recording's channels",
-    )
-    add("--map", action="append", default=[], metavar="OLD=NEW", help="CAN: channel OLD onto the bus NEW")
-    add("--direction", choices=["to", "from"], help="serial: only what went to, or came from, the device")
-    add_bus_arguments(parser)
+ARGUMENTS: Arguments = (
+    argument(
+        "files", nargs="+", metavar="FILE", help="recordings, played one after another; - is standard input"
+    ),
+    TX,
+    argument("--speed", default="1", metavar="N", help="so many times as fast, or max (default: 1)"),
+    LOOP,
+    argument("--gap", type=duration, metavar="DURATION", help="make no silence longer than this: 1s, 500ms"),
+    RATE,
+    FILTER.but(help="CAN: only what candump's filters pass, such as 060:7F0; by the recording's channels"),
+    MAP.but(help="CAN: channel OLD onto the bus NEW"),
+    DIRECTION.but(metavar="{to,from}", help="serial: only what went to, or came from, the device"),
+    *BUS_ARGUMENTS,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -94,17 +88,13 @@ class Playing:
         self.arguments = arguments
         self.files: list[str] = arguments.files
         self.speed = _speed(arguments.speed)
-        self.gap = None if arguments.gap is None else parse_duration("--gap", arguments.gap) / 1e9
+        self.gap = None if arguments.gap is None else arguments.gap / 1e9
         self.loops: int = arguments.loop
-        if self.loops < 0:
-            raise CallerError(f"--loop {self.loops}: a number of times, or 0 for ever")
         if self.loops != 1 and "-" in self.files:
             raise CallerError("standard input can be played once only; --loop needs a file")
-        if arguments.rate is not None and not arguments.rate > 0:
-            raise CallerError(f"--rate {arguments.rate:g}: a rate is a number above 0")
         self.filter = parse_filter(*arguments.filter) if arguments.filter else None
         self.map = _mapped(arguments.map)
-        self.direction = {"to": "to device", "from": "from device"}.get(arguments.direction)
+        self.direction = arguments.direction if arguments.direction != "both" else None
         is_named = any(name in arguments for name in CAN_OPTIONS) or arguments.serial or arguments.udp
         self.bus: ChosenBus | None = chosen_bus(arguments) if arguments.tx or is_named or self.map else None
         if self.bus is not None and self.bus.kind != "can":
@@ -121,7 +111,8 @@ class Playing:
         self.seen: Counter[str] = Counter()
         self.channels: dict[str, None] = {}
         self.outgoing: dict[str, SendQueue] = {}
-        self.told: list[Told] = []
+        self.events: list[BusEventLines] = []
+        self.status_line = StatusLine()
         self._shown_at = 0.0
         self._began = 0.0
 
@@ -140,8 +131,8 @@ class Playing:
                     self.total += 1
                     if frame.is_error_frame:
                         self.skipped += 1
-                    elif (self.filter is not None and not self.filter.matches(frame)) or not self._goes(
-                        frame
+                    elif (self.filter is not None and not self.filter.matches(frame)) or not (
+                        not self.map or str(frame.channel) in self.map or "channel" in self.arguments
                     ):
                         self.filtered += 1
                     else:
@@ -154,16 +145,6 @@ class Playing:
                 self.filtered += size
             else:
                 yield chunk
-
-    def _goes(self, frame: Frame) -> bool:
-        """Whether there is a bus for this frame's channel."""
-        return not self.map or str(frame.channel) in self.map or "channel" in self.arguments
-
-    def _problems(self, capture: CanRecording | SerialRecording) -> None:
-        for problem in capture.problems[:SHOWN]:
-            say(f"{capture.name}:{problem}")
-        if capture.lines_unreadable > SHOWN:
-            say(f"{capture.name}: and {capture.lines_unreadable - SHOWN} more unreadable lines")
 
     def _failed(self, error: CaptureError) -> None:
         say(str(error))
@@ -180,7 +161,7 @@ class Playing:
                         if self.bus is None:
                             self.unit = UNITS[capture.link]
                         self._describe(capture, patience)
-                        self._problems(capture)
+                        report_unreadable(capture, is_over=True)
                 except CaptureError as error:
                     self._failed(error)
                 except KeyboardInterrupt:
@@ -233,7 +214,7 @@ class Playing:
         with LivePatience() as patience:
             try:
                 for name, gate in gates.items():
-                    self.told.append(Told(gate))
+                    self.events.append(BusEventLines(gate))
                     self.buses[name].start(gate)
                     self.outgoing[name] = SendQueue(gate, PATIENCE_S)
                 self._began = time.monotonic()
@@ -246,7 +227,7 @@ class Playing:
             finally:
                 for gate in gates.values():
                     gate.stop()
-                self._progress(last=True)
+                self.status_line.clear()
                 self._tell(last=True)
         sent = sum(gate.counters.sent for gate in gates.values())
         failed = sum(gate.counters.send_failed for gate in gates.values())
@@ -285,7 +266,7 @@ class Playing:
                     with capture:
                         self._file(capture, patience)
                         if done == 1:
-                            self._problems(capture)
+                            report_unreadable(capture, is_over=True)
                 except CaptureError as error:
                     self._failed(error)
             if self.total == before:
@@ -300,7 +281,7 @@ class Playing:
         for word in self._words(capture, patience):
             outgoing = self._to(word)
             stamp = to_ns(word.timestamp if isinstance(word, Frame) else word.time)
-            for due, piece in line.pieces(word, stamp, is_split=self._is_split):
+            for due, piece in line.pieces(word, stamp, is_split=self.unit == "bytes"):
                 if not patience.wait_until(due):
                     return
                 most = self.most
@@ -327,28 +308,20 @@ class Playing:
         return most if rate is None else max(1, min(most, int(rate * PATIENCE_S / 2)))
 
     @property
-    def _is_split(self) -> bool:
-        return self.bus is not None and self.bus.kind == "serial"
-
-    @property
     def _byte_ns(self) -> float:
         """How long a byte takes where a recording has no times."""
         baud = self.bus.options.get("baud") if self.bus is not None else None
         return 10e9 / baud / self.speed if baud and self.speed else 0.0
 
     def _tell(self, *, last: bool = False) -> None:
-        for told in self.told:
-            told.tell(last=last)
+        for events in self.events:
+            events.report(last=last)
 
-    def _progress(self, *, last: bool = False) -> None:
-        if sys.stderr is None or not sys.stderr.isatty():
-            return
+    def _progress(self) -> None:
         now = time.monotonic()
-        if not last and now - self._shown_at < PROGRESS_S:
-            return
-        self._shown_at = now
-        text = "" if last else f"{now - self._began:.1f} s  {self.total} {self.unit}"
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+        if now - self._shown_at >= PROGRESS_S:
+            self._shown_at = now
+            self.status_line.show(f"{now - self._began:.1f} s  {self.total} {self.unit}")
 
     def _summarise(self, sent: int, failed: int) -> None:
         parts = [f"{self.unit}={self.total}", f"sent={sent}", f"failed={failed}", f"filtered={self.filtered}"]
@@ -403,6 +376,3 @@ def _mapped(texts: list[str]) -> dict[str, str]:
             raise CallerError(f"--map: {old} is named twice")
         found[old] = new
     return found
-
-
-__all__ = ["Playing", "add_arguments", "run"]

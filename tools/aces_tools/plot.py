@@ -5,8 +5,8 @@
   aces plot walk.log -p hubo --list
   candump can0 | aces plot - -p car.py 'Motor.speed:r-' , 'Motor.torque' --show
 
-CAPTUREs come first, SIGNALs after them; `-` as the first is standard input.
-Without SIGNALs each message that occurs gets a subplot.
+CAPTUREs come first, then SIGNALs; - as the first is standard input. Without
+SIGNALs each message that occurs gets a subplot.
 """
 
 from __future__ import annotations
@@ -14,23 +14,21 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import NO_TIME, to_ns
-from aces_bus.protocol.columns.decode import feed
-from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
+from aces_bus.frame_table import NO_TIME, FrameTable
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.recordings import CanRecording, SerialRecording
 
-from .console import Output, Patience, say, terminal_width, wants_colour
-from .decoding import CaptureReading, Decoding, Direction, Requests, Totals
+from .console import check_not_read, say
+from .decode_columns import TableDecoding
+from .decoding import Totals
+from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Arguments, argument, flag, several
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
-from .plotting.select import Declared, SignalPattern, Wanted, declared, parse_groups, parse_pattern, select
+from .plotting.select import Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
 
 #: As `cantools plot` has it: a line is interrupted where nothing came for so many seconds.
@@ -40,7 +38,7 @@ EPILOG = """\
 signals:
   Encoder.position.0           one signal; case does not count
   position.0                   the same of whichever message has it
-  Encoder.position             all that stands under a name
+  Encoder.position             all items of a field
   'Enc*.pos*'                  * is any number of characters, ? is one
   'Encoder[board=3].position'  of one device only; also [board=3,channel=can0],
                                and any field of the message: [selector=7]
@@ -62,60 +60,61 @@ of what is asked for occurs; 130 after Ctrl-C, with what was read so far drawn
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = EPILOG
-    parser.usage = "%(prog)s CAPTURE… -p PROTOCOL [SIGNAL | - | ,]… [options]"
-    add = parser.add_argument
-    add("items", nargs="+", metavar="CAPTURE… SIGNAL…", help="recordings (- is standard input), then signals")
-    add("-p", "--protocol", action="append", required=True, metavar="PROTOCOL", help="as of `aces decode`")
-    add("--direction", choices=["to", "from", "both"], help="which way the bytes of a raw serial file went")
-    add("--list", action="store_true", help="list the signals that occur, with count, range and unit")
-    add("--output", "--output-file", "-o", metavar="FILE", help="draw into FILE.png, FILE.svg or FILE.pdf")
-    add("--terminal", action="store_true", help="draw in the terminal, as without -o and --show")
-    add("--show", action="store_true", help="open a window")
-    add("--from", "--start", "-ss", dest="start", metavar="TIME", help="leave out what is before")
-    add("--to", "--stop", "-to", dest="stop", metavar="TIME", help="leave out what is from there on")
-    add(
-        "--time", choices=["relative", "absolute"], default="relative", help="of the axis (default: relative)"
-    )
-    add(
+def axis_number(text: str) -> float:
+    """A number that an axis can go to; for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < LARGEST:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    return value
+
+
+USAGE = "%(prog)s CAPTURE… -p PROTOCOL [SIGNAL | - | ,]… [options]"
+ARGUMENTS: Arguments = (
+    argument(
+        "items", nargs="+", metavar="CAPTURE… SIGNAL…", help="recordings (- is standard input), then signals"
+    ),
+    PROTOCOL.but(default=None, required=True),
+    DIRECTION,
+    flag("--list", help="list the signals that occur, with count, range and unit"),
+    OUTPUT.but(help="draw into FILE.png, FILE.svg or FILE.pdf"),
+    flag("--terminal", help="draw in the terminal, as without -o and --show"),
+    flag("--show", help="open a window"),
+    FROM,
+    TO,
+    TIME,
+    argument(
         "--break-time",
-        "-t",
-        type=a_number,
+        type=axis_number,
         default=LONGEST_GAP_S,
         metavar="SECONDS",
         help="interrupt a line where nothing came for so long; -1: never (default: %(default)g)",
-    )
-    add("--step", action="store_true", help="hold each value until the next one, instead of straight lines")
-    add("--title", default="", metavar="TEXT")
-    add("--xlabel", default="", metavar="TEXT")
-    add(
-        "--ylabel",
-        action="append",
-        default=[],
-        metavar="TEXT",
-        help="once for all, or once an axis, in order",
-    )
-    add(
+    ),
+    flag("--step", help="hold each value until the next one, instead of straight lines"),
+    argument("--title", default="", metavar="TEXT", help="above all"),
+    argument("--xlabel", default="", metavar="TEXT", help="below the time axis"),
+    several("--ylabel", metavar="TEXT", help="once for all, or once an axis, in order"),
+    several(
         "--ylim",
-        action="append",
-        default=[],
         metavar="LOW:HIGH",
         help="either may be empty; once for all, or once an axis, in order; write --ylim=-5:5",
-    )
-    add("--ymin", type=a_number, metavar="LOW", help="of all axes")
-    add("--ymax", type=a_number, metavar="HIGH", help="of all axes")
-    parser.set_defaults(message=[], filter=[], strict=False)  # of `decode`
-    add("--style", metavar="STYLE", help="a style of matplotlib, such as ggplot")
-    add("--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal")
+    ),
+    argument("--ymin", type=axis_number, metavar="LOW", help="of all axes"),
+    argument("--ymax", type=axis_number, metavar="HIGH", help="of all axes"),
+    argument("--style", metavar="STYLE", help="a style of matplotlib, such as ggplot"),
+    COLOR,
+)
+#: What `Decoding` also asks for.
+DEFAULTS: dict[str, Any] = {"message": [], "filter": [], "strict": False}
 
 
 def run(arguments: argparse.Namespace) -> int:
     return Plotting(arguments).run()
 
 
-class Plotting(Decoding):
+class Plotting(TableDecoding):
     """One run of `aces plot`. A wrong call raises before anything is read."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
@@ -162,66 +161,32 @@ class Plotting(Decoding):
             figure.check_style(asked.style)
             if path is not None:
                 figure.check_output(path)
-                for name in self.files:
-                    if os.path.exists(path) and os.path.exists(name) and os.path.samefile(path, name):
-                        raise CallerError(f"--output {path} is one of the files to read; choose another name")
+                check_not_read(path, self.files)
         elif asked.style is not None:
             raise CallerError("--style is for pictures: give -o FILE.png or --show as well")
 
     # ------------------------------------------------------------------ reading
 
-    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
-        scanner = make_column_scanner(self.variants["can"], direction=self.direction)
-        try:
-            for table in patience.each(capture.tables()):
-                self.clock.see(table.time)
-                if self.absent:
-                    self._seen({str(table.channels.names[n]) for n in np.unique(table.channel).tolist()})
-                if self.window is not None:
-                    known = table.time[table.time != NO_TIME]
-                    if len(known):
-                        self.window.see(int(known[0]))
-                self._take(scanner.feed(table))
-            self._take(scanner.close())
-        finally:
-            totals.count(scanner.counts)
+    def _kept(self, frames: FrameTable) -> None:
+        """All frames are decoded: replies need their requests. The collector keeps to --from and --to."""
+        self.clock.see(frames.time)
+        known = frames.time[frames.time != NO_TIME]
+        if self.window is not None and len(known):
+            self.window.see(int(known[0]))
 
-    def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
-        used: dict[Direction | None, ColumnScanner] = {}
-        requests = Requests(self.variants["serial"])
-        reading = CaptureReading(patience.each(capture))
-        try:
-            for chunk in reading:
-                direction: Direction | None = self.direction or chunk.direction
-                if direction not in used:
-                    used[direction] = self._scanner(direction)
-                if direction == "to device" and self.direction is None:
-                    if "from device" not in used:
-                        used["from device"] = self._scanner("from device")
-                    replies: Any = used["from device"]
-                    for packet, time in requests.of(chunk.data, chunk.time):
-                        self._take(replies.sent(packet, time))
-                came = to_ns(chunk.time)
-                self.clock.see(np.array([came]))
-                if self.window is not None:
-                    self.window.see(came)
-                self._take(feed(used[direction], chunk.data, chunk.time))
-            for scanner in used.values():
-                self._take(scanner.close())
-            reading.check()
-        finally:
-            for scanner in used.values():
-                totals.count(scanner.counts)
+    def _see(self, instant: int) -> None:
+        super()._see(instant)
+        self.clock.see(np.array([instant]))
 
-    def _scanner(self, direction: Direction | None) -> ColumnScanner:
-        self._check_direction(direction)
-        return make_column_scanner(self.variants["serial"], direction=direction)
+    def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
+        return tables
 
-    def _take(self, tables: Sequence[MessageTable]) -> None:
+    def _take(self, tables: Sequence[MessageTable], totals: Totals) -> None:
         for table in tables:
             self.collector.add(table)
 
     def _finish(self, *, is_whole: bool) -> None:
+        self.progress.close()
         if self.arguments.list:
             self._list()
         elif self.collector.series or not self.status:
@@ -239,12 +204,15 @@ class Plotting(Decoding):
         series = [one for one in series if not one.others]
         if not series:
             raise CallerError(f"nothing to draw: {self._absent()}")
-        order = {owner: number for number, owner in enumerate(self.declared)}
-        series.sort(key=lambda one: (order[one.signal.owner], _natural(one.key)))
+        series.sort(key=self._place)
         panels = panels_of(
-            self.groups or _one_a_message(series),
+            # Without SIGNALs what each message has is a subplot of its own.
+            self.groups
+            or [[[parse_pattern(name)]] for name in dict.fromkeys(s.signal.message for s in series)],
             series,
-            longest_gap=self.arguments.break_time if self._breaks() else None,
+            longest_gap=self.arguments.break_time
+            if self.clock.origin is not None and self.arguments.break_time >= 0
+            else None,
             by_unit=not self.groups,
         )
         self._say_what_is_absent(series)
@@ -268,10 +236,13 @@ class Plotting(Decoding):
 
             figure.show_figure(picture)
         else:
-            self._print(picture)
+            from .plotting import terminal
 
-    def _breaks(self) -> bool:
-        return self.clock.origin is not None and self.arguments.break_time >= 0
+            terminal.print_picture(picture, self.arguments.color)
+
+    def _place(self, one: Series) -> Any:
+        """What series are sorted by: messages as they are declared, then devices."""
+        return list(self.declared).index(one.signal.owner), _natural(one.key)
 
     def _absent(self) -> str:
         if self.window is not None:
@@ -299,43 +270,30 @@ class Plotting(Decoding):
                 panel.captions[place] = _nth(asked.ylabel, number) or ""
                 number += 1
 
-    def _print(self, picture: Picture) -> None:
-        from .plotting import terminal
-
-        output = Output(None)
-        height = None
-        if output.is_terminal:
-            try:
-                height = os.get_terminal_size(sys.stdout.fileno()).lines - 1
-            except (OSError, ValueError, AttributeError):
-                pass
-        paint = terminal.make_plot_paint() if wants_colour(self.arguments.color, output.is_terminal) else None
-        text = terminal.draw_terminal(
-            picture, terminal_width(), paint=paint, height=height, encoding=output.encoding
-        )
-        output.write(text.encode(output.encoding, "replace"))
-        output.close()
-
     def _list(self) -> None:
-        from .output.columns import column_output
-        from .output.text import make_paint, no_paint, printable
+        from .output.columns import Page
+        from .output.text import printable
 
-        order = {owner: number for number, owner in enumerate(self.declared)}
         series = sorted(
-            (one for one in self.collector.series.values() if one.count and not _is_dull(one)),
-            key=lambda one: (order[one.signal.owner], _natural(one.key)),
+            (
+                one
+                for one in self.collector.series.values()
+                if one.count and (one.low or one.high or not one.signal.is_quiet)
+            ),
+            key=self._place,
         )
         if not series:
             raise CallerError(f"nothing to list: {self._absent().partition(';')[0]}")
         names = LineNames(series, always=True)
-        output = Output(None)
         rows = [
             (
                 printable(names.full(one)),
                 str(one.count),
                 printable(_shown(one, one.low)),
                 printable(_shown(one, one.high)),
-                printable(one.signal.kind.unit or _sort(one)),
+                printable(
+                    one.signal.kind.unit or {"str": "text", "dict": "record"}.get(one.others, one.others)
+                ),
             )
             for one in series
         ]
@@ -344,11 +302,7 @@ class Plotting(Decoding):
             (row[0], *(row[index].rjust(sizes[index]) for index in (1, 2, 3)), row[4])
             for row in [LIST_HEAD, *rows]
         ]
-        paint = make_paint() if wants_colour(self.arguments.color, output.is_terminal) else no_paint
-        width = terminal_width() if output.is_terminal else None
-        lines = column_output(aligned[0], aligned[1:], width, paint)
-        output.write(("\n".join(lines) + "\n").encode(output.encoding, "replace"))
-        output.close()
+        Page(self.arguments.color).table(aligned[0], aligned[1:])
 
     def _summarise(self) -> None:
         if self.collector.left_out:
@@ -373,7 +327,7 @@ def parse_limits(text: str) -> Limits:
     """`LOW:HIGH`, either of which may be empty; raises `CallerError`."""
     low, colon, high = text.partition(":")
     try:
-        limits = (a_number(low) if low.strip() else None, a_number(high) if high.strip() else None)
+        limits = (axis_number(low) if low.strip() else None, axis_number(high) if high.strip() else None)
     except argparse.ArgumentTypeError:
         colon = ""
         limits = (None, None)
@@ -383,23 +337,6 @@ def parse_limits(text: str) -> Limits:
             f"--ylim {text!r}: write LOW:HIGH, such as 0:10, or --ylim=-5: for the lower end only"
         )
     return limits
-
-
-def a_number(text: str) -> float:
-    """A number that an axis can go to; for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < LARGEST:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number")
-    return value
-
-
-def _one_a_message(series: Sequence[Series]) -> list[list[list[SignalPattern]]]:
-    """Without SIGNALs: what each message has, in a subplot of its own."""
-    names = dict.fromkeys(one.signal.message for one in series)
-    return [[[parse_pattern(name)]] for name in names]
 
 
 def _natural(key: Sequence[tuple[str, str]]) -> list[tuple[int, str]]:
@@ -413,15 +350,6 @@ def _nth(given: Sequence[Any], number: int) -> Any:
     return given[number] if number < len(given) else None
 
 
-def _is_dull(series: Series) -> bool:
-    """Bits that belong to no field, and are zero throughout."""
-    return series.signal.is_quiet and not series.low and not series.high
-
-
-def _sort(series: Series) -> str:
-    return {"str": "text", "dict": "record"}.get(series.others, series.others)
-
-
 def _shown(series: Series, value: float | int | None) -> str:
     if value is None:
         return ""
@@ -429,6 +357,3 @@ def _shown(series: Series, value: float | int | None) -> str:
     if names is not None and series.signal.bit is None:
         return names.get(value, f"{value:g}")
     return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-__all__ = ["Declared", "Plotting", "add_arguments", "run", "split_arguments"]

@@ -16,7 +16,6 @@ length is not fixed, and `11…8` are bits of the field's own number.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -38,22 +37,18 @@ from aces_bus.protocol.generate.decode import Decoder
 from aces_bus.protocol.generate.load import print_decoders
 from aces_bus.protocol.plan.flatten import NotFlat, flatten, scalar_of
 
-from .console import Output, say, terminal_width, wants_colour
-from .output.columns import beside, column_output
-from .output.text import Paint, make_paint, no_paint
+from .console import counted, print_json, say
+from .options import COLOR, JSON, Arguments, argument, flag
+from .output.columns import Page
 from .protocols_arg import named_protocol, problems_of
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("protocol", nargs="?", metavar="NAME", help="as -p of `aces decode` takes it")
-    parser.add_argument("message", nargs="?", metavar="MESSAGE")
-    parser.add_argument("--json", action="store_true", help="for programs")
-    parser.add_argument(
-        "--source", action="store_true", help="print the Python generated from the spec to decode it"
-    )
-    parser.add_argument(
-        "--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal"
-    )
+ARGUMENTS: Arguments = (
+    argument("protocol", nargs="?", metavar="NAME", help="as -p of 'aces decode'"),
+    argument("message", nargs="?", metavar="MESSAGE", help="one of its messages"),
+    JSON,
+    flag("--source", help="print the Python that is generated from the spec to decode it"),
+    COLOR,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -61,19 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
     if name is None:
         return _list(arguments)
     chosen = named_protocol(name)
-    protocol, messages = chosen.protocol, chosen.protocol.declared
-    if chosen.dialect is not None or chosen.configuration is not None:
-        messages = list(chosen.variant().messages.values())
-    if arguments.message is not None:
-        known = [message.name for message in messages]
-        messages = [message for message in messages if message.name == arguments.message]
-        if not messages:
-            raise UnknownNameError(f"message of {name}", arguments.message, known)
+    protocol, messages = chosen.protocol, chosen_messages(arguments)
     if arguments.source:
         _print_source(chosen.variant(), arguments)
     elif arguments.json:
         described = [_of_message(m, is_whole=arguments.message is not None) for m in messages]
-        _print_json(
+        print_json(
             described if arguments.message is not None else {**_of_protocol(protocol), "messages": described}
         )
     elif arguments.message is not None:
@@ -85,28 +73,19 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-class Page:
-    """Lines for people on stdout: coloured and wrapped on a terminal, neither elsewhere."""
-
-    def __init__(self, colour: bool | None) -> None:
-        is_terminal = Output(None).is_terminal
-        self.is_coloured = wants_colour(colour, is_terminal)
-        self.width = terminal_width() if is_terminal else None
-        self.paint: Paint = make_paint() if self.is_coloured else no_paint
-
-    def lines(self, lines: Iterable[str]) -> None:
-        for line in lines:
-            print(line)
-
-    def beside(self, name: str, texts: Sequence[str], style: str) -> None:
-        self.lines(beside(name, texts, self.width, style, self.paint))
-
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        self.lines(column_output(head, rows, self.width, self.paint))
-
-
-def _print_json(value: Any) -> None:
-    print(json.dumps(value, ensure_ascii=False, indent=2))
+def chosen_messages(arguments: argparse.Namespace) -> list[Message]:
+    """The message that a call asks for, or all of its protocol; raises `UnknownNameError`."""
+    chosen = named_protocol(arguments.protocol)
+    messages = list(chosen.protocol.declared)
+    if chosen.dialect is not None or chosen.configuration is not None:
+        messages = list(chosen.variant().messages.values())
+    if arguments.message is None:
+        return messages
+    found = [message for message in messages if message.name == arguments.message]
+    if not found:
+        known = [message.name for message in messages]
+        raise UnknownNameError(f"message of {arguments.protocol}", arguments.message, known)
+    return found
 
 
 # ---------------------------------------------------------------------- all protocols
@@ -122,7 +101,7 @@ def _list(arguments: argparse.Namespace) -> int:
             say(str(error))
             status = 2
     if arguments.json:
-        _print_json([{**_of_protocol(protocol), "messages": len(protocol.declared)} for protocol in found])
+        print_json([{**_of_protocol(protocol), "messages": len(protocol.declared)} for protocol in found])
         return status
     page = Page(arguments.color)
     width = max([len(protocol.name) for protocol in found], default=0)
@@ -132,27 +111,21 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _facts(protocol: Protocol) -> list[str]:
-    speed = _speed(protocol)
+    head = [_LINKS[protocol.link], _speed(protocol), counted(len(protocol.declared), "message")]
+    dialects = _defaulted(protocol.dialects, protocol.dialect)
+    configurations = _defaulted(protocol.configurations, protocol.configuration)
     lines = [
-        " · ".join(filter(None, [_LINKS[protocol.link], speed, _count(len(protocol.declared), "message")]))
+        " · ".join(filter(None, head)),
+        _first_line(protocol.doc),
+        dialects and f"dialects: {dialects}",
+        configurations and f"configurations: {configurations}",
+        *(f"packets: {_framing(framing)}" for framing in protocol.framings),
+        f"check: {_check(protocol)}",
     ]
-    if protocol.doc:
-        lines.append(_first_line(protocol.doc))
-    if protocol.dialects:
-        lines.append(f"dialects: {_defaulted(protocol.dialects, protocol.dialect)}")
-    if protocol.configurations:
-        lines.append(f"configurations: {_defaulted(protocol.configurations, protocol.configuration)}")
-    for framing in protocol.framings:
-        lines.append(f"packets: {_framing(framing)}")
-    lines.append(f"check: {_check(protocol)}")
-    return lines
+    return [line for line in lines if line]
 
 
 _LINKS = {"can": "CAN", "serial": "serial", "datagram": "datagrams"}
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _speed(protocol: Protocol) -> str:
@@ -183,7 +156,7 @@ def _check(protocol: Protocol) -> str:
     some = [m for m in protocol.declared if m.framing in bare and m.check is None]
     if not some:
         return ", ".join(found)
-    return "unchecked" if not found else f"{', '.join(found)}; {_count(len(some), 'message')} unchecked"
+    return "unchecked" if not found else f"{', '.join(found)}; {counted(len(some), 'message')} unchecked"
 
 
 def _joined(doc: str, names: str) -> str:
@@ -224,7 +197,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
                 _first_line(message.doc),
             )
         )
-    page.table(("message", "told by", "bytes", "", "dialect", ""), rows)
+    page.table(("message", "recognised by", "bytes", "", "dialect", ""), rows)
     if protocol.register_map is not None:
         page.lines([""])
         _print_registers(list(protocol.register_map.values()), page)
@@ -280,7 +253,7 @@ def _of_register(register: Register) -> dict[str, Any]:
         row = draw.row_of(register.name, scalar_of(register.field, register.address), register.doc)
         kind, span, names = row.type, row.range, row.names
     except NotFlat:
-        kind, span, names = _count(register.size, "byte"), "", ""
+        kind, span, names = counted(register.size, "byte"), "", ""
     default: Any = ""
     if register.default is not None:
         try:
@@ -313,7 +286,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
             page.lines([""])
         page.beside(f"{message.protocol.name}.{message.name}", [_first_line(message.doc)], "message")
         for name, text in _template(message):
-            page.beside(f"  {name:<11}", [text], "place")
+            page.beside(f"  {name:<13}", [text], "place")
         page.lines(["", *draw.picture(message), ""])
         rows = draw.field_table(flatten(message), draw.captured_values(message))
         cells = [
@@ -333,46 +306,40 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
 
 
 def _template(message: Message) -> list[tuple[str, str]]:
-    """What says which words are this message."""
-    facts: list[tuple[str, str]] = []
-    if message.protocol.link == "can":
-        values = draw.captured_values(message)
-        parts = [f"{capture.name} {values[capture.name]}" for capture in message.identifier.captures]
-        parts += [
-            k
-            for k, given in (
-                ("29 bits", message.extended),
-                ("remote", message.remote),
-                ("CAN FD", message.fd),
-            )
-            if given
-        ]
-        if parts:
-            facts.append(("identifier", ", ".join(parts)))
-    if told := _told_by(message):
-        facts.append(("told by", told))
-    facts.append(("length", f"{_lengths(message)} bytes"))
-    if message.direction is not None:
-        facts.append(("direction", message.direction))
-    if message.dialects is not None:
-        facts.append(("dialect", ", ".join(sorted(message.dialects))))
-    for condition in message.when:
-        entries = ", ".join(map(str, sorted(condition.values, key=str)))
-        facts.append(("only where", f"{condition.key} of {condition.capture} is {entries}"))
-    if message.reply_to:
-        within = f", within {message.within:g} s" if message.within is not None else ""
-        facts.append(("reply to", ", ".join(map(str, message.reply_to)) + within))
-    if message.after:
-        facts.append(("after", ", ".join(map(str, message.after))))
-    if message.framing is not None and message.framing.stuffing is not None:
-        facts.append(("note", "bytes are counted without stuffing"))
-    plan = flatten(message)
-    if not plan.is_flat:
-        facts.append(("decoded by", f"construct, slower: {plan.opaque}"))
-    if message.source:
-        facts.append(("source", message.source))
-    facts.append(("declared in", str(message.place)))
-    return facts
+    """What says which frames or packets are this message."""
+    values = draw.captured_values(message) if message.protocol.link == "can" else {}
+    kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
+    parts = [
+        f"{name} {values[name]}"
+        for name in (one.name for one in message.identifier.captures)
+        if name in values
+    ]
+    parts += [kind for kind, given in kinds if given and message.protocol.link == "can"]
+    within = f", within {message.within:g} s" if message.reply_to and message.within is not None else ""
+    plan, framing = flatten(message), message.framing
+    facts = [
+        ("identifier", ", ".join(parts)),
+        ("recognised by", _told_by(message)),
+        ("length", f"{_lengths(message)} bytes"),
+        ("direction", message.direction or ""),
+        ("dialect", ", ".join(sorted(message.dialects or ()))),
+        *(
+            ("only where", f"{c.key} of {c.capture} is {', '.join(map(str, sorted(c.values, key=str)))}")
+            for c in message.when
+        ),
+        ("reply to", ", ".join(map(str, message.reply_to)) + within),
+        ("after", ", ".join(map(str, message.after))),
+        (
+            "note",
+            "bytes are counted without stuffing"
+            if framing is not None and framing.stuffing is not None
+            else "",
+        ),
+        ("decoded by", "" if plan.is_flat else f"construct, slower: {plan.opaque}"),
+        ("source", message.source),
+        ("declared in", str(message.place)),
+    ]
+    return [(name, text) for name, text in facts if text]
 
 
 def _print_source(variant: Variant, arguments: argparse.Namespace) -> None:

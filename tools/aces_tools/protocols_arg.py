@@ -65,7 +65,7 @@ class Named(NamedTuple):
         if configuration is None or not configuration.lower().endswith(".toml"):
             found = self.protocol.variant(self.dialect, configuration)
         else:
-            tables, dialect = _configured(configuration, self.protocol)
+            tables, dialect = read_configuration(configuration, self.protocol)
             found = self.protocol.variant(dialect if self.dialect is None else self.dialect, tables or None)
         return found if self.channel is None else found.on(self.channel)
 
@@ -140,13 +140,11 @@ def problems_of(protocol: Protocol) -> list[ImportProblem]:
 # ---------------------------------------------------------------------- configuration files
 
 
-def read_configuration(path: str, protocol: Protocol) -> dict[str, Mapping[int, Any]]:
-    """The configuration tables of a TOML file; raises `CallerError` naming file and entry."""
-    return _configured(path, protocol)[0]
+def read_configuration(path: str, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
+    """The configuration tables of a TOML file, and the dialect that it names; None: none.
 
-
-def _configured(path: str, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
-    """The configuration tables of a TOML file, and the dialect that it names; None: none."""
+    Raises `CallerError` naming file and entry.
+    """
     import tomllib
 
     try:

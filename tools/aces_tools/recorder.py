@@ -1,4 +1,4 @@
-"""`aces sniff --record FILE`: everything that is heard, on disk within half a second.
+"""`aces sniff --record FILE`: everything that is received, on disk within half a second.
 
 1. Lines are only ever appended, and handed to the system every `STEP_S`: a program that is killed loses less than half a
    second, and a machine that loses its power (`SYNC_S`) little more.
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 #: Seconds between two times at which what has come is written.
 STEP_S = 0.25
-#: Seconds between two times at which the disk is told to keep it.
+#: Seconds between two times at which the file is synchronised to the disk.
 SYNC_S = 1.0
 #: Frames or pieces of bytes that may wait to be written: half a minute of a full 1 Mbit/s bus.
 WAITING = 1 << 18
@@ -71,7 +71,7 @@ class RecordingFile:
         except (OSError, ValueError) as error:
             said = error.strerror if isinstance(error, OSError) else None
             raise CallerError(f"--record {path}: cannot be written: {said or error}") from error
-        #: Frames, or bytes, that are in the file; that were heard and are not; and what stopped it.
+        #: Frames, or bytes, that are in the file; that were received and are not; and what stopped it.
         self.recorded = self.lost = 0
         self.failure: str | None = None
         self._stopping = threading.Event()
@@ -107,20 +107,14 @@ class RecordingFile:
     ) -> None:
         """Record what the gate hears from now on."""
         self._inbox = gate.subscribe(limit=WAITING)
-        self._print: Callable[[Sequence[Any]], None]
+        self._print: Callable[[Sequence[Any]], object] = lambda items: [
+            self._writer.write(Chunk(item.content, (item.host_ns + epoch_ns) / 1e9, direction))
+            for item in items
+        ]
         if self.link == "can":
-
-            def frames(items: Sequence[Any]) -> None:
-                self._writer.write(FrameTable.from_frames([heard_frame(i, name, epoch_ns) for i in items]))
-
-            self._print = frames
-        else:
-
-            def chunks(items: Sequence[Any]) -> None:
-                for item in items:
-                    self._writer.write(Chunk(item.content, (item.host_ns + epoch_ns) / 1e9, direction))
-
-            self._print = chunks
+            self._print = lambda items: self._writer.write(
+                FrameTable.from_frames([heard_frame(item, name, epoch_ns) for item in items])
+            )
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -227,6 +221,3 @@ class RecordingFile:
         except AcesError as error:
             raise CallerError(f"{error}; the recording is {self.journal}") from error
         os.unlink(self.journal)
-
-
-__all__ = ["RecordingFile"]

@@ -21,25 +21,24 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import msgspec
+
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.plain_text import printable
 
-from .console import Output, check_suffix, say
+from .console import check_suffix, counted, print_json, say, write_text
+from .options import COLOR, JSON, OUTPUT, STRICT, Arguments, argument
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", choices=["check", "list", "show", "import"], help="what to do")
-    parser.add_argument("robots", nargs="*", metavar="NAME|FILE", help="robots; import: descriptions")
-    parser.add_argument("--json", action="store_true", help="for programs")
-    parser.add_argument(
-        "--strict", action="store_true", help="check: what is not installed or looks wrong is an error"
-    )
-    parser.add_argument("-o", "--output", metavar="FILE.toml", help="import: write there (default: stdout)")
-    parser.add_argument("--base", metavar="NAME", help="import: the robot that a .home table is laid over")
-    parser.add_argument("--name", metavar="NAME", help="import: what to call the robot")
-    parser.add_argument(
-        "--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal"
-    )
+ARGUMENTS: Arguments = (
+    argument("what", choices=["check", "list", "show", "import"], help="what to do"),
+    argument("robots", nargs="*", metavar="NAME|FILE", help="robots; import: description files"),
+    JSON,
+    STRICT.but(help="check: what is not installed or looks wrong is an error"),
+    OUTPUT.but(metavar="FILE.toml", help="import: write there (default: standard output)"),
+    argument("--base", metavar="NAME", help="import: the robot that a .home table changes"),
+    argument("--name", metavar="NAME", help="import: the name of the robot"),
+    COLOR,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -63,14 +62,6 @@ def run(arguments: argparse.Namespace) -> int:
     if what == "import":
         return _import(names, arguments)
     return _check(names, arguments) if what == "check" else _show(names, arguments)
-
-
-def _print_json(value: Any) -> None:
-    print(json.dumps(value, ensure_ascii=False, indent=2))
-
-
-def _count(number: int, one: str) -> str:
-    return f"{number} {one}{'' if number == 1 else 'es' if one.endswith('s') else 's'}"
 
 
 # ---------------------------------------------------------------------- check
@@ -106,10 +97,10 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
             for one in problems:
                 print(one)
             errors = sum(not one.is_warning for one in problems)
-            facts = _facts(robot) if robot is not None else _count(errors, "error")
+            facts = _facts(robot) if robot is not None else counted(errors, "error")
             print(f"{name}: {'ok: ' if is_right else ''}{facts}")
     if arguments.json:
-        _print_json(objects)
+        print_json(objects)
     return status
 
 
@@ -124,14 +115,14 @@ def _counts(robot: Any) -> dict[str, int]:
 
 def _facts(robot: Any) -> str:
     singular = {"joints": "joint", "devices": "device", "sensors": "sensor", "buses": "bus"}
-    return ", ".join(_count(number, singular[what]) for what, number in _counts(robot).items() if number)
+    return ", ".join(counted(number, singular[what]) for what, number in _counts(robot).items() if number)
 
 
 # ---------------------------------------------------------------------- list, show
 
 
 def _page(arguments: argparse.Namespace) -> Any:
-    from .protocols import Page
+    from .output.columns import Page
 
     return Page(arguments.color)
 
@@ -147,7 +138,7 @@ def _list(arguments: argparse.Namespace) -> int:
             say(str(error))
             status = 1
     if arguments.json:
-        _print_json(
+        print_json(
             [
                 {
                     "name": one.name,
@@ -162,17 +153,17 @@ def _list(arguments: argparse.Namespace) -> int:
         return status
     _page(arguments).table(
         ("robot", "speaks", "has", ""),
-        [(one.name, ", ".join(_spoken(one)), _facts(one), one.doc or "") for one in found],
+        [
+            (
+                one.name,
+                ", ".join(_joined(name, dialect) for name, some in one.protocols.items() for dialect in some),
+                _facts(one),
+                one.doc or "",
+            )
+            for one in found
+        ],
     )
     return status
-
-
-def _spoken(robot: Any) -> list[str]:
-    return [
-        f"{protocol}:{dialect}" if dialect else protocol
-        for protocol, dialects in robot.protocols.items()
-        for dialect in dialects
-    ]
 
 
 def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
@@ -180,10 +171,8 @@ def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
 
     robots = [load_robot(name) for name in names]
     if arguments.json:
-        import msgspec
-
         shown = [msgspec.to_builtins(robot) for robot in robots]
-        _print_json(shown[0] if len(shown) == 1 else shown)
+        print_json(shown[0] if len(shown) == 1 else shown)
         return 0
     page = _page(arguments)
     for index, robot in enumerate(robots):
@@ -327,8 +316,6 @@ def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
         if "is not installed" not in warning.text:
             say(str(warning))
     if arguments.json:
-        import msgspec
-
         text = json.dumps(msgspec.to_builtins(imported.robot), ensure_ascii=False, indent=2) + "\n"
     else:
         text = print_robot(
@@ -338,9 +325,5 @@ def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
                 "What those files do not say is not here: the power board, for one.",
             ],
         )
-    output = Output(arguments.output, paths)
-    try:
-        output.write(text.encode())
-    finally:
-        output.close()
+    write_text(arguments.output, text, paths, is_quiet=True)
     return 0

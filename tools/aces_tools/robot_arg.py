@@ -1,4 +1,4 @@
-"""Which robot a command works on, and where its buses are: the options that `device`, `scan`, `sim` and `run` share.
+"""Which robot a command works on, and where its buses are: the options that `device`, `discover`, `sim` and `run` share.
 
     --robot hubo2plus                    a robot that ships, or FILE.toml; or the variable ACES_ROBOT
     --bus lower=can0 --bus upper=can1    where its buses are (default: what the file says)
@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
+from .options import SEED, Group, argument, at_least, flag, several
+
 if TYPE_CHECKING:
     from aces_bus.device import Robot
     from aces_bus.robot import Rig, VirtualRobot
@@ -31,29 +33,33 @@ if TYPE_CHECKING:
 VARIABLE = "ACES_ROBOT"
 
 
-def add_robot_arguments(parser: argparse.ArgumentParser, *, named: bool = True, virtual: bool = True) -> None:
-    """Add the options; `named` also `--robot` (others take the robot as an argument)."""
-    group = parser.add_argument_group("the robot and its buses")
-    if named:
-        group.add_argument(
+_TITLE = "the robot and its buses"
+#: What `sim` takes, and the others.
+ROBOT_AND_BUSES = Group(
+    _TITLE,
+    (
+        argument(
             "-r", "--robot", metavar="NAME|FILE", help=f"a robot that ships, or a file (default: ${VARIABLE})"
-        )
-    group.add_argument(
-        "--bus",
-        action="append",
-        default=[],
-        metavar="NAME=CHANNEL",
-        help="where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)",
-    )
-    group.add_argument("-i", "--interface", metavar="INTERFACE", help="python-can's, of its CAN buses")
-    group.add_argument(
-        "--baud", type=int, metavar="N", help="speed of its serial lines (default: the file's)"
-    )
-    if virtual:
-        group.add_argument(
-            "--virtual", action="store_true", help="on no bus: with its twins, here, in virtual time"
-        )
-        group.add_argument("--seed", type=int, default=0, metavar="N", help="of the twins (default: 0)")
+        ),
+        several(
+            "--bus",
+            metavar="NAME=CHANNEL",
+            help="where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)",
+        ),
+        argument("-i", "--interface", metavar="INTERFACE", help="python-can's, of its CAN buses"),
+        argument(
+            "--baud", type=at_least(1), metavar="N", help="speed of its serial lines (default: the file's)"
+        ),
+    ),
+)
+ROBOT_OR_TWINS = Group(
+    _TITLE,
+    (
+        *ROBOT_AND_BUSES.arguments,
+        flag("--virtual", help="on no bus: with simulated devices (twins), here, in virtual time"),
+        SEED.but(help="of the twins (default: %(default)s)"),
+    ),
+)
 
 
 def chosen_robot(name: str | None) -> Robot:
@@ -87,7 +93,7 @@ def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[s
         elif bus.link == "can" and arguments.interface:
             found[name]["interface"] = arguments.interface
             if arguments.interface == "aces" and not channel and bus.channel and ":" not in bus.channel:
-                # A virtual bus within this program would have nobody else on it.
+                # A virtual bus within this program would have no other node on it.
                 found[name]["channel"] = f"unix:{bus.channel}"
         if bus.link == "serial" and arguments.baud:
             found[name]["baud"] = arguments.baud
@@ -102,14 +108,6 @@ class Opened:
     rig: Rig
     clock: EventClock
     virtual: VirtualRobot | None
-
-    def wait(self, awaited: Any, timeout_s: float) -> Any:
-        """Let time pass until a ticket or job is over; its result. Raises its error."""
-        return awaited.wait(timeout_s)
-
-    def let_pass(self, seconds: float) -> None:
-        """Let time pass."""
-        self.clock.wait(lambda: False, round(seconds * 1e9))
 
 
 @contextmanager
@@ -185,7 +183,7 @@ _SAYINGS = (
     (re.compile(r"\[Errno \d+\] (Address family not supported.*)"), r"\1: this system has no SocketCAN"),
     (
         re.compile(r"(unix:\S+: no server answers .*); start one: aces bus serve"),
-        r"\1; start one: aces sim ROBOT, or aces bus serve",
+        r"\1; start one: aces sim -r ROBOT, or aces bus serve",
     ),
 )
 

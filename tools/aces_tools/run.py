@@ -1,103 +1,85 @@
 """Run controllers on a robot: on its buses, in virtual time, or on a recording.
 
-  aces run hubo2plus wave.py --virtual          no robot at hand: its twins
-  aces run hubo2plus walk_100hz.txt --virtual --log walk.csv
-  aces run hubo2plus walk.py -i socketcan       looks, and sends no set-points
-  aces run hubo2plus walk.py -i socketcan --tx  and now it moves
-  aces run hubo2plus walk.py --replay walk.blf  what it would have done
-  aces run hubo2plus walk.py:knee hold.py --for 10s --log a.mcap:L*,LFFT.fz
+  aces run -r hubo2plus wave.py --virtual          with simulated devices
+  aces run -r hubo2plus walk_100hz.txt --virtual --log walk.csv
+  aces run -r hubo2plus walk.py -i socketcan       sends no set-points
+  aces run -r hubo2plus walk.py -i socketcan --tx  and now it moves
+  aces run -r hubo2plus walk.py --replay walk.blf  what it would have done
+  aces run -r hubo2plus walk.py:knee hold.py --for 10s --log a.mcap:L*,LFFT.fz
 
 A CONTROLLER is a Python file, of which every controller is run (FILE.py:NAME
 takes one, or calls a function that makes it), or a file of set-points: a
 trajectory or a walking pattern, which is played from where the joints are. A
-Python file is a program: it runs with your rights, so run none that you would
-not run yourself.
+Python file is executed with your rights: name only what you trust.
 
-It ends when all that has an end has been played, when its time is up, or with
-Ctrl-C; whatever ends it, motion is stopped, buses and logs are closed, in this
-order. A second Ctrl-C waits for nothing more, but motion is told to stop all
-the same.
+The run ends when everything that has an end has been played, after --for, or
+with Ctrl-C. Then, always and in this order, motion is stopped, buses and logs
+are closed. A second Ctrl-C shortens the waiting, and motion is still stopped.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
-import os
 
 from aces_bus.errors import CallerError
 
-from .live import parse_duration
-from .robot_arg import VARIABLE, add_robot_arguments, chosen_robot
+from .options import FOR, LOOP, QUIET, RATE, TX, Arguments, Group, argument, flag, positive, several
+from .robot_arg import ROBOT_OR_TWINS, chosen_robot
 
 EPILOG = """\
-exit status: 0; 1 when a controller was stopped, a device was not heard, a log
-is not whole or the end was not clean; 2 a wrong call, or a bus that cannot be
-opened; 130 when interrupted before it ran, or twice
+exit status:
+  0    done
+  1    a controller was stopped, a device did not answer, a log is not whole, or
+       stopping and closing did not succeed
+  2    a wrong call, or a bus that cannot be opened
+  130  interrupted before it ran, or twice
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.usage = "%(prog)s ROBOT CONTROLLER… [options]"
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add(
-        "items",
-        nargs="+",
-        metavar="ROBOT CONTROLLER…",
-        help=f"a robot that ships, or FILE.toml (left out: ${VARIABLE}); then controllers",
-    )
-    add("--tx", action="store_true", help="really move it; without, set-points are shown and not sent")
-    add("--replay", metavar="FILE", help="take a recording (CAN) for its buses; nothing is sent")
-    add("--for", dest="duration", metavar="DURATION", help="run so long: 10s, 2min (default: to the end)")
-    add("--rate", type=float, metavar="HZ", help="of buses, players and logs (default: the robot's)")
-    add(
+USAGE = "%(prog)s -r ROBOT CONTROLLER… [options]"
+ARGUMENTS: Arguments = (
+    argument("items", nargs="*", metavar="CONTROLLER", help="FILE.py, FILE.py:NAME, or a file of set-points"),
+    TX.but(help="really move it; without, set-points are shown and not sent"),
+    argument("--replay", metavar="FILE", help="take a recording (CAN) for its buses; nothing is sent"),
+    FOR.but(help="run so long: 10s, 2min (default: to the end)"),
+    RATE.but(metavar="HZ", help="of buses, players and logs (default: the robot's)"),
+    several(
         "--log",
-        action="append",
-        default=[],
         metavar="FILE[:STATE,…]",
         help="record states (default: those of the controllers) into .csv, .txt, .db, .parquet, .mcap",
-    )
-    add("--home", action="store_true", help="have what is driven find its home position first")
-    add(
-        "--enable",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="enable what is driven before (default: yes)",
-    )
-    add(
+    ),
+    flag("--home", help="make what is driven find its home position first"),
+    argument(
+        "--no-enable", dest="enable", action="store_false", help="do not enable what is driven before it runs"
+    ),
+    flag(
         "--real-time",
-        action="store_true",
         help="buses: priority SCHED_FIFO where the system allows it; --virtual, --replay: not faster than real",
-    )
-    add("--quiet", action="store_true", help="no panel and no lines meanwhile")
-    group = parser.add_argument_group("files of set-points")
-    group.add_argument("--loop", action="store_true", help="play them again and again")
-    group.add_argument("--speed", type=float, default=1.0, metavar="X", help="play them X times as fast")
-    group.add_argument(
-        "--rows-hz", type=float, metavar="N", help="rows a second, where the name does not say"
-    )
-    group.add_argument("--degrees", action="store_true", help="they are in degrees, not in rad")
-    group.add_argument(
-        "--rename",
-        action="append",
-        default=[],
-        metavar="COLUMN=JOINT",
-        help="play a column on another joint; COLUMN= leaves it out",
-    )
-    add_robot_arguments(parser, named=False)
+    ),
+    QUIET.but(help="no panel and no lines meanwhile"),
+    Group(
+        "files of set-points",
+        (
+            LOOP.but(help="play them so many times; 0: until the end (default: 1)"),
+            argument("--speed", type=positive, default=1.0, metavar="X", help="play them X times as fast"),
+            argument(
+                "--rows-hz", type=positive, metavar="N", help="rows a second, where the file does not say"
+            ),
+            flag("--degrees", help="they are in degrees, not in rad"),
+            several(
+                "--rename",
+                metavar="COLUMN=JOINT",
+                help="play a column on another joint; COLUMN= leaves it out",
+            ),
+        ),
+    ),
+    ROBOT_OR_TWINS,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
     from .running.loading import load_controllers, make_loggers
 
-    for option, value in (
-        ("--rate", arguments.rate),
-        ("--rows-hz", arguments.rows_hz),
-        ("--speed", arguments.speed),
-    ):
-        if value is not None and not (math.isfinite(value) and 0 < value <= 1e6):
-            raise CallerError(f"{option} {value:g}: give a number above 0")
     if arguments.virtual and arguments.replay:
         raise CallerError("choose one of --virtual and --replay")
     if (arguments.virtual or arguments.replay) and (arguments.bus or arguments.interface):
@@ -106,22 +88,12 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.replay and (arguments.tx or arguments.home):
         raise CallerError("--replay moves nothing; leave --tx and --home away")
-    duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
-    items = list(arguments.items)
-    name = None
-    if not (os.environ.get(VARIABLE) and _is_controller(items[0])):
-        name = items.pop(0)
-    robot = chosen_robot(name)
+    robot = chosen_robot(arguments.robot)
     rate = arguments.rate or robot.rate_hz or 100.0
-    controllers = load_controllers(items, robot, rate, arguments)
+    controllers = load_controllers(arguments.items, robot, rate, arguments)
     if not controllers and not arguments.log:
         raise CallerError("what is to run? name a controller (FILE.py, a trajectory), or what to --log")
     loggers = make_loggers(arguments.log, controllers, robot, rate)
     from .running.session import Session
 
-    return Session(arguments, robot, controllers, loggers, rate, duration).run()
-
-
-def _is_controller(item: str) -> bool:
-    path = item.rpartition(":")[0] if ".py:" in item else item
-    return os.path.isfile(path) and not path.endswith(".toml")
+    return Session(arguments, robot, controllers, loggers, rate).run()

@@ -1,4 +1,4 @@
-"""Send a message, once or every so often. Without --tx it only shows it.
+"""Send a message, once or periodically. Without --tx it is only shown.
 
   aces send ControlOn board=3 -p hubo
   aces send ControlOn board=3 -p hubo -i socketcan -c can0 --tx
@@ -9,9 +9,9 @@
   aces send 123#DEADBEEF 18FEF100#R8 -i socketcan -c can0 --tx
   aces send '#FFFF010201FB' --serial /dev/ttyUSB0 --tx
 
-Values are in the sheet's units, and checked against the ranges of the spec.
-Identifier, length and check are written by the protocol; so is a rolling
-counter that is not given.
+Values are in the units of the device's documentation, and checked against the
+ranges of the spec. The protocol adds identifier, length and check, and a
+rolling counter where none is given.
 """
 
 from __future__ import annotations
@@ -21,24 +21,27 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import msgspec
+
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frames import Frame, message_to_frame
-from aces_bus.protocol import Variant, make_scanner
+from aces_bus.protocol import CanScanner, Meta, Unknown, Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.draw import picture
+from aces_bus.recordings import Chunk
 from aces_bus.recordings.candump.line import read_line
-from aces_bus.recordings.text.rows import UnreadableRow
 
-from .bus_arg import CAN_OPTIONS, ChosenBus, add_bus_arguments, chosen_bus
+from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import Output, abandon_stdout, say, terminal_width, wants_colour
-from .live import LINGER_S, LivePatience, SendQueue, Told, parse_duration
-from .live_text import LiveText, Times, notation
+from .live import LINGER_S, BusEventLines, LivePatience, SendQueue, heard_frame
+from .live_text import CandumpLines, LiveText, Times, notation
+from .options import COLOR, COUNT, EVERY, FOR, PROTOCOL, RATE, TX, Arguments, argument, duration, flag
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
-from .replies import Replies, Word
 from .values import parse_fields
 
-RATE = 1000.0
-REPLY = "0.5s"
+#: Frames a second, unless --rate says otherwise.
+LIMIT_HZ = 1000.0
 
 EPILOG = """\
 values:
@@ -62,34 +65,31 @@ call, a value that does not fit, or a bus that cannot be opened
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("what", nargs="+", metavar="MESSAGE field=value", help="a message and its fields, or raw frames")
-    add("-p", "--protocol", action="append", default=[], metavar="PROTOCOL", help="as of 'aces decode'")
-    add("--tx", action="store_true", help="really send; nothing else makes it")
-    add("--every", metavar="DURATION", help="send again and again: 10ms, 0.5s")
-    add("-n", "--count", type=int, metavar="N", help="with --every: so many times")
-    add("--for", dest="duration", metavar="DURATION", help="with --every: for so long")
-    add(
-        "--rate", type=float, default=RATE, metavar="N", help=f"at most N frames a second (default: {RATE:g})"
-    )
-    add(
+ARGUMENTS: Arguments = (
+    argument(
+        "what", nargs="+", metavar="MESSAGE field=value", help="a message and its fields, or raw frames"
+    ),
+    PROTOCOL,
+    TX,
+    EVERY.but(help="send again and again: 10ms, 0.5s"),
+    COUNT.but(help="with --every: so many times"),
+    FOR.but(help="with --every: for so long"),
+    RATE.but(default=LIMIT_HZ, help="at most N frames a second (default: %(default)g)"),
+    argument(
         "--reply",
         nargs="?",
-        const=REPLY,
+        type=duration,
+        const="0.5s",
         metavar="DURATION",
-        help=f"print the reply, decoded, when it comes within this time (default: {REPLY})",
-    )
-    add("--bits", action="store_true", help="without --tx: also draw the layout of the message")
-    add("--format", choices=["text", "jsonl"], default="text", help="of what is printed (default: text)")
-    add(
-        "--color",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help="colour, also where the output is no terminal; or never",
-    )
-    add_bus_arguments(parser)
+        help="print the reply, decoded, when it comes within this time (default: 0.5s)",
+    ),
+    flag("--bits", help="without --tx: also draw the layout of the message"),
+    argument(
+        "--format", choices=["text", "jsonl"], default="text", help="of what is printed (default: text)"
+    ),
+    COLOR,
+    *BUS_ARGUMENTS,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -111,7 +111,7 @@ class Sending:
         self.first = self.make()
         self.is_can = isinstance(self.first[0], Frame)
         self.every, self.count, self.until = self._often()
-        self.reply_ns = None if arguments.reply is None else parse_duration("--reply", arguments.reply)
+        self.reply_ns: int | None = arguments.reply
         if self.reply_ns is not None and not arguments.tx:
             raise CallerError("--reply waits for an answer, and without --tx nothing is sent")
         is_named = any(name in arguments for name in CAN_OPTIONS) or arguments.serial or arguments.udp
@@ -152,8 +152,6 @@ class Sending:
     def _often(self) -> tuple[int | None, int | None, int | None]:
         """The period, how many times, and for how long, in ns."""
         arguments = self.arguments
-        if not arguments.rate > 0:
-            raise CallerError(f"--rate {arguments.rate:g}: a rate is a number above 0")
         if arguments.every is None:
             for option, value in (("--count", arguments.count), ("--for", arguments.duration)):
                 if value is not None:
@@ -161,17 +159,13 @@ class Sending:
                         f"{option} is for what is sent again and again; say how often: --every 10ms"
                     )
             return None, None, None
-        every = parse_duration("--every", arguments.every)
-        rate = 1e9 * len(self.first) / every
+        rate = 1e9 * len(self.first) / arguments.every
         if rate > arguments.rate:
             raise CallerError(
-                f"--every {arguments.every} is {rate:g} frames/s, and at most {arguments.rate:g} are allowed; if the bus"
-                f" stands it: --rate {rate:g}"
+                f"--every {arguments.every / 1e9:g}s is {rate:g} frames/s, and at most {arguments.rate:g} are allowed;"
+                f" if the bus can carry it: --rate {rate:g}"
             )
-        if arguments.count is not None and arguments.count < 1:
-            raise CallerError(f"--count {arguments.count}: at least once")
-        duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
-        return every, arguments.count, duration
+        return arguments.every, arguments.count, arguments.duration
 
     # ------------------------------------------------------------------ without --tx
 
@@ -193,8 +187,6 @@ class Sending:
             if self.plans:
                 self.output.write(writer.items(items))
         if self.arguments.bits and self.message is not None:
-            from aces_bus.protocol.draw import picture
-
             self.output.write("".join(f"{line}\n" for line in ["", *picture(self.message)]).encode())
         self.output.close()
         say("nothing was sent: add --tx" + ("" if self.bus is not None else " and a bus"))
@@ -212,13 +204,10 @@ class Sending:
     def _decoded(self, word: Word) -> list[Any]:
         """What a receiver would make of it."""
         if not self.variants:
-            from aces_bus.protocol import Meta, Unknown
-
             if isinstance(word, bytes):
                 return [
                     Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))
                 ]
-            from aces_bus.protocol import CanScanner
 
             return CanScanner((), include_unknown=True).feed([word])
         direction = self.message.direction if self.message is not None else None
@@ -237,7 +226,7 @@ class Sending:
         return _Untitled(
             self.plans,
             None,
-            times=Times("z"),
+            times=Times("relative"),
             paint=make_paint() if wants_colour(self.arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,
             encoding=self.output.encoding,
@@ -249,14 +238,14 @@ class Sending:
         """Send."""
         assert self.bus is not None
         gate = self.bus.gate(listen_only=False, send_rate=self.arguments.rate if self.is_can else None)
-        told = Told(gate)
+        events = BusEventLines(gate)
         replies = self._replies(gate)
         outgoing = SendQueue(gate)
         status = 0
         with LivePatience() as patience:
             self.bus.start(gate)
             try:
-                self._send(outgoing, patience, told, replies)
+                self._send(outgoing, patience, events, replies)
                 outgoing.drain()
                 patience.wait_until(time.monotonic_ns() + round(LINGER_S * 1e9))
                 if replies is not None:
@@ -271,10 +260,10 @@ class Sending:
                 status = 1
             finally:
                 gate.stop()
-                told.tell(last=True)
+                events.report(last=True)
             counters = gate.counters
-            if replies is not None and not replies.count:
-                say(f"{self.bus.name}: no reply within {self.arguments.reply}")
+            if replies is not None and self.reply_ns is not None and not replies.count:
+                say(f"{self.bus.name}: no reply within {self.reply_ns / 1e9:g} s")
                 status = status or 1
             unit = "bytes" if gate.items == "pieces" else gate.items
             line = f"sent={counters.sent} failed={counters.send_failed} late={self.late}"
@@ -296,13 +285,15 @@ class Sending:
             made.decode(self.variants, self.variant, self.message, self.fields)
         return made
 
-    def _send(self, outgoing: SendQueue, patience: LivePatience, told: Told, replies: Replies | None) -> None:
+    def _send(
+        self, outgoing: SendQueue, patience: LivePatience, events: BusEventLines, replies: Replies | None
+    ) -> None:
         words = self.first
         due = time.monotonic_ns()
         until = None if self.until is None else due + self.until
         number = 0
         while not patience.is_over:
-            if outgoing.pending <= 2 * _size(words):
+            if outgoing.pending <= 2 * sum(1 if isinstance(word, Frame) else len(word) for word in words):
                 for word in words:
                     if replies is not None:
                         replies.sent(word)
@@ -313,7 +304,7 @@ class Sending:
                 words = self.make()
             else:
                 self.late += 1  # what was sent before has not left: what is old must not pile up
-            told.tell()
+            events.report()
             due += self.every or 0
             behind = time.monotonic_ns() - due
             if self.every and behind >= self.every:
@@ -325,10 +316,6 @@ class Sending:
                 replies.take(0)
             if not patience.wait_until(due):
                 return
-
-
-def _size(words: Sequence[Word]) -> int:
-    return sum(1 if isinstance(word, Frame) else len(word) for word in words)
 
 
 def raw_word(text: str) -> Word:
@@ -369,4 +356,116 @@ class _Untitled(LiveText):
         return []
 
 
-__all__ = ["Sending", "add_arguments", "raw_word", "run"]
+# ---------------------------------------------------------------------- replies
+
+#: A frame (CAN), or the bytes of a packet.
+Word = Frame | bytes
+#: Seconds between two looks at whether the wait is over.
+LOOK_S = 0.05
+
+
+class Replies:
+    """Listens to a gate from when it is made; `count` is how many replies were printed."""
+
+    def __init__(self, output: Output, writer: Any, gate: Any, link: str, *, wait_ns: int) -> None:
+        self._output, self._writer, self._link = output, writer, link
+        self._name: str = gate.name
+        self._is_datagrams = gate.items == "datagrams"
+        self._inbox = gate.subscribe()
+        self._wait_ns = wait_ns
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._scanner: Any = None
+        self._expected: frozenset[str] = frozenset()
+        self._is_broadcast = False
+        self._lines = CandumpLines(Times("relative"), encoding=output.encoding)
+        self._is_begun = False
+        self.count = 0
+
+    def decode(
+        self,
+        variants: Sequence[Variant],
+        variant: Variant | None,
+        message: Message | None,
+        fields: dict[str, Any],
+    ) -> None:
+        """Decode what comes; `message` of `variant`, with these fields, is what was asked."""
+        messages_for: Any = (
+            "from device" if message is not None and message.direction == "to device" else "both"
+        )
+        self._scanner = make_scanner(variants, direction=messages_for)
+        self._expected = answers(variant, message)
+        every = variant.protocol.broadcast.items() if variant is not None else ()
+        self._is_broadcast = any(fields.get(name) == number for name, number in every)
+
+    def sent(self, word: Word) -> None:
+        """Remember what the reply will be to."""
+        self.take(0)
+        if self._scanner is None:
+            return
+        now = (time.monotonic_ns() + self._epoch_ns) / 1e9
+        if isinstance(word, Frame):
+            self._scanner.sent(msgspec.structs.replace(word, timestamp=now, channel=self._name))
+        else:
+            self._scanner.sent(word, now)
+
+    def wait(self, patience: LivePatience) -> None:
+        """Until the first reply, or until the time is up; of a broadcast all that come in time."""
+        until = time.monotonic_ns() + self._wait_ns
+        while not patience.is_over and (not self.count or self._is_broadcast):
+            left = until - time.monotonic_ns()
+            if left <= 0:
+                return
+            self.take(min(left / 1e9, LOOK_S))
+
+    def take(self, timeout: float) -> None:
+        """Print the replies that have come; wait so long (s) for the first."""
+        for item in self._inbox.get(timeout):
+            if self._scanner is None:
+                self._unnamed(item)
+                continue
+            items = self._decoded(item)
+            wanted = [one for one in items if not self._expected or type(one).__name__ in self._expected]
+            if not wanted:
+                continue
+            if not self._is_begun:
+                self._is_begun = True
+                self._output.write(self._writer.begin(self._name, self._link, wanted[0].meta.time))
+            self._print(self._writer.items(wanted), len(wanted))
+
+    def _decoded(self, item: Any) -> list[Any]:
+        seconds = (item.host_ns + self._epoch_ns) / 1e9
+        found: list[Any]
+        if self._link == "can":
+            found = self._scanner.feed(
+                [msgspec.structs.replace(item.content, timestamp=seconds, channel=self._name)]
+            )
+        elif self._is_datagrams:
+            found = self._scanner.datagram(item.content, seconds)
+        else:
+            found = self._scanner.feed(item.content, seconds)
+        return found
+
+    def _unnamed(self, item: Any) -> None:
+        if self._link == "can":
+            data = self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
+        else:
+            data = self._lines.chunks(
+                [Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name
+            )
+        self._print(data, 1)
+
+    def _print(self, data: bytes, count: int) -> None:
+        self._output.write(data)
+        self._output.flush()
+        self.count += count
+
+
+def answers(variant: Variant | None, message: Message | None) -> frozenset[str]:
+    """The messages that the protocol says answer this one."""
+    if variant is None or message is None:
+        return frozenset()
+    return frozenset(
+        other.name
+        for other in variant.messages.values()
+        if any(request.message.name == message.name for request in (*other.reply_to, *other.after))
+    )

@@ -1,71 +1,66 @@
 """Put a robot's simulated devices on a bus, for programs and people to talk to.
 
-  aces sim hubo2plus                    serves its buses and stands on them;
-                                        others join: -i aces -c unix:can0
-  aces sim minihubo_1                   its serial line is a pseudo-terminal
-  aces sim hubovia --bus pc=127.0.0.1:12000      datagrams are received there
-  aces sim hubo2plus --bus lower=unix:left       served under another name, or
-                                        joined where that is served already
-  aces sim hubo2plus -i socketcan --bus lower=can0 --bus upper=can1
-                                        on buses that are there
-  aces sim robot.toml --fault JMC3:silent --fault JMC1:late=0.2
-  aces sim hubo2plus --list-faults      how its devices can misbehave
+  aces sim -r hubo2plus               serve its buses, with its devices on them;
+                                      others join with -i aces -c unix:can0
+  aces sim -r minihubo_1              its serial line is a pseudo-terminal
+  aces sim -r hubovia --bus pc=127.0.0.1:12000   receive datagrams there
+  aces sim -r hubo2plus --bus lower=unix:left    serve a bus under another name,
+                                      or join it where it is served already
+  aces sim -r hubo2plus -i socketcan --bus lower=can0 --bus upper=can1
+                                      on buses that exist
+  aces sim -r robot.toml --fault JMC3:silent --fault JMC1:late=0.2
+  aces sim -r hubo2plus --list-faults            how its devices can misbehave
 
-The devices answer as the real ones do, and nothing moves before a program says
-so. On buses of others they transmit: they answer what they are asked.
+The devices answer as the real ones do, and move only when a program tells them
+to. On a bus that exists they transmit: they answer every request.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
+import threading
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 
-from .console import say
-from .live import LivePatience, parse_duration
-from .robot_arg import add_robot_arguments, bus_options, chosen_robot
+from .console import print_json, say
+from .live import LivePatience
+from .options import FOR, JSON, SEED, Arguments, flag, several
+from .robot_arg import ROBOT_AND_BUSES, bus_options, check_channels, chosen_robot, open_host
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
+    from aces_bus.robot import Simulation
 
-    from .sim_stand import SimulatedRobot
 
 EPILOG = """\
 exit status: 0; 2 a wrong call, or a bus that cannot be served or opened
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    parser.add_argument("robot", nargs="?", metavar="NAME|FILE", help="a robot that ships, or a file")
-    add_robot_arguments(parser, named=False, virtual=False)
-    add = parser.add_argument
-    add(
-        "--fault",
-        action="append",
-        default=[],
-        metavar="DEVICE:FAULT[=AMOUNT]",
-        help="have a device misbehave; * for all; may be said more than once",
-    )
-    add("--list-faults", action="store_true", help="how the devices can misbehave")
-    add("--seed", type=int, default=0, metavar="N", help="of noise and chance (default: 0)")
-    add("--for", dest="duration", metavar="DURATION", help="end after so long (default: Ctrl-C)")
-    add("--json", action="store_true", help="the buses, and at the end the counts, as JSON")
+ARGUMENTS: Arguments = (
+    several(
+        "--fault", metavar="DEVICE:FAULT[=AMOUNT]", help="make a device misbehave; * for all; may be repeated"
+    ),
+    flag("--list-faults", help="list how the devices can misbehave"),
+    FOR.but(help="end after so long (default: Ctrl-C)"),
+    SEED,
+    JSON.but(help="the buses, and at the end the counts, as JSON"),
+    ROBOT_AND_BUSES,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
     robot = chosen_robot(arguments.robot)
     if arguments.list_faults:
         return _list_faults(robot, arguments.json)
-    duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
+    duration = arguments.duration
     faults = [parse_fault(robot, text) for text in arguments.fault]
     options = bus_options(robot, arguments)
-    from .sim_stand import SimulatedRobot
 
     with ExitStack() as stack:
         patience = stack.enter_context(LivePatience())
@@ -123,7 +118,7 @@ def _list_faults(robot: Robot, as_json: bool) -> int:
             by_driver.setdefault(config.driver, ([], fault_names(robot, name)))[0].append(name)
     if as_json:
         found = {driver: {"devices": names, "faults": f} for driver, (names, f) in by_driver.items()}
-        print(json.dumps(found, ensure_ascii=False, indent=2))
+        print_json(found)
         return 0
     for driver, (names, faults) in by_driver.items():
         print("\n".join(aligned_rows([(f"{driver}:", ", ".join(names))], "")))
@@ -137,7 +132,7 @@ def _list_faults(robot: Robot, as_json: bool) -> int:
 def _announce(robot: Robot, given: str | None, stand: SimulatedRobot, as_json: bool) -> None:
     """How to join each bus, on stdout: programs and people read it."""
     if as_json:
-        print(json.dumps({"robot": robot.name, "buses": stand.reached}, ensure_ascii=False))
+        print_json({"robot": robot.name, "buses": stand.reached}, None)
     else:
         for name in stand.simulation.buses:
             print(f"{name}: {stand.listen_with(name, given or robot.name)}")
@@ -154,5 +149,176 @@ def _summary(stand: SimulatedRobot, as_json: bool) -> None:
     unknown = sum(bus.unknown + bus.others for bus in stand.simulation.buses.values())
     if as_json:
         counts = {name: {"requests": twin.requests, "replies": twin.replies} for name, twin in twins.items()}
-        print(json.dumps({"requests": requests, "replies": replies, "others": unknown, "devices": counts}))
+        print_json({"requests": requests, "replies": replies, "others": unknown, "devices": counts}, None)
     say(f"requests={requests} replies={replies} others={unknown}", who="")
+
+
+# ---------------------------------------------------------------------- where the twins are
+
+
+class SimulatedRobot:
+    """A robot's twins on their buses, open. What is to be closed is put on `stack`. Raises `CallerError`."""
+
+    def __init__(self, robot: Robot, options: dict[str, dict[str, Any]], seed: int, stack: ExitStack) -> None:
+        from aces_bus.robot import gate_of, port_for, simulate
+        from aces_bus.robot.rig import spoken_on
+        from aces_bus.runtime import Loop
+
+        self.robot = robot
+        self.loop = stack.enter_context(Loop())
+        #: Bus → how others reach it: `kind`, `address`, and what tools take as options.
+        self.reached: dict[str, dict[str, Any]] = {}
+        used = [name for name in robot.buses if any(device.active for device in robot.devices_on(name))]
+        links = {name: robot.buses[name].link for name in used}
+        lines = self._own_lines(
+            [n for n in used if links[n] == "serial" and not options[n].get("channel")], stack
+        )
+        self._serve({n: self._wanted(n, options[n]) for n in used if links[n] == "can"}, options, stack)
+        for name in used:
+            if links[name] == "datagram":
+                self._bind(name, options[name])
+        check_channels(robot, {n: {"channel": "ours"} if n in lines else o for n, o in options.items()})
+        ports = dict(lines)
+        for name, protocol in spoken_on(robot).items():
+            if name not in lines:
+                bus = robot.buses[name]
+                ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
+        self.simulation: Simulation = simulate(robot, ports, seed=seed)
+        stack.callback(self.simulation.close)
+        for name, twins in self.simulation.buses.items():
+            channel = options[name].get("channel") or robot.buses[name].channel
+            open_host(name, twins, self.reached[name]["address"] if name in self.reached else channel)
+            if name not in self.reached:
+                self.reached[name] = {"kind": links[name], "address": str(channel), **options[name]}
+
+    # ------------------------------------------------------------------ serial lines
+
+    def _own_lines(self, names: list[str], stack: ExitStack) -> dict[str, Any]:
+        """A simulated line for each of these buses, with a pseudo-terminal as its other end."""
+        if not names:
+            return {}
+        from aces_bus.hardware import SerialPort
+        from aces_bus.hardware.simulated.serial_line import PtyPort
+        from aces_bus.robot import wire_of
+        from aces_bus.robot.rig import spoken_on
+        from aces_bus.runtime import VirtualClock
+
+        found: dict[str, Any] = {}
+        for name in names:
+            protocol = spoken_on(self.robot)[name]
+            wire: Any = wire_of(self.robot.buses[name], protocol, VirtualClock(time.monotonic_ns()))
+            pty = stack.enter_context(PtyPort(wire))
+            found[name] = SerialPort(wire, name=name)
+            self.reached[name] = {
+                "kind": "serial",
+                "address": pty.path,
+                "baud": wire.baud,
+                "half_duplex": wire.half_duplex,
+            }
+        return found
+
+    # ------------------------------------------------------------------ CAN
+
+    def _wanted(self, name: str, options: Mapping[str, Any]) -> str | None:
+        """The served bus's address for a CAN bus, `unix:NAME`; None: it is a bus that is there."""
+        if not options:
+            return f"unix:{self.robot.buses[name].channel or name}"
+        channel = str(options.get("channel", ""))
+        is_ours = channel.startswith("unix:") and options.get("interface") == "aces"
+        return channel if is_ours else None
+
+    def _serve(
+        self, wanted: Mapping[str, str | None], options: dict[str, dict[str, Any]], stack: ExitStack
+    ) -> None:
+        """Serve a bus for each address that is not served yet; one that the call names and that is served is joined."""
+        from aces_bus.hardware.served.address import parse_address
+        from aces_bus.hardware.served.channel import ServedChannel
+        from aces_bus.hardware.served.server import BusServer
+
+        for name, text in wanted.items():
+            if text is None:
+                continue
+            address = parse_address(text)
+            is_served = _answers(address)
+            if is_served and not options[name]:
+                other = f"{self.robot.name}_{name}"
+                raise CallerError(
+                    f"bus {name}: {text} is served already; --bus {name}={text} joins it, --bus {name}=unix:{other} is"
+                    " another"
+                )
+            options[name].update(interface="aces", channel=text)
+            self.reached[name] = {"kind": "can", "interface": "aces", "address": text}
+            if is_served:
+                continue
+            bus = self.robot.buses[name]
+            _warm()
+            plain = text.removeprefix("unix:")
+            is_path = "/" in plain
+            channel = ServedChannel(name if is_path else plain, bitrate=bus.bitrate or 1_000_000)
+            server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
+            stack.callback(server.close)
+            thread = threading.Thread(target=server.serve, name=f"bus {name}", daemon=True)
+            thread.start()
+            stack.callback(thread.join, 5.0)
+            stack.callback(server.stop)
+
+    # ------------------------------------------------------------------ datagrams
+
+    def _bind(self, name: str, options: dict[str, Any]) -> None:
+        """Receive where the call says, else on the port of the robot's file, of this machine only."""
+        given = options.pop("channel", None)
+        text = str(given or self.robot.buses[name].channel or "127.0.0.1:0")
+        host, _, port = text.rpartition(":")
+        if not port.isdecimal() or int(port) > 65_535 or (given is not None and not host):
+            raise CallerError(
+                f"--bus {name}={text}: datagrams are received at HOST:PORT, such as {name}=127.0.0.1:11000"
+            )
+        options["bind"] = text if given is not None else f"127.0.0.1:{port}"
+        self.reached[name] = {"kind": "datagram", "address": options["bind"]}
+
+    # ------------------------------------------------------------------ how others join
+
+    def listen_with(self, name: str, robot: str) -> str:
+        """A command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
+        from aces_bus.robot.rig import spoken_on
+
+        protocol = spoken_on(self.robot)[name]
+        device = next(d for d in self.robot.devices_on(name) if d.active)
+        dialect = self.robot.protocol_of(device)[1]
+        said = protocol.name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
+        if self.robot.tables(protocol):
+            said += f"@{robot}"
+        way = self.reached[name]
+        if way["kind"] == "can":
+            interface = f"-i {way['interface']} " if way.get("interface") else ""
+            return f"aces sniff {interface}-c {way['address']} -p {said}"
+        if way["kind"] == "serial":
+            baud = f" --baud {way['baud']}" if way.get("baud") else ""
+            return f"aces discover --bus {way['address']}{baud} -p {said}"
+        return f"udp {way['address']}, {said}"
+
+    @property
+    def device_options(self) -> str:
+        """What `aces device`, `scan -r` and `run` take to reach all buses."""
+        said = [f"--bus {name}={self.reached[name]['address']}" for name in self.simulation.buses]
+        interface = next((way["interface"] for way in self.reached.values() if way.get("interface")), None)
+        if interface not in (None, "aces"):
+            said.append(f"-i {interface}")
+        return " ".join(said)
+
+
+def _answers(address: Any) -> bool:
+    """Whether a bus is served there."""
+    try:
+        address.connect(1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def _warm() -> None:
+    """Fill the tables of frame times before the first request: it would be answered late."""
+    from aces_bus.frames import Frame
+    from aces_bus.hardware.simulated.frame_time import frame_bits
+
+    frame_bits(Frame(arbitration_id=0x123, data=bytes(8)))

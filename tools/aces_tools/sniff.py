@@ -2,7 +2,7 @@
 
   aces sniff -i socketcan -c can0 -p hubo
   aces sniff -i aces -c unix:can0 -p hubo --message Encoder --where board=3
-  aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t d --filter 060:7F0
+  aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t delta --filter 060:7F0
   aces sniff -i socketcan -c can0 --record walk.log -q
   aces sniff -i socketcan -c can0 -b 1000000 -p hubo --screen
   aces sniff --serial /dev/ttyUSB0 -p robotis --direction both
@@ -25,20 +25,37 @@ from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
 from aces_bus.protocol.counts import ScanCounts
 from aces_bus.recordings import CanFilter, Chunk, parse_filter
 
-from .bus_arg import ChosenBus, add_bus_arguments, chosen_bus
+from .bus_arg import BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import abandon_stdout, say, terminal_width, wants_colour
 from .decode import LiveDecoding
-from .decoding import Direction, Link, Totals, utf8
-from .live import STEP_S, LivePatience, Told, heard_frame, losses, parse_duration
+from .decoding import Link, Totals, utf8
+from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses
 from .live_text import TIME_MODES, CandumpLines, LiveText, Times
-from .output import Writer
-from .output.chosen import line_format
+from .options import (
+    COLOR,
+    COUNT,
+    DIRECTION,
+    FILTER,
+    FOR,
+    MESSAGE,
+    OUTPUT,
+    PROTOCOL,
+    QUIET,
+    TIME,
+    UNKNOWN,
+    WHERE,
+    Arguments,
+    argument,
+    flag,
+)
+from .output import Writer, line_format
 from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
+    from .bus_arg import AnyGate
     from .recorder import RecordingFile
 
-#: Where frames come close behind each other, they are shown together, so often: less work, and nobody sees it.
+#: Frames that come close behind each other are shown together, once in this time (s): less work, and not visible.
 TOGETHER_S = 0.01
 #: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
 LEAST_SILENCE_S = 0.02
@@ -46,8 +63,8 @@ LEAST_SILENCE_S = 0.02
 SILENCE_S = 1.0
 
 EPILOG = """\
-times (-t, candump's): a absolute, d since the line before, z since the first,
-A date and local time. With jsonl they are always absolute.
+times (-t): relative (since the first), absolute (since 1970), delta (since the
+line before), date (and local time). With jsonl they are always absolute.
 
 screen (--screen): one row for each identifier, message and board (or servo),
 with rate, period and jitter, the digits that changed, and decoded values.
@@ -56,58 +73,45 @@ of the bit rate (-b, else the protocol's).
 
 recording (--record FILE, by its suffix; without one a candump log or, of
 serial lines and datagrams, our serial log .slog):
-  Everything heard is recorded, whatever is shown. It is on disk within half a
-  second: after kill -9 all but that is there. Formats that have to be finished
-  (.blf .mf4 .asc .gz …) are kept as FILE.log until the end. A file that is
-  there already is never written over.
+  Everything received is recorded, whatever is shown, and is on disk within half
+  a second: after kill -9 all but that is there. Formats that have to be
+  finished (.blf .mf4 .asc .gz …) are kept as FILE.log until the end. A file
+  that exists is never overwritten.
 
-summary (last on stderr): as of 'aces decode', and then what was lost:
-  dropped         came faster than it was shown
+summary (last on stderr): as of 'aces decode', then what was lost:
+  dropped         arrived faster than it could be shown
   kernel_dropped  of which the system says that it dropped it
-  bad_input       what the adapter said and nobody understood
+  bad_input       what the adapter sent that is no frame
   reopened        how often the bus was lost and came back
-What happens to the bus (lost, reopened, bus-off …) is said when it happens.
+Events of the bus (lost, reopened, bus-off …) are reported when they happen.
 
 exit status: 0, also after Ctrl-C; 2 a wrong call, a bus that cannot be
 opened, or a recording that is not whole
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
-    add = parser.add_argument
-    add("-p", "--protocol", action="append", default=[], metavar="PROTOCOL", help="as of 'aces decode'")
-    add(
-        "--direction",
-        choices=["to", "from", "both"],
-        help="only messages to or from the device; both pairs requests and replies",
-    )
-    add(
-        "--filter",
-        action="append",
-        default=[],
-        metavar="FILTER",
-        help="CAN: candump's filters, such as 060:7F0 or can0,150~7FF",
-    )
-    add("--message", action="append", default=[], metavar="NAME", help="only these messages")
-    add("--where", action="append", default=[], metavar="CONDITION", help="only records such as field=value")
-    add("--unknown", choices=["show", "hide", "only"], help="print what is not decoded, as of 'aces decode'")
-    add("-t", "--time", dest="time_mode", choices=list(TIME_MODES), default="z", help="times (default: z)")
-    add("-n", "--count", type=int, metavar="N", help="end after so many lines (-q: that would be)")
-    add("--for", dest="duration", metavar="DURATION", help="end after so long: 10s, 500ms, 2min")
-    add("--format", choices=["text", "jsonl", "csv"], help="default: by the suffix of --output, else text")
-    add("--output", "-o", metavar="FILE", help="write there instead of standard output")
-    add("-q", "--quiet", action="store_true", help="print no lines, only the summary")
-    add("--record", metavar="FILE", help="write all that is heard there; see below")
-    add("--screen", action="store_true", help="a table of all that repeats, live; needs 'aces-bus[screen]'")
-    add(
-        "--color",
-        action=argparse.BooleanOptionalAction,
-        default=None,
-        help="colour, also where the output is no terminal; or never",
-    )
-    add_bus_arguments(parser)
-    parser.set_defaults(files=[], start=None, stop=None, strict=False, time="relative")
+ARGUMENTS: Arguments = (
+    PROTOCOL,
+    DIRECTION.but(help="only messages to or from the device; both pairs requests and replies"),
+    FILTER,
+    MESSAGE,
+    WHERE,
+    UNKNOWN,
+    TIME.but(choices=TIME_MODES, help="see below (default: relative)"),
+    COUNT.but(help="end after so many lines (with -q: that would be)"),
+    FOR.but(help="end after so long: 10s, 500ms, 2min"),
+    argument(
+        "--format", choices=["text", "jsonl", "csv"], help="default: by the suffix of --output, else text"
+    ),
+    OUTPUT,
+    QUIET.but(help="print no lines, only the summary"),
+    argument("--record", metavar="FILE", help="write all that is received there; see below"),
+    flag("--screen", help="a table of all that repeats, live; needs 'aces-bus[screen]'"),
+    COLOR,
+    *BUS_ARGUMENTS,
+)
+#: What `Decoding` also asks for.
+DEFAULTS: dict[str, Any] = {"files": [], "start": None, "stop": None, "strict": False}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -121,14 +125,12 @@ class Sniffing(LiveDecoding):
         self.bus: ChosenBus = chosen_bus(arguments, parse_protocols(arguments.protocol))
         self.link: Link = self.bus.link
         self.count: int | None = arguments.count
-        if self.count is not None and self.count < 1:
-            raise CallerError(f"--count {self.count}: at least one line")
-        self.duration = None if arguments.duration is None else parse_duration("--for", arguments.duration)
+        self.duration: int | None = arguments.duration
         for option in ("message", "where"):
             if getattr(arguments, option) and not arguments.protocol:
                 raise CallerError(f"--{option} needs to know the messages; name a protocol: -p NAME")
         line_format(arguments.output, arguments.format)  # refused before a file is made
-        self.times = Times(arguments.time_mode)
+        self.times = Times(arguments.time)
         #: Where no protocol is named: candump's lines.
         self.lines: CandumpLines | None = None
         #: How many lines were shown.
@@ -143,7 +145,7 @@ class Sniffing(LiveDecoding):
         self.scanner.reset()
         self.total = self.totals.setdefault(self.link, Totals())
         self.gap_ns = round(max(getattr(self.scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S) * 1e9)
-        #: When bytes were heard last, and whether the silence since then was told to the scanner.
+        #: When bytes came last, and whether the scanner knows of the silence since then.
         self.heard_at, self.is_settled = 0, True
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self.lost = ""
@@ -185,25 +187,18 @@ class Sniffing(LiveDecoding):
 
     def run(self) -> int:
         if self.arguments.screen:
-            from .screen.sniffing import run_on_screen
+            from .screen import run_on_screen
 
             return run_on_screen(self)
         gate = self.bus.gate(listen_only=True)
-        told, inbox = Told(gate), gate.subscribe()
-        recorder = self._recorder()
+        events, inbox = BusEventLines(gate), gate.subscribe()
+        recorder = self.recorder()
         with LivePatience() as patience:
-            try:
-                if recorder is not None:
-                    recorder.start(gate, self.name, self.epoch_ns, self._stated)
-                self.bus.start(gate)
-            except BaseException:
-                if recorder is not None:
-                    recorder.abandon()
-                raise
+            self.open(gate, recorder)
             if self.lines is None:
                 self.pending = (self.name, self.link)
             try:
-                self._listen(inbox, patience, told, recorder)
+                self._listen(inbox, patience, events, recorder)
                 gate.stop()
                 if not self.is_done:
                     self._hear(inbox.get(0))
@@ -217,14 +212,29 @@ class Sniffing(LiveDecoding):
             finally:
                 gate.stop()
                 self._clean_up()
-            told.tell(last=True)
-            self._close(recorder)
-            self.total.count(self.scanner.counts)
-            self.lost = losses(gate, inbox.dropped)
-            self._summarise()
+            self.end(gate, events, recorder, inbox.dropped)
         return self.status
 
-    def _recorder(self) -> RecordingFile | None:
+    def open(self, gate: AnyGate, recorder: RecordingFile | None) -> None:
+        """Begin to record, and open the bus; where that fails, no recording is left."""
+        try:
+            if recorder is not None:
+                recorder.start(gate, self.name, self.epoch_ns, self._stated)
+            self.bus.start(gate)
+        except BaseException:
+            if recorder is not None:
+                recorder.abandon()
+            raise
+
+    def end(self, gate: AnyGate, events: BusEventLines, recorder: RecordingFile | None, dropped: int) -> None:
+        """Report the last events, finish the recording, sum up; `dropped` items came faster than they were shown."""
+        events.report(last=True)
+        self._close(recorder)
+        self.total.count(self.scanner.counts)
+        self.lost = losses(gate, dropped)
+        self._summarise()
+
+    def recorder(self) -> RecordingFile | None:
         if self.arguments.record is None:
             return None
         from .recorder import RecordingFile
@@ -236,7 +246,9 @@ class Sniffing(LiveDecoding):
         """Which way bytes went, as far as it was said."""
         return self.direction if self.direction != "both" else None
 
-    def _listen(self, inbox: Any, patience: LivePatience, told: Told, recorder: RecordingFile | None) -> None:
+    def _listen(
+        self, inbox: Any, patience: LivePatience, events: BusEventLines, recorder: RecordingFile | None
+    ) -> None:
         until = None if self.duration is None else time.monotonic_ns() + self.duration
         before = 0.0
         while not patience.is_over and not self.is_done:
@@ -247,7 +259,7 @@ class Sniffing(LiveDecoding):
                     return
                 wait = min(wait, left)
             items = inbox.get(wait)
-            if told.tell():
+            if events.report():
                 self._flush()
             if items:
                 self._hear(items)
@@ -263,7 +275,7 @@ class Sniffing(LiveDecoding):
                 return
 
     def _hear(self, items: Sequence[Any]) -> None:
-        """Show what was heard, up to the last line that is asked for."""
+        """Show what was received, up to the last line that is asked for."""
         if not items:
             return
         if self.bus.kind != "can":
@@ -383,6 +395,3 @@ class Nameless:
 
     def reset(self) -> None:
         self.counts = ScanCounts()
-
-
-__all__ = ["Direction", "Sniffing", "add_arguments", "run"]

@@ -29,11 +29,6 @@ _OPENING, _CLOSING = "[{(", "]})"
 DEEPEST = 16
 
 
-def is_assignment(text: str) -> bool:
-    """Whether an argument is a `field=value`."""
-    return _ASSIGNMENT.fullmatch(text) is not None
-
-
 def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
     """The values of `field=value` arguments, as the encoder takes them.
 
@@ -114,9 +109,11 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
     return _open(text, name, depth)
 
 
-def _of_number(text: str, node: p.Node, name: str) -> Any:
-    number = _number(text)
-    if node.flags and number is None:
+def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, name: str) -> Any:
+    steps: Sequence[p.Step] = getattr(node, "steps", ())
+    flags = next((step for step in steps if isinstance(step, p.FlagBits)), None)
+    number = parse_number(text)
+    if flags is not None and number is None:
         inside = text[1:-1] if text[:1] + text[-1:] in ("{}", "[]") else text
         return [part.strip() for part in re.split(r"[|,]", inside) if part.strip()]
     if number is not None:
@@ -138,11 +135,12 @@ def _open(text: str, name: str, depth: int) -> Any:
         return _record(text, {}, name, depth)
     if text.startswith("hex:"):
         return _bytes(text[4:], name)
-    number = _number(text)
+    number = parse_number(text)
     return _unquoted(text) if number is None else number
 
 
-def _number(text: str) -> int | float | None:
+def parse_number(text: str) -> int | float | None:
+    """A number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
     try:
         return int(text, 0)
     except ValueError:
@@ -191,7 +189,7 @@ def _record(text: str, nodes: Mapping[str, p.Node], name: str, depth: int) -> di
 
 
 def _parts(text: str, name: str) -> list[str]:
-    """What stands between commas that are in no bracket and no quotes."""
+    """The parts between commas that are in no bracket and no quotes."""
     parts, start, quote = [], 0, ""
     open_ = 0
     for place, letter in enumerate(text):
@@ -210,6 +208,3 @@ def _parts(text: str, name: str) -> list[str]:
         raise CallerError(f"{name}: a bracket or a quote is not closed in {text!r}")
     last = text[start:].strip()
     return [*parts, last] if last or parts else []
-
-
-__all__ = ["is_assignment", "parse_fields", "parse_value"]

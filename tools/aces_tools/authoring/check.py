@@ -13,9 +13,9 @@ worth knowing. A comment says that something is meant, on its line or above:
 
     "speed" / Int16ub,  # aces: allow byte-order
 
-Then the nine laws ('aces fuzz --help' lists them) are asked of the code that
-is generated from the spec, for --seconds; what breaks one is an error, shown
-with the smallest bytes that do it. The same spec gets the same scenes.
+Then the nine laws ('aces fuzz --help' lists them) are tried on the code that is
+generated from the spec, for three seconds (--for). What breaks one is an error,
+shown with the smallest bytes that do it. The same spec gets the same scenes.
 
 Rules are named in brackets behind each line; docs/checking.md has them all.
 A Python file is executed with your rights: name only what you trust.
@@ -26,30 +26,38 @@ exit status: 0 nothing found but notes, 1 errors or warnings, 2 a wrong call
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import sys
 import textwrap
+import time
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from construct import Construct
 
 from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
 from aces_bus.plain_text import printable, printable_lines
-from aces_bus.protocol import Protocol, Variant, list_protocols
+from aces_bus.protocol import Message, Protocol, Variant, list_protocols
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
+from aces_bus.protocol.lint.fields import Written
 
-from ..console import Output, say, wants_colour
-from ..output.text import Paint, make_paint, no_paint
+from ..console import counted, print_json, say
+from ..options import COLOR, FOR, JSON, Arguments, argument, duration_or_none, flag
+from ..output.columns import Page
 from ..protocols_arg import named_protocol, problems_of
-from .proving import finding_of_error, prove
 
-#: How long the laws are asked of a protocol, unless it is said.
+if TYPE_CHECKING:
+    from aces_bus.testing.fuzz import Failure, Fuzzer
+
+
+#: How long the laws are tried on a protocol, unless --for says otherwise.
 SECONDS = 3.0
 
 _PLACED = re.compile(r"(?P<file>(?:[A-Za-z]:)?[^:\n]+):(?P<line>\d+): (?P<text>.*)", re.DOTALL)
@@ -58,23 +66,19 @@ _WITNESS = re.compile(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+ARGUMENTS: Arguments = (
+    argument(
         "names", nargs="+", metavar="FILE|NAME|ROBOT", help="specs, databases, installed protocols, robots"
-    )
-    parser.add_argument("--notes", action="store_true", help="show notes too, instead of counting them")
-    parser.add_argument("--apart", action="store_true", help="the protocols named do not share a bus")
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=SECONDS,
-        metavar="N",
-        help="how long the laws are asked of each protocol (default: %(default)g; 0: not at all)",
-    )
-    parser.add_argument("--json", action="store_true", help="for programs: everything, notes too")
-    parser.add_argument(
-        "--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal"
-    )
+    ),
+    flag("--notes", help="show notes too, instead of counting them"),
+    flag("--apart", help="the protocols named do not share a bus"),
+    FOR.but(
+        type=duration_or_none,
+        help="how long the laws are tried on each protocol (default: 3s; 0: not at all)",
+    ),
+    JSON.but(help="everything, notes too, as JSON"),
+    COLOR,
+)
 
 
 @dataclass
@@ -94,11 +98,8 @@ class Checked:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if not 0 <= arguments.seconds <= 3600:
-        raise CallerError(
-            f"--seconds {arguments.seconds:g}: a number from 0 (the laws are not asked) to 3600"
-        )
     names = list(dict.fromkeys(arguments.names))
+    seconds = SECONDS if arguments.duration is None else arguments.duration / 1e9
     variants: dict[Variant, str] = {}
     done: dict[int, None] = {}
     results: list[Checked] = []
@@ -114,8 +115,8 @@ def run(arguments: argparse.Namespace) -> int:
                 except Exception as error:  # whatever a spec makes a rule raise is a fault with a line
                     placed = _of_error(error) if isinstance(error, AcesError) else None
                     result.findings.append(placed or finding_of_error(error, protocol, "cannot be checked"))
-                if arguments.seconds:
-                    _ask_laws(protocol, result, arguments.seconds)
+                if seconds:
+                    _ask_laws(protocol, result, seconds)
     if not arguments.apart and len(variants) > 1:
         found = Checked(" + ".join(variants.values()))
         found.labels = {variant.label: name for variant, name in variants.items()}
@@ -125,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
     for result in results:
         result.findings.sort(key=sort_key)
     if arguments.json:
-        _print_json(results)
+        _print_results(results)
     else:
         _print_text(results, arguments)
     for result in results:
@@ -134,7 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
         if result.scenes is not None:
             is_held = not any(one.rule == "law" for one in result.findings)
             held = "held" if is_held else "were asked, and do not all hold,"
-            say(f"{result.name}: the nine laws {held} on {_count(result.scenes, 'scene')}")
+            say(f"{result.name}: the nine laws {held} on {counted(result.scenes, 'scene')}")
     if any(result.complaint for result in results):
         return 2
     return int(any(one.level != "note" for result in results for one in result.findings))
@@ -305,7 +306,7 @@ def _innermost(error: BaseException) -> SourceLine | None:
 # ---------------------------------------------------------------------- printing
 
 
-def _print_json(results: Sequence[Checked]) -> None:
+def _print_results(results: Sequence[Checked]) -> None:
     found: list[dict[str, Any]] = []
     for result in results:
         levels = [one.level for one in result.findings]
@@ -320,15 +321,14 @@ def _print_json(results: Sequence[Checked]) -> None:
                 "findings": [one.as_dict() for one in result.findings],
             }
         )
-    print(json.dumps(found, ensure_ascii=False, indent=2))
+    print_json(found)
 
 
 _STYLES = {"error": "malformed", "warning": "flags", "note": "place"}
 
 
 def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> None:
-    colour = wants_colour(arguments.color, Output(None).is_terminal)
-    paint: Paint = make_paint() if colour else no_paint
+    paint = Page(arguments.color).paint
     for result in results:
         hidden = 0
         for one in result.findings:
@@ -349,13 +349,119 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
 
 def _summary(result: Checked, hidden: int) -> str:
     messages = sum(len(protocol.declared) for protocol in result.protocols)
-    parts = [_count(messages, "message")] if messages else []
+    parts = [counted(messages, "message")] if messages else []
     levels = [one.level for one in result.findings]
-    parts += [_count(levels.count(level), level) for level in LEVELS if level in levels]
+    parts += [counted(levels.count(level), level) for level in LEVELS if level in levels]
     is_clean = all(level == "note" for level in levels)
     text = ("ok: " if is_clean else "") + (", ".join(parts) or "nothing to check")
     return f"{text} (--notes shows them)" if hidden else text
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+# ---------------------------------------------------------------------- the laws
+
+#: Which scenes there are.
+SEED = 0
+#: So many are judged, however little time there is.
+LEAST = 8
+
+
+@dataclass
+class ProofResult:
+    """How many scenes were judged, and what was found; `drawings` show a failure, by its finding."""
+
+    scenes: int = 0
+    findings: list[Finding] = field(default_factory=list[Finding])
+    drawings: dict[Finding, str] = field(default_factory=dict[Finding, str])
+
+
+def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
+    """Ask the laws of scenes of a protocol for so long; `name` is what the command line calls it."""
+    proved = ProofResult()
+    end = time.monotonic() + seconds
+    try:
+        from aces_bus.testing.fuzz import Fuzzer
+        from aces_bus.testing.packets import UndrawableError
+
+        try:
+            fuzzer = Fuzzer([protocol], seed=SEED)
+            for number in example_numbers(len(fuzzer.benches)):
+                if fuzzer.examples >= LEAST and time.monotonic() > end:
+                    break
+                fuzzer.run(1, number)
+                proved.scenes = fuzzer.examples
+            for failure in fuzzer.failures:
+                _tell(proved, fuzzer, failure, protocol, name)
+        except UndrawableError as error:
+            proved.findings.append(finding_of_error(error, protocol, "the laws could not be asked"))
+    except Exception as error:  # whatever a spec makes generated code or the core raise
+        proved.findings.append(finding_of_error(error, protocol, "the generated code cannot be made or run"))
+    return proved
+
+
+def example_numbers(benches: int) -> Iterator[int]:
+    """The numbers of a fuzzer's examples, one of each bench in turn, each once."""
+    from aces_bus.testing.fuzz import BLOCK
+
+    places = [*range(6), BLOCK - 1, BLOCK - 2, *range(6, BLOCK - 2)]
+    first = 0
+    while True:
+        for place in places:
+            for block in range(first, first + benches):
+                yield block * BLOCK + place
+        first += benches
+
+
+def _tell(proved: ProofResult, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
+    from aces_bus.testing.drawing import scene_drawing
+
+    message = next(
+        (m for m in protocol.declared if re.search(rf"\b{re.escape(m.name)}\b", failure.text)),
+        next((packet.message for packet in failure.scene.packets), None),
+    )
+    where = f"{message.name}: " if message is not None else ""
+    text = " ".join(str(failure).split())
+    finding = Finding(
+        "error",
+        "law",
+        message.place if message is not None else protocol.place,
+        f"{where}{text}",
+        message.name if message is not None else None,
+    )
+    drawing = scene_drawing(failure.wire, failure.direction, failure.scene, failure.cuts)
+    again = f"again: aces fuzz {name} --law {failure.law.number} --seed {SEED}:{failure.example}"
+    proved.findings.append(finding)
+    proved.drawings[finding] = f"{drawing}\n{again}"
+
+
+def finding_of_error(error: BaseException, protocol: Protocol, what: str) -> Finding:
+    """What a spec made the core raise: the message and field that were in hand, and their line."""
+    owner = name = ""
+    place: SourceLine | None = None
+    for value in _in_hand(error):
+        if isinstance(value, Written) and not owner:
+            owner, name, place = value.owner, value.name, value.place
+        elif isinstance(value, Message) and value in protocol.declared and not owner:
+            owner = value.name
+            place = value.place.of_field(name) if name and value.place.file.endswith(".py") else value.place
+        elif isinstance(value, Construct) and value.name and not (owner or name):
+            name = str(value.name)
+    path = ".".join(one for one in (owner, name) if one)
+    said = " ".join(str(error).split())[:300]
+    return Finding(
+        "error",
+        "law",
+        place or protocol.place,
+        f"{f'{path}: ' if path else ''}{what}: {type(error).__name__}: {said}",
+        owner or None,
+    )
+
+
+def _in_hand(error: BaseException) -> Iterator[Any]:
+    """What the functions that an exception came through had in their variables, the innermost first."""
+    frames: list[FrameType] = []
+    at = error.__traceback__
+    while at is not None:
+        frames.append(at.tb_frame)
+        at = at.tb_next
+    for frame in reversed(frames):
+        yield from list(frame.f_locals.values())

@@ -115,11 +115,11 @@ def _template_key(message: Message) -> Any:
 
 def _exactly(message: Message) -> Any:
     plan = flatten(message)
-    return _template_key(message), plan.lengths, tuple(_row_key(row) for row in draw.field_table(plan))
-
-
-def _row_key(row: FieldRow) -> Any:
-    return row.name, tuple(getattr(row, column) for column in COMPARED)
+    return (
+        _template_key(message),
+        plan.lengths,
+        tuple((row.name, *(getattr(row, column) for column in COMPARED)) for row in draw.field_table(plan)),
+    )
 
 
 def _compared(old: Message, new: Message) -> Changed:
@@ -214,6 +214,3 @@ def difference_lines(found: Difference) -> list[tuple[str, str]]:
 
 def _arrow(change: Change) -> str:
     return f"{change.old or 'none'} → {change.new or 'none'}"
-
-
-__all__ = ["Change", "Changed", "Difference", "difference_lines", "spec_difference"]

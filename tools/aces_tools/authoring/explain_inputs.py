@@ -20,13 +20,8 @@ from aces_bus.protocol.explain import Attempt, Tracer
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording
 
-Direction = Literal["to device", "from device", "both"]
-DIRECTIONS: dict[str | None, Direction | None] = {
-    "to": "to device",
-    "from": "from device",
-    "both": "both",
-    None: None,
-}
+from ..decoding import Direction, check_direction, has_requests
+
 #: Bytes of a stream that are read; frames are read one by one.
 LARGEST = 8 * 2**20
 #: Items before the wanted one that are read anew, so that replies find their requests.
@@ -92,7 +87,7 @@ class StreamInput:
 
     def attempts(self, at: int | None, count: int) -> list[Attempt]:
         """The decisions from the one that has byte `at` on."""
-        _check_direction(self.variants, self.direction)
+        check_direction(self.variants, self.direction)
         data = bytes(self.data)
         if at is not None and at >= len(data):
             return []
@@ -147,16 +142,6 @@ def _begin(borders: Iterable[int], at: int) -> int:
     return next((border for border in listed if at - border <= SPAN), listed[-1] if listed else 0)
 
 
-def _check_direction(variants: Sequence[Variant], direction: Direction | None) -> None:
-    for variant in variants if direction is None else ():
-        clash = variant.direction_conflict
-        if clash is not None and variant.link != "can":
-            raise CallerError(
-                f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
-                " say which way they went: --direction to (to the device), from, or both"
-            )
-
-
 def inputs_of(
     capture: str, variants: Sequence[Variant], direction: Direction | None
 ) -> Iterator[FrameInput | StreamInput]:
@@ -203,7 +188,7 @@ def _streams(
 ) -> Iterator[StreamInput]:
     """The bytes of a serial capture: one stream a direction, requests going over to the replies'."""
     found: dict[Direction | None, StreamInput] = {}
-    is_paired = any(m.reply_to or m.after for variant in variants for m in variant.messages.values())
+    is_paired = any(map(has_requests, variants))
     requests: Any = make_scanner(variants, direction="to device") if is_paired else None
     total = 0
     for chunk in capture:
@@ -229,6 +214,3 @@ def _streams(
         if len(ways) == 1:
             stream.label = ""
         yield stream
-
-
-__all__ = ["DIRECTIONS", "LARGEST", "Direction", "FrameInput", "StreamInput", "inputs_of"]

@@ -178,6 +178,3 @@ def _verdict(attempt: Attempt) -> tuple[str, str]:
         else f"; the search goes on at offset {attempt.resumes}"
     )
     return found.reason + more, BAD_INK
-
-
-__all__ = ["svg_of"]

@@ -18,7 +18,7 @@ from ..output.text import Paint
 
 #: A run of so many words of one field is one line.
 LONG = 5
-#: So many deaths of a word are told one by one.
+#: So many deaths at a byte are listed one by one.
 NAMED = 3
 #: The lines of templates never get narrower than this.
 NARROW = 24
@@ -91,7 +91,7 @@ def _step(
     lines: list[str] = []
     for style, note in notes:
         lines += [indent + paint(style, part.strip()) for part in _wrapped(note, indent, width)]
-    if lines and not is_narrow:  # the first note stands beside its word
+    if lines and not is_narrow:  # the first note goes beside its byte
         return [f"{text}  {lines[0][len(indent) :]}", *lines[1:]]
     return [text.rstrip(), *lines]
 
@@ -141,7 +141,7 @@ def _because(why: str, detail: str) -> str:
 
 
 def _wanted(details: Sequence[str]) -> str:
-    """What was wanted each time; what came stands once behind them."""
+    """What was wanted each time, and what came, once, behind them."""
     parts = [detail.rpartition(", not ") for detail in details]
     came = {part[2] for part in parts if part[1]}
     is_same = len(came) == 1 and all(part[1] for part in parts)
@@ -194,6 +194,3 @@ def _wrapped(text: str, indent: str, width: int | None, hang: str = "") -> list[
         break_long_words=False,
         break_on_hyphens=False,
     )
-
-
-__all__ = ["attempt_lines"]

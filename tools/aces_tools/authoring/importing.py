@@ -1,40 +1,40 @@
 """A database of another tool as spec source: readable, yours to edit.
 
-  aces spec import car.dbc > car.py       DBC, KCD, SYM, ARXML; CANopen: EDS, DCF
+  aces spec import car.dbc > car.py       also KCD, SYM, ARXML, EDS, DCF
   aces spec import drive.eds -o drive.py
   aces decode trip.log -p car.py          decodes what -p car.dbc decodes
 
-What is not taken over is said on stderr, one line each with file, line and
-column, and stands as comments at the head of the source; the rest is there.
-Senders, receivers and cycle times become text of their message. Text of the
-file (comments, units, names of values) is only ever a string in the source.
+What cannot be imported is listed on stderr, one line each with file, line and
+column, and in comments at the head of the source. Senders, receivers and cycle
+times become text of their message. Text of the file (comments, units, names of
+values) is only ever a string in the source.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import os
+import re
 import sys
 from pathlib import Path
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol.exchange import SUFFIXES, load_database
 from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol.exchange.import_dbc import read_text
+from aces_bus.protocol.exchange.import_statements import split_statements
+from aces_bus.protocol.exchange.problems import ImportProblem, excerpt
 
-from ..console import check_suffix, say
-from .losses import left_out
+from ..console import check_suffix, print_json, say, write_text
+from ..options import JSON, OUTPUT, STRICT, Arguments, argument, flag
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", help=f"one of the kinds {' '.join(SUFFIXES)}")
-    parser.add_argument("-o", "--output", metavar="FILE.py", help="write there instead of on stdout")
-    parser.add_argument("--force", action="store_true", help="write -o FILE.py even if it is there")
-    parser.add_argument(
-        "--json", action="store_true", help="source and problems as one JSON object on stdout"
-    )
-    parser.add_argument(
-        "--strict", action="store_true", help="exit 1 when anything of the file could not be taken over"
-    )
+ARGUMENTS: Arguments = (
+    argument("file", metavar="FILE", help=f"one of the kinds {' '.join(SUFFIXES)}"),
+    OUTPUT.but(metavar="FILE.py"),
+    flag("--force", help="write -o FILE.py even if it exists"),
+    JSON.but(help="source and problems as one JSON object on standard output"),
+    STRICT.but(help="exit 1 when anything of the file could not be imported"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,11 +44,13 @@ def run(arguments: argparse.Namespace) -> int:
     kind = Path(path).suffix.lstrip(".").upper()
     problems = list(imported.problems)
     if kind == "DBC":
-        problems = sorted([*problems, *left_out(path)])
+        problems = sorted([*problems, *dbc_losses(path)])
     article = "an" if kind[0] in "AESM" else "a"
     text = print_source(imported.protocol, problems, f"{article} {kind} file")
     if arguments.output is not None:
-        write(arguments.output, text, force=arguments.force)
+        if os.path.exists(arguments.output) and not arguments.force:
+            raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
+        write_text(arguments.output, text)
     if arguments.json:
         told = [
             {
@@ -68,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
             "source": text if arguments.output is None else None,
             "problems": told,
         }
-        print(json.dumps(about, ensure_ascii=False, indent=2))
+        print_json(about)
     elif arguments.output is None:
         sys.stdout.write(text)
     if not arguments.json:
@@ -79,13 +81,46 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if arguments.strict and imported.losses else 0
 
 
-def write(path: str, text: str, *, force: bool) -> None:
-    """Write a new file; raises `CallerError` for one that is there, unless `force` says that it may go."""
-    try:
-        with open(path, "w" if force else "x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except FileExistsError:
-        raise CallerError(f"{path}: is there already; choose another name, or say --force") from None
-    except OSError as error:
-        raise CallerError(f"{path}: cannot be written: {error.strerror or error}") from error
-    say(f"wrote {path}")
+# ---------------------------------------------------------------------- what a DBC says and a spec cannot
+
+#: Attributes that are taken over: frame format, names, cycle time, J1939.
+_TAKEN = frozenset(
+    (
+        *("VFrameFormat", "ProtocolType", "GenMsgCycleTime", "Baudrate"),
+        *("SystemMessageLongSymbol", "SystemSignalLongSymbol", "SystemNodeLongSymbol"),
+    )
+)
+_ATTRIBUTE = re.compile(r'\s*BA_\s+"([^"]*)"')
+_KINDS = (
+    (re.compile(r"\s*(EV_|ENVVAR_DATA_|EV_DATA_)\s"), "environment variables"),
+    (re.compile(r"\s*SIG_GROUP_\s"), "groups of signals"),
+    (re.compile(r"\s*BO_TX_BU_\s"), "further senders of messages"),
+    (re.compile(r"\s*BA_REL_\s"), "attributes of relations"),
+    (re.compile(r"\s*VAL_TABLE_\s"), "tables of values that no signal has"),
+    (re.compile(r"\s*CM_\s+BU_\s"), "comments of nodes"),
+    (re.compile(r"\s*CM_\s+EV_\s"), "comments of environment variables"),
+    (re.compile(r'\s*CM_\s+"'), "comments of the whole file"),
+)
+
+
+def dbc_losses(path: str) -> list[ImportProblem]:
+    """Remarks about a DBC file. Raises `CallerError` when it cannot be read."""
+    found: dict[str, list[int]] = {}
+    for one in split_statements(read_text(path, "dbc")):
+        what = ""
+        if one.word == "BA_":
+            attribute = _ATTRIBUTE.match(one.text)
+            if attribute is not None and attribute[1] not in _TAKEN:
+                what = f"the attribute {excerpt(attribute[1])}"
+        else:
+            what = next((kind for pattern, kind in _KINDS if pattern.match(one.text)), "")
+        if what:
+            found.setdefault(what, []).append(one.line)
+    return [
+        ImportProblem(
+            where[0],
+            f"{what}: not taken over" + (f" ({len(where):,} times)" if len(where) > 1 else ""),
+            is_note=True,
+        )
+        for what, where in found.items()
+    ]

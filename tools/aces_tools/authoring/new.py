@@ -1,7 +1,7 @@
 """Begin a protocol: a commented spec, a test and a README that pass at once.
 
-  aces spec new gripper --link can          ./gripper/gripper.py, test_gripper.py,
-                                            README.md
+  aces spec new gripper --link can          gripper/gripper.py, its test and
+                                            its README.md
   aces spec new imu --link serial -o specs  the same in specs/
   cd gripper && pytest                      passes; now put in your device
 
@@ -13,7 +13,6 @@ is there already is overwritten.
 from __future__ import annotations
 
 import argparse
-import json
 import keyword
 import sys
 from importlib.resources import files
@@ -23,7 +22,8 @@ from string import Template
 from aces_bus.errors import CallerError
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE
 
-from ..console import say
+from ..console import print_json, say
+from ..options import JSON, OUTPUT, Arguments, argument
 
 LINKS = ("can", "serial", "datagram")
 #: What the skeletons call something of their own; packages that a spec's own module must not hide.
@@ -39,15 +39,12 @@ PACKAGES = frozenset((
 # fmt: on
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "name", metavar="NAME", help="what the protocol is called: a plain name, such as gripper"
-    )
-    parser.add_argument("--link", required=True, choices=LINKS, help="what its words travel on")
-    parser.add_argument("-o", "--output", metavar="DIR", help="the folder (default: ./NAME)")
-    parser.add_argument(
-        "--json", action="store_true", help="the files that were written, as one JSON object on stdout"
-    )
+ARGUMENTS: Arguments = (
+    argument("name", metavar="NAME", help="the protocol's name: a plain word, such as gripper"),
+    argument("--link", required=True, choices=LINKS, help="what carries its frames, packets or datagrams"),
+    OUTPUT.but(metavar="DIR", help="the folder (default: ./NAME)"),
+    JSON.but(help="the files that were written, as one JSON object"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -76,11 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         where = error.filename or folder
         raise CallerError(f"{where}: cannot be written: {error.strerror or error}") from error
     if arguments.json:
-        print(
-            json.dumps(
-                {"name": name, "link": arguments.link, "files": [str(path) for path in made]}, indent=2
-            )
-        )
+        print_json({"name": name, "link": arguments.link, "files": [str(path) for path in made]})
         return 0
     for path in made:
         say(f"wrote {path}")

@@ -1,4 +1,4 @@
-"""How messages are laid out and decoded: pictures, generated source, plan, paths; and what differs between two specs.
+"""How messages are laid out and decoded, and what differs between two specs.
 
   aces spec show hubo               every message as a picture
   aces spec show hubo NameInfo      one, with its fields as a table
@@ -23,34 +23,35 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.errors import CallerError
 from aces_bus.protocol import Message, draw
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.protocol.plan import nodes as p
 
 from .. import protocols
-from ..console import Output, check_suffix, say
-from ..protocols import Page
+from ..console import check_suffix, print_json, write_text
+from ..options import COLOR, JSON, Arguments, argument, flag
+from ..output.columns import Page
+from ..protocols import chosen_messages
 from ..protocols_arg import named_protocol
 
 _WAYS = ("source", "plan", "paths", "diff")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("protocol", nargs="?", metavar="NAME|FILE", help="as -p of `aces decode` takes it")
-    add("message", nargs="?", metavar="MESSAGE")
-    add("--source", action="store_true", help="the Python generated from the spec")
-    add("--plan", action="store_true", help="what the source is printed from")
-    add("--paths", action="store_true", help="how each field is decoded")
-    add("--diff", nargs=2, metavar=("A", "B"), help="what differs from A to B")
-    add("--svg", metavar="FILE", help="write the pictures there")
-    add("--json", action="store_true", help="for programs")
-    add("--color", action=argparse.BooleanOptionalAction, default=None, help="default: on a terminal")
+ARGUMENTS: Arguments = (
+    argument("protocol", nargs="?", metavar="NAME|FILE", help="as -p of 'aces decode'"),
+    argument("message", nargs="?", metavar="MESSAGE", help="only this message"),
+    flag("--source", help="the Python generated from the spec"),
+    flag("--plan", help="what the source is generated from"),
+    flag("--paths", help="how each field is decoded"),
+    argument("--diff", nargs=2, metavar=("A", "B"), help="what differs from A to B"),
+    argument("--svg", metavar="FILE", help="write the pictures there"),
+    JSON,
+    COLOR,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.protocol is None:
         raise CallerError("name a protocol or a file; 'aces protocols' lists the installed ones")
     if arguments.svg:
-        _svg(arguments)
+        write_text(arguments.svg, draw.picture_svg(chosen_messages(arguments)))
     elif arguments.plan:
         _plan(arguments)
     elif arguments.paths:
@@ -78,28 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _chosen(arguments: argparse.Namespace) -> list[Message]:
-    """The message that is asked for, or all."""
-    chosen = named_protocol(arguments.protocol)
-    messages = list(chosen.protocol.declared)
-    if chosen.dialect is not None or chosen.configuration is not None:
-        messages = list(chosen.variant().messages.values())
-    if arguments.message is None:
-        return messages
-    found = [message for message in messages if message.name == arguments.message]
-    if not found:
-        raise UnknownNameError(
-            f"message of {arguments.protocol}", arguments.message, [m.name for m in messages]
-        )
-    return found
-
-
 # ---------------------------------------------------------------------- pictures
 
 
 def _pictures(arguments: argparse.Namespace) -> None:
     page = Page(arguments.color)
-    for index, message in enumerate(_chosen(arguments)):
+    for index, message in enumerate(chosen_messages(arguments)):
         if index:
             page.lines([""])
         doc = message.doc.strip().partition("\n")[0]
@@ -107,22 +92,13 @@ def _pictures(arguments: argparse.Namespace) -> None:
         page.lines(draw.picture(message))
 
 
-def _svg(arguments: argparse.Namespace) -> None:
-    picture = draw.picture_svg(_chosen(arguments))
-    output = Output(arguments.svg)
-    output.write(picture.encode("utf-8"))
-    output.close()
-    if arguments.svg != "-":
-        say(f"wrote {arguments.svg}")
-
-
 # ---------------------------------------------------------------------- the plan
 
 
 def _plan(arguments: argparse.Namespace) -> None:
-    plans = [(message, message.plan) for message in _chosen(arguments)]
+    plans = [(message, message.plan) for message in chosen_messages(arguments)]
     if arguments.json:
-        print(json.dumps([_plain(plan) for _, plan in plans], ensure_ascii=False, indent=2))
+        print_json([_plain(plan) for _, plan in plans])
         return
     page = Page(arguments.color)
     for index, (message, plan) in enumerate(plans):
@@ -219,13 +195,13 @@ def _plain(value: Any) -> Any:
 
 
 def _paths(arguments: argparse.Namespace) -> None:
-    messages = _chosen(arguments)
+    messages = chosen_messages(arguments)
     hanging: set[str] = set()
     for variant in named_protocol(arguments.protocol).protocol.variants():
         hanging |= needing_context(list(variant.messages.values()))
     found = [_path(message, message.name in hanging) for message in messages]
     if arguments.json:
-        print(json.dumps(found, ensure_ascii=False, indent=2))
+        print_json(found)
         return
     page = Page(arguments.color)
     if arguments.message is not None:
@@ -287,9 +263,7 @@ def _diff(arguments: argparse.Namespace) -> int:
     old, new = (named_protocol(text).variant() for text in arguments.diff)
     found = spec_difference(old.messages, new.messages)
     if arguments.json:
-        print(
-            json.dumps({"from": old.label, "to": new.label, **found.as_dict()}, ensure_ascii=False, indent=2)
-        )
+        print_json({"from": old.label, "to": new.label, **found.as_dict()})
         return int(not found.is_none)
     page = Page(arguments.color)
     page.lines([f"{page.paint('malformed', f'- {old.label}')}", page.paint("from device", f"+ {new.label}")])

@@ -1,7 +1,6 @@
-"""What editors and type checkers are told of a protocol's records.
+"""The types of a protocol's records, for editors and type checkers.
 
-  aces spec stubs robotis           print the stub: what editors and type
-                                    checkers are told of the records
+  aces spec stubs robotis           print the stub
   aces spec stubs robotis -o        write records.pyi beside the spec, and
                                     records.py, the module that goes with it
   aces spec stubs my_spec.py -o     the same: my_spec_records.pyi and .py
@@ -21,50 +20,46 @@ import argparse
 import difflib
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol, list_protocols
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.generate.stubs import print_module, print_stub
 
-from ..console import say
+from ..console import say, write_text
+from ..options import OUTPUT, Arguments, argument, flag
 from ..protocols_arg import named_protocol
 
 BESIDE = "beside the spec"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("protocol", metavar="NAME|FILE", help="an installed one, or a Python file with one")
-    parser.add_argument(
-        "-o",
-        "--output",
-        nargs="?",
-        const=BESIDE,
-        metavar="FILE.pyi",
-        help=f"write there (without FILE: {BESIDE})",
-    )
-    parser.add_argument("--check", action="store_true", help="only compare with the files that are there")
+ARGUMENTS: Arguments = (
+    argument(
+        "protocol", metavar="NAME|FILE", help="an installed protocol, or a Python file that declares one"
+    ),
+    OUTPUT.but(nargs="?", const=BESIDE, metavar="FILE.pyi", help=f"write there (without FILE: {BESIDE})"),
+    flag("--check", help="only compare with the files that exist"),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
     home = _home(arguments.protocol)
+    stub = print_stub(home.protocol, home.variable)
     given: str | None = arguments.output
     if given is None and not arguments.check:
-        sys.stdout.write(home.stub())
+        sys.stdout.write(stub)
         return 0
-    path = home.beside if given in (None, BESIDE) else Path(str(given))
+    stem = "records" if home.file.stem == "spec" else f"{home.file.stem}_records"
+    path = home.file.with_name(f"{stem}.pyi") if given in (None, BESIDE) else Path(str(given))
     if path.suffix != ".pyi":
         raise CallerError(f"-o {path}: a stub's name ends in .pyi")
-    texts = {path: home.stub(), path.with_suffix(".py"): home.module(path)}
+    texts = {path: stub, path.with_suffix(".py"): home.module(path)}
     command = f"aces spec stubs {arguments.protocol} -o" + ("" if given in (None, BESIDE) else f" {given}")
     if arguments.check:
         return _check(texts, command)
     for file, text in texts.items():
-        try:
-            file.write_text(text, encoding="utf-8", newline="\n")
-        except OSError as error:
-            raise CallerError(f"{file}: cannot be written: {error.strerror or error}") from error
-        say(f"wrote {file}")
+        write_text(str(file), text)
     return 0
 
 
@@ -89,19 +84,13 @@ def _check(texts: dict[Path, str], command: str) -> int:
     return status
 
 
-class _Home:
+class _Home(NamedTuple):
     """Where a protocol comes from: the file of its spec, the module and the variable that name it."""
 
-    def __init__(self, protocol: Protocol, file: Path, module: str, variable: str) -> None:
-        self.protocol, self.file, self.imported, self.variable = protocol, file, module, variable
-
-    @property
-    def beside(self) -> Path:
-        stem = "records" if self.file.stem == "spec" else f"{self.file.stem}_records"
-        return self.file.with_name(f"{stem}.pyi")
-
-    def stub(self) -> str:
-        return print_stub(self.protocol, self.variable)
+    protocol: Protocol
+    file: Path
+    imported: str
+    variable: str
 
     def module(self, path: Path) -> str:
         """The module at `path`: it imports the spec from beside itself, else by its full name."""

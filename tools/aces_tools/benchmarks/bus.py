@@ -1,7 +1,7 @@
 """`aces bench bus`: the virtual bus, in one process and across processes, beside python-can's own.
 
 1. Contenders carry the same 8-byte frames in the same run, in turn; ratios are of their fastest rounds.
-2. The long bus is simulated twice from one seed; all that its listener heard, and when, must hash to the same.
+2. The long bus is simulated twice from one seed; all that its listener received, and when, must hash to the same.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from aces_bus.hardware.simulated.faults import Faults
 from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.runtime import VirtualClock
 
-from .timing import BenchRow, fastest
+from . import BenchRow, fastest, optional
 
 _DATA = bytes(range(8))
 #: Seconds after which a partner that does not answer is taken for dead.
@@ -126,7 +126,7 @@ def across_processes(*, rounds: int, count: int) -> Iterable[BenchRow]:
         stack.callback(logging.disable, logging.root.manager.disable)
         logging.disable(logging.CRITICAL)
         contenders: dict[str, dict[str, Any]] = {}
-        if _has("msgpack"):
+        if optional("msgpack") is not None:
             contenders["python-can's udp_multicast"] = {
                 "interface": "udp_multicast",
                 "channel": "239.74.163.2",
@@ -201,12 +201,6 @@ def _end(process: subprocess.Popen[str]) -> None:
         process.wait()
     if process.stdout is not None:
         process.stdout.close()
-
-
-def _has(module: str) -> bool:
-    from importlib.util import find_spec
-
-    return find_spec(module) is not None
 
 
 # ---------------------------------------------------------------------- a long bus

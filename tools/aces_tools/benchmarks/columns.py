@@ -17,14 +17,20 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import CanScanner, Variant
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.recordings import open_recording
+import can
 
-from .c_peer import run_c
+from aces_bus.export import open_export
+from aces_bus.frame_table import FrameTable
+from aces_bus.protocol import CanScanner, Variant, load_protocol
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.exchange import load_database
+from aces_bus.recordings import open_recording
+from aces_bus.recordings.write import open_writer
+
+from . import BenchRow, fastest, optional
 from .car import car_dbc, write_car_log
-from .timing import BenchRow, fastest, optional
+from .live import dynamixel_stream, sdk_packets
+from .peers import run_c
 
 #: Frames that a peer is given of the whole: as many as it does in some tenths of a second.
 PEER = 30_000
@@ -47,7 +53,6 @@ class Subject:
         self.part_count = min(PEER, count)
         with open(self.log, "rb") as whole, open(self.part, "wb") as part:
             part.writelines(islice(whole, self.part_count))
-        from aces_bus.protocol.exchange import load_database
 
         self.variant: Variant = load_database(str(self.dbc)).protocol.variant()
         cantools = optional("cantools")
@@ -76,7 +81,6 @@ def run(*, quick: bool, frames: int | None = None) -> list[BenchRow]:
         rows += _memory(subject)
         rows += _blf(subject, rounds)
         rows += _mf4(subject, rounds)
-    from .columns_serial import stream_rows
 
     return rows + stream_rows(quick=quick)
 
@@ -129,12 +133,6 @@ def _rows(
 # ---------------------------------------------------------------------- candump
 
 
-def _python_can(path: Path) -> int:
-    import can
-
-    return sum(1 for _ in can.CanutilsLogReader(str(path)))
-
-
 def _parse(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]:
     def ours() -> int:
         with open_recording(str(subject.log), link="can") as capture:
@@ -142,7 +140,7 @@ def _parse(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow
 
     contenders: dict[str, tuple[Callable[[], object], int]] = {
         "aces": (ours, subject.count),
-        "python-can": (lambda: _python_can(subject.part), subject.part_count),
+        "python-can": (lambda: sum(1 for _ in can.CanutilsLogReader(str(subject.part))), subject.part_count),
     }
     if optional("cantools") is not None:
         from cantools import logreader
@@ -153,7 +151,7 @@ def _parse(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow
 
         contenders["cantools' reader"] = (reader, subject.part_count)
     if optional("polars") is not None:
-        from .polars_peer import parse
+        from .peers import parse
 
         contenders["polars"] = (lambda: parse(subject.log), subject.count)
     return _rows("candump log, parse only", contenders, rounds, {"python-can": 50}, c_rate)
@@ -187,7 +185,6 @@ def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]
     contenders: dict[str, tuple[Callable[[], object], int]] = {"aces": (ours, subject.count)}
     database = subject.database
     if database is not None:
-        import can
 
         def loop() -> int:
             columns: dict[tuple[int, str], list[Any]] = {}
@@ -203,8 +200,6 @@ def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]
         rules = can_decoder.load_dbc(str(subject.dbc))
 
         def frames() -> int:
-            import can
-
             rows = list(can.CanutilsLogReader(str(subject.part)))
             table = pandas.DataFrame(
                 {
@@ -219,7 +214,7 @@ def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]
 
         contenders["python-can + can_decoder"] = (frames, subject.part_count)
     if database is not None and optional("polars") is not None:
-        from .polars_peer import parse_and_decode
+        from .peers import parse_and_decode
 
         contenders["polars, by hand"] = (lambda: parse_and_decode(subject.log, database), subject.count)
     targets = {"python-can + cantools": 55.0, "polars, by hand": 1.7}
@@ -256,7 +251,6 @@ def _objects(subject: Subject, rounds: int) -> list[BenchRow]:
 
     contenders: dict[str, tuple[Callable[[], object], int]] = {"aces": (ours, subject.count)}
     if subject.database is not None:
-        import can
 
         def loop() -> int:
             decode = subject.database.decode_message
@@ -271,15 +265,9 @@ def _objects(subject: Subject, rounds: int) -> list[BenchRow]:
 # ---------------------------------------------------------------------- Parquet, processes, memory
 
 
-def _aces(*arguments: str) -> None:
-    """One run of the command, as users start it."""
-    subprocess.run([sys.executable, "-m", "aces_tools.main", *arguments], check=True, capture_output=True)
-
-
 def _parquet(subject: Subject, rounds: int) -> list[BenchRow]:
     if optional("pyarrow") is None:
         return []
-    from aces_bus.export import open_export
 
     out = subject.folder / "ours.parquet"
 
@@ -293,7 +281,6 @@ def _parquet(subject: Subject, rounds: int) -> list[BenchRow]:
     contenders: dict[str, tuple[Callable[[], object], int]] = {"aces": (ours, subject.count)}
     database = subject.database
     if database is not None:
-        import can
         import pyarrow
         from pyarrow import parquet
 
@@ -324,7 +311,8 @@ def _jobs(subject: Subject) -> list[BenchRow]:
 
         def run_it() -> None:
             shutil.rmtree(out, ignore_errors=True)
-            _aces("decode", str(long), "-p", str(subject.dbc), "-o", out, "--jobs", str(jobs))
+            command = ["decode", str(long), "-p", str(subject.dbc), "-o", out, "--jobs", str(jobs)]
+            subprocess.run([sys.executable, "-m", "aces_tools", *command], check=True, capture_output=True)
 
         return run_it
 
@@ -383,8 +371,6 @@ def _peak(code: str) -> float:
 
 
 def _write(subject: Subject, path: Path, count: int) -> None:
-    from aces_bus.recordings.write import open_writer
-
     left = count
     with open_recording(str(subject.log), link="can") as capture, open_writer(str(path)) as writer:
         for table in capture.tables():
@@ -398,8 +384,6 @@ def _read(path: Path) -> int:
 
 
 def _blf(subject: Subject, rounds: int) -> list[BenchRow]:
-    import can
-
     whole, part = subject.folder / "car.blf", subject.folder / "part.blf"
     _write(subject, whole, subject.count)
     _write(subject, part, subject.part_count)
@@ -431,3 +415,51 @@ def _mf4(subject: Subject, rounds: int) -> list[BenchRow]:
         "asammdf": (extract, subject.count),
     }
     return _rows("MF4 → columns of physical values", contenders, max(1, rounds - 2), {"asammdf": 1.4})
+
+
+# ---------------------------------------------------------------------- serial
+
+#: Chunk size → how many times dynamixel_sdk's rate is wanted.
+CHUNKS = {1 << 20: 40.0, 4096: 12.0}
+
+
+def stream_rows(*, quick: bool) -> list[BenchRow]:
+    """Rows for each chunk size; the peer reads a part."""
+    data, good = dynamixel_stream(1_000_000)
+    whole = data * (8 if quick else 64)
+    part = data[:400_000]
+    variant = load_protocol("robotis").variant()
+    found: dict[int, int] = {}
+
+    def ours(chunk: int) -> Callable[[], object]:
+        def run() -> None:
+            scanner = make_column_scanner([variant], direction="from device")
+            for at in range(0, len(whole), chunk):
+                for table in scanner.feed(whole[at : at + chunk]):
+                    for column in table.columns():
+                        len(column)
+            for table in scanner.close():
+                for column in table.columns():
+                    len(column)
+            found[chunk] = scanner.counts.records
+
+        return run
+
+    contenders: dict[str, Callable[[], object]] = {str(chunk): ours(chunk) for chunk in CHUNKS}
+    peer = sdk_packets(part)
+    if peer is not None:
+        contenders["dynamixel_sdk"] = peer
+    best = fastest(contenders, rounds=2 if quick else 4)
+    base = len(part) / best["dynamixel_sdk"] / 1e6 if peer is not None else None
+    subject = f"Dynamixel 1.0 → columns, {len(whole) / 1e6:.0f} MB"
+    rows = []
+    for chunk, target in CHUNKS.items():
+        rate = len(whole) / best[str(chunk)] / 1e6
+        ratio = rate / base if base is not None else None
+        wanted = good * (len(whole) // len(data))
+        label = f"aces, chunks of {chunk:,} bytes, {found[chunk]} of {wanted} good packets"
+        is_met = None if ratio is None else ratio >= target and found[chunk] >= wanted
+        rows.append(BenchRow(subject, label, rate, "MB/s", ratio, f"≥ {target:g} × dynamixel_sdk", is_met))
+    if base is not None:
+        rows.append(BenchRow(subject, "dynamixel_sdk", base, "MB/s"))
+    return rows

@@ -14,11 +14,25 @@ from itertools import count, repeat
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
+from aces_bus.controller import (
+    PID,
+    Bounds,
+    Guard,
+    Phase,
+    Player,
+    StateMachine,
+    Trajectory,
+)
+from aces_bus.controller import (
+    Transition as Transition,
+)
 from aces_bus.runtime import RealClock
 from aces_bus.state import Kalman, LowPass, Median, MovingAverage, RateLimit, Sos, State
 from aces_bus.state.filters import Filter
 
-from .timing import BenchRow, fastest, optional
+from . import BenchRow, fastest, optional
 
 #: A thousand samples at 200 Hz.
 HISTORY, PERIOD_NS = 1_000, 5_000_000
@@ -118,8 +132,6 @@ def values() -> tuple[str, str, int | None, Contenders]:
 
 def control_between() -> tuple[str, str, int | None, Contenders]:
     """A value between two samples."""
-    import numpy as np
-
     linear, cubic = sine_state(), sine_state(interpolation="cubic")
     ahead = sine_state(estimator=Kalman(0.01, 1.0))
     recent = deque([(i * PERIOD_NS, math.sin(0.03 * i)) for i in range(1, HISTORY + 1)], HISTORY)
@@ -189,8 +201,6 @@ def filters() -> tuple[str, str, int | None, Contenders]:
     contenders: dict[str, Callable[[], Any]] = {}
     signal = optional("scipy.signal")
     if signal is not None:
-        import numpy as np
-
         rows, one, state = np.array([SECTION]), np.array([0.5]), np.zeros((1, 2))
         contenders["scipy sosfilt, second order"] = lambda: signal.sosfilt(rows, one, zi=state)
     for name, kind in kinds.items():
@@ -205,10 +215,6 @@ def filters() -> tuple[str, str, int | None, Contenders]:
 
 def trajectories() -> tuple[str, str, int | None, Contenders]:
     """A step of a motion of many joints."""
-    import numpy as np
-
-    from aces_bus.controller import Bounds, Guard, Player, Trajectory
-
     joints = [f"J{number}" for number in range(JOINTS)]
     rows = np.sin(np.arange(3_000)[:, None] / 50 + np.arange(JOINTS))
     wave = Trajectory(joints, rows, rate_hz=50, interpolation="cubic")
@@ -241,9 +247,6 @@ def trajectories() -> tuple[str, str, int | None, Contenders]:
 
 def laws() -> tuple[str, str, int | None, Contenders]:
     """A step of a controller of one joint, and of a state machine that changes its phase."""
-    from aces_bus.controller import PID, Phase, StateMachine
-    from aces_bus.controller import Transition as Transition
-
     pid = PID(2.0, 1.0, 0.1, limits=(-1, 1), derivative_filter_s=0.01, setpoint=0.5)
     machine = StateMachine(
         "machine",

@@ -12,12 +12,14 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
+import can
 from construct import Array, Compiled, Int16sl, Int32sl, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, bits
 from aces_bus.protocol.generate.load import codec
+from aces_protocols.robotis.spec import robotis
 
-from .timing import BenchRow, fastest, optional
+from . import BenchRow, fastest, optional
 
 BATCH = 64
 CHUNK = 4096
@@ -94,8 +96,6 @@ def car_like() -> Protocol:
 
 def messages(shapes: Sequence[tuple[int, int]], count: int) -> list[Any]:
     """Python-can messages of the given (identifier, length), random data."""
-    import can
-
     rng = random.Random(7)
     found = []
     for number in range(count):
@@ -247,8 +247,6 @@ def sdk_packets(data: bytes) -> Callable[[], int] | None:
 
 def serial_rows(*, rounds: int, size: int) -> list[BenchRow]:
     """Dynamixel 1.0 records beside dynamixel_sdk."""
-    from aces_protocols.robotis.spec import robotis
-
     data, good = dynamixel_stream(size)
     found: dict[str, int] = {}
 

@@ -8,14 +8,15 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from aces_bus.plain_text import printable, printable_lines
 
-from .text import Paint
+from ..console import Output, terminal_width, wants_colour
+from .text import Paint, make_paint, no_paint
 
 GAP = "  "
-#: The last column stands beside the others when it has at least this much room.
+#: The last column goes beside the others when it has at least this much room.
 LEAST = 28
 INDENT = 4
 
@@ -66,3 +67,23 @@ def _wrapped(text: str, width: int | None) -> list[str]:
     if width is None or len(text) <= width:
         return [text]
     return textwrap.wrap(text, max(width, 16), break_long_words=False, break_on_hyphens=False) or [""]
+
+
+class Page:
+    """Lines for people on stdout: coloured and wrapped on a terminal, neither elsewhere."""
+
+    def __init__(self, colour: bool | None) -> None:
+        is_terminal = Output(None).is_terminal
+        self.is_coloured = wants_colour(colour, is_terminal)
+        self.width = terminal_width() if is_terminal else None
+        self.paint: Paint = make_paint() if self.is_coloured else no_paint
+
+    def lines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            print(line)
+
+    def beside(self, name: str, texts: Sequence[str], style: str) -> None:
+        self.lines(beside(name, texts, self.width, style, self.paint))
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        self.lines(column_output(head, rows, self.width, self.paint))

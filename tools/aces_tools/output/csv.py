@@ -5,7 +5,7 @@ transport has the name). Otherwise one row a value, in the
 columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 
 1. The columns are known before the first record: they depend on the protocols and messages asked for, not on the data.
-2. What is not decoded has no message; its reason stands under `field`, its bytes under `value`. In the form with one
+2. What is not decoded has no message; its reason is under `field`, its bytes under `value`. In the form with one
    message there is no place for it.
 3. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
    has an apostrophe in front. Numbers are as they are.
@@ -27,7 +27,7 @@ from .shape import OfKind, Plans, RecordLeaf, flag_names, json_value, record_lea
 _SPECIAL = re.compile(r'[",\r\n]').search
 
 
-class Sheet:
+class CsvOutput:
     """`only` is the one message asked for, if it is one; `links` are those of the protocols in use."""
 
     def __init__(

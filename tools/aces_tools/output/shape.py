@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -74,9 +75,11 @@ def flag_names(flags: Any) -> list[str]:
 
 
 def json_value(value: Any) -> Any:
-    """Any value of a record as what JSON has."""
-    if value is None or isinstance(value, (bool, float)):
+    """Any value as what JSON has: NaN, infinities and what is unknown are null, flags a list of names, bytes hexadecimal."""
+    if value is None or isinstance(value, bool):
         return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, FlagSet):
         return flag_names(value)
     if isinstance(value, int):
@@ -93,9 +96,12 @@ def json_value(value: Any) -> Any:
         }
     if isinstance(value, Mapping):
         return {str(key): json_value(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [json_value(item) for item in value]
-    return str(value)
+    if isinstance(value, Iterable):
+        items: Iterable[Any] = value
+        return [json_value(item) for item in items]
+    from aces_bus.device import UNKNOWN
+
+    return None if value is UNKNOWN else str(value)
 
 
 def is_single_value(node: p.Node) -> bool:

@@ -102,7 +102,6 @@ def show_figure(picture: Picture) -> None:
 
 @contextmanager
 def _styled(picture: Picture) -> Generator[None, None, None]:
-    load_matplotlib()
     import matplotlib
     import matplotlib.style as styles
 

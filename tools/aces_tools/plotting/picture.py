@@ -1,7 +1,7 @@
 """What is drawn where: panels above each other over one time axis, whoever draws them.
 
 1. A panel shows one sort of thing: numbers on one or more vertical axes, one enumeration with its names as ticks (several
-   would lie on each other), or flags as lanes. What stands in one group and is of several sorts becomes several panels.
+   would lie on each other), or flags as lanes. A group of several sorts becomes several panels.
 2. A label says what tells lines apart, and the panel's title what they share; together they are the signal's full name
    as it can be asked for.
 """
@@ -16,8 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from .formats import ImageFormat
-from .select import CHANNEL, PlotSignal, SignalPattern
+from .select import CHANNEL, ImageFormat, PlotSignal, SignalPattern
 from .series import MOST_LINES, Key, Series, TimeAxis, broken, matching, too_many
 
 Array = npt.NDArray[Any]
@@ -57,7 +56,7 @@ class PlotPanel:
     units: list[str] = field(default_factory=list)
     captions: list[str] = field(default_factory=list)
     limits: list[Limits] = field(default_factory=list)
-    #: Of an enumeration: what stands at 0, 1, 2, ….
+    #: Of an enumeration: the names at 0, 1, 2, ….
     categories: list[str] = field(default_factory=list)
 
     @property
@@ -215,27 +214,27 @@ class LineNames:
 
 
 def _label(panel: PlotPanel, names: LineNames) -> None:
+    """The title is what all lines share, a label what is left of its line's full name."""
     lines = panel.lines
-    messages = {line.series.signal.owner for line in lines}
-    keys = {names.key(line.series) for line in lines}
-    paths = {line.series.signal.path for line in lines}
     first = lines[0].series
-    if len(messages) == 1 and len(keys) == 1:
-        is_one = len(lines) == 1
-        panel.title = names.full(first) if is_one else f"{first.signal.message}{names.key(first)}"
-        for line in lines:
-            line.label = line.series.signal.path
-    elif len(messages) == 1 and len(paths) == 1:
-        panel.title = first.signal.name
-        for line in lines:
-            line.label = names.key(line.series).strip("[]")
-    elif len(messages) == 1:
-        panel.title = first.signal.message
-        for line in lines:
-            line.label = f"{names.key(line.series)}.{line.series.signal.path}".lstrip(".")
-    else:
-        for line in lines:
+    is_one_message = len({line.series.signal.owner for line in lines}) == 1
+    is_one_key = len({names.key(line.series) for line in lines}) == 1
+    is_one_path = len({line.series.signal.path for line in lines}) == 1
+    if is_one_message:
+        message = first.signal.message
+        panel.title = (
+            f"{message}{names.key(first)}" if is_one_key else first.signal.name if is_one_path else message
+        )
+        if len(lines) == 1:
+            panel.title = names.full(first)
+    for line in lines:
+        key, path = names.key(line.series), line.series.signal.path
+        if not is_one_message:
             line.label = names.full(line.series)
+        elif is_one_path and not is_one_key:
+            line.label = key.strip("[]")
+        else:
+            line.label = path if is_one_key else f"{key}.{path}".lstrip(".")
     panel.limits = [(None, None)] * len(panel.axes)
     for axis in panel.axes:
         units = list(dict.fromkeys(line.unit for line in axis))

@@ -1,6 +1,6 @@
 """Which signals a plot shows: patterns such as `Encoder[board=3].position.*:r--`, matched against what is declared.
 
-1. All of this is decided from the protocols alone, before anything is read: a misspelt name costs nobody an hour.
+1. All of this is decided from the protocols alone, before anything is read: a misspelt name is found at once.
 2. `*` and `?` are the only wildcards, and case does not count, as users of cantools have it.
 3. A pattern with wildcards never takes what only tells devices apart (a board's number), nor bits that belong to no
    field; by their full names they can be had.
@@ -8,6 +8,12 @@
 A field that says whose values a message carries splits its signals into one line a device: what the protocol captures
 from the identifier, and integers that are named like it (`DEVICE_NAMES`). Any other field does so where a pattern names
 it in brackets: `Get[selector=*].value`.
+
+`:FMT` behind a signal is a colour, marker and line style, as matplotlib and `cantools plot` write them; it means the same in
+a file and in the terminal:
+
+    r--   red, dashed        C2    the third colour        .k   black points
+    o-    circles on a line  |     stems, from zero to the value
 """
 
 from __future__ import annotations
@@ -24,8 +30,6 @@ from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import ColumnKind, kinds_of
 from aces_bus.protocol.plan import nodes as p
 
-from .formats import ImageFormat, parse_format
-
 #: Names of top-level integers that say whose values a message carries.
 DEVICE_NAMES = frozenset(
     {"address", "board", "device", "id", "joint", "motor", "node", "sender", "servo", "slave", "source"}
@@ -37,6 +41,50 @@ NEAR = 5
 _PATTERN = re.compile(
     r"(?P<head>[^\[\]:]*)(?:\[(?P<where>[^\[\]]*)\](?P<rest>[^\[\]:]*))?(?::(?P<format>.*))?", re.DOTALL
 )
+
+
+# ---------------------------------------------------------------------- formats
+
+_LINES = ("--", "-.", "-", ":")
+_MARKERS = ".,ov^<>12348spP*hH+xXDd|_"
+_COLOURS = "bgrcmykw"
+
+
+@dataclass(frozen=True)
+class ImageFormat:
+    """What is not said is None, and left to the drawing."""
+
+    colour: str | None = None
+    marker: str | None = None
+    line: str | None = None
+    is_stem: bool = False
+
+
+def parse_format(text: str, where: str) -> ImageFormat:
+    """A format as it was typed behind the signal `where`; raises `CallerError` for what is none."""
+    colour = marker = line = None
+    is_stem = text.startswith("|")
+    rest = text[1:] if is_stem else text
+    while rest:
+        style = next((style for style in _LINES if rest.startswith(style)), None)
+        numbered = re.match(r"C\d", rest)
+        if style is not None and line is None:
+            line, rest = style, rest[len(style) :]
+        elif numbered and colour is None:
+            colour, rest = numbered[0], rest[2:]
+        elif rest[0] in _COLOURS and colour is None:
+            colour, rest = rest[0], rest[1:]
+        elif rest[0] in _MARKERS and marker is None:
+            marker, rest = rest[0], rest[1:]
+        else:
+            raise CallerError(
+                f"{where!r}: {text!r} is no format; it is made of a colour (b g r c m y k w C0…C9), a line"
+                " (- -- -. :) and a marker (. o s x + D …), such as r-- or .k; | in front draws stems"
+            )
+    return ImageFormat(colour, marker, line, is_stem)
+
+
+# ---------------------------------------------------------------------- signals
 
 
 @dataclass(frozen=True)
@@ -138,7 +186,7 @@ class SignalPattern:
     text: str
     name: str
     where: tuple[tuple[str, str], ...] = ()
-    #: What stands behind the brackets, when something does: then `name` is the message alone.
+    #: What follows the brackets, if anything does: then `name` is the message alone.
     rest: str | None = None
     format: ImageFormat = field(default_factory=ImageFormat)
 
@@ -244,7 +292,11 @@ def select(
         for signal in message.signals:
             takers: list[SignalPattern] = []
             for pattern in patterns:
-                if signal.is_number and pattern.takes(signal) and _has(pattern, message):
+                if (
+                    signal.is_number
+                    and pattern.takes(signal)
+                    and {name for name, _ in pattern.where} <= {CHANNEL, *message.columns}
+                ):
                     takers.append(pattern)
                     hit.add(pattern)
                     keys.update(dict.fromkeys(name for name, _ in pattern.where if name in message.columns))
@@ -256,10 +308,6 @@ def select(
         if pattern not in hit:
             raise CallerError(_missing(pattern, messages))
     return found
-
-
-def _has(pattern: SignalPattern, message: Declared) -> bool:
-    return all(name == CHANNEL or name in message.columns for name, _ in pattern.where)
 
 
 def _missing(pattern: SignalPattern, messages: dict[tuple[str, str], Declared]) -> str:

@@ -30,7 +30,7 @@ Key = tuple[tuple[str, str], ...]
 BUCKETS = 8192
 #: Points a series may hold before it is thinned.
 MOST_POINTS = 1 << 17
-#: Lines in one picture: more cannot be told apart, nor listed beside it.
+#: Lines in one picture: more cannot be distinguished, nor listed beside it.
 MOST_LINES = 64
 #: Lines in a list of signals.
 MOST_SERIES = 4096
@@ -138,7 +138,7 @@ class TimeAxis:
             self.is_set = True
 
     def place(self, table: MessageTable) -> Array:
-        """Where on the axis each message stands, NaN where nobody knows."""
+        """Where on the axis each message is, NaN where that is not known."""
         self.see(table.time)
         if self.origin is None:
             return table.row.astype(np.float64)
@@ -153,7 +153,7 @@ class TimeAxis:
 class Collector:
     """Collects the wanted signals out of tables. With `keeps_points` False it only counts.
 
-    Raises `CallerError` as soon as there are more lines than a picture can show: nobody waits for the end to be told.
+    Raises `CallerError` as soon as there are more lines than a picture can show, and not at the end of a long recording.
     """
 
     def __init__(

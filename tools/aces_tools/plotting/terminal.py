@@ -2,7 +2,7 @@
 
 1. No line of text is wider than `width`, whatever the names.
 2. Without colours lines carry their number, as on a map: a plot in a file or an e-mail can be read, too.
-3. Where the output has no braille, `*` stands for dots and ASCII for frames.
+3. Where the output has no braille, dots are `*` and frames ASCII.
 4. Nothing that came from a protocol or a wire reaches the terminal as a control character.
 
 Each character is two dots wide and four high. Series are thinned to the first, last, lowest and highest sample of each
@@ -12,12 +12,15 @@ dot's stretch of time before they are drawn, so that a spike shows however short
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..console import Output, terminal_width, wants_colour
 from ..output.text import can_write, printable
 from .picture import Picture, PlotLine, PlotPanel, instant, lone, steps, values_range
 from .series import thin
@@ -78,6 +81,24 @@ def draw_terminal(
 ) -> str:
     """The picture as lines of text. `height` is what all of it may have, in lines; `paint` None is without colour."""
     return _Drawing(picture, max(width, LEAST_WIDTH), paint, can_write("⣿│┤└─┬█▓…━", encoding)).text(height)
+
+
+def print_picture(
+    picture: Picture, colour: bool | None, most_width: int = 10_000, spare_lines: int = 1
+) -> None:
+    """Draw on standard output, as wide as the terminal, and as high but for the spare lines."""
+    output = Output(None)
+    height = None
+    if output.is_terminal:
+        try:
+            height = os.get_terminal_size(sys.stdout.fileno()).lines - spare_lines
+        except (OSError, ValueError, AttributeError):
+            pass
+    paint = make_plot_paint() if wants_colour(colour, output.is_terminal) else None
+    width = min(terminal_width(), most_width)
+    text = draw_terminal(picture, width, paint=paint, height=height, encoding=output.encoding)
+    output.write(text.encode(output.encoding, "replace"))
+    output.close()
 
 
 class _Drawing:
@@ -183,7 +204,7 @@ class _Drawing:
         out: list[str] = []
         line, at = "", 0
         for number, one in enumerate(lines):
-            mark = ("━━" if self.is_rich else "--") if self.is_coloured else _mark(number)
+            mark = ("━━" if self.is_rich else "--") if self.is_coloured else str(number + 1)
             label = self._cut(printable(one.label), self.width - len(mark) - 2)
             size = len(mark) + 1 + len(label)
             if at and at + 3 + size > self.width:
@@ -201,10 +222,7 @@ class _Drawing:
         room = 12 if picture.has_instants else 10
         offset = picture.offset
         low, high = self.low + offset, self.high + offset
-        if picture.has_instants:
-            step = nice_step((high - low) / max(1, columns // room))
-        else:
-            step = nice_step((high - low) / max(1, columns // room))
+        step = nice_step((high - low) / max(1, columns // room))
         rule = [self.dash] * columns
         labels = [" "] * (self.gutter + 1 + columns)
         taken = 0
@@ -295,8 +313,8 @@ class _Drawing:
         return self._cells(cells, owner, lines, marks)
 
     def _number(self, mine: Array, number: int, count: int, marks: dict[tuple[int, int], str]) -> None:
-        """Put a line's number on it here and there, where no other number stands."""
-        mark = _mark(number)
+        """Put a line's number on it here and there, where there is no other number."""
+        mark = str(number + 1)
         first = round(APART / 2 * (number + 0.5) / count) + 1
         for start in range(first, self.columns, APART):
             for column in range(start, min(start + APART - 4, self.columns - len(mark))):
@@ -385,10 +403,6 @@ def _segment(bits: Array, start: int, first: float, stop: int, last: float) -> N
         bottom = min(here + half, max(first, last))
         if bottom >= 0 and top < tall:
             _vertical(bits, column, round(max(top, 0.0)), round(min(bottom, tall - 1.0)))
-
-
-def _mark(number: int) -> str:
-    return str(number + 1)
 
 
 def _colour(line: PlotLine, number: int) -> str:

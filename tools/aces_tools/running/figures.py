@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.bus import SimulatedBus
-
-if TYPE_CHECKING:
-    from aces_bus.robot import Runner
-    from aces_bus.runtime import Task
+from aces_bus.robot import Runner
+from aces_bus.runtime import Task
 
 #: What happens on a good day, and is not worth a line.
 USUAL = frozenset({"opened", "closed", "error-active", "clipped"})
-#: The longest classic frame: what a bus's load is reckoned by where nobody measures it.
+#: The longest classic frame: what a bus's load is estimated by where it is not measured.
 LONGEST = Frame(0, bytes(8))
 KEPT_EVENTS = 5
 #: Between two looks at the jitter (ns).
@@ -61,7 +59,7 @@ class BusLine:
 
 @dataclass(frozen=True)
 class StateLine:
-    """A state that is in use: its newest value and age in ns, None where it was never known; what it was last told."""
+    """A state that is in use: its newest value and age in ns, None where it was never known; its last set-point."""
 
     name: str
     unit: str

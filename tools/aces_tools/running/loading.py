@@ -11,15 +11,15 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+from aces_bus.controller import ControllerLike, Player, Trajectory, read_trajectory
+from aces_bus.controller.log import Logger
+from aces_bus.controller.motion_file import MOST_RAD
+from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol.files import load_file
-
-if TYPE_CHECKING:
-    from aces_bus.controller import ControllerLike, Player, Trajectory
-    from aces_bus.controller.log import Logger
-    from aces_bus.device import Robot
+from aces_devices.kinematics.minihubo import WALK_HZ, read_walk
 
 #: Columns of the walking patterns that MiniHubo's programs wrote, which have no names.
 WALK_COLUMNS = (13, 21, 22)
@@ -81,9 +81,6 @@ def _of_program(path: str, name: str) -> list[ControllerLike]:
 
 
 def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespace) -> Player:
-    from aces_bus.controller import Player
-    from aces_bus.controller.motion_file import MOST_RAD
-
     trajectory = _trajectory(path, arguments)
     renamed, left_out = _renaming(arguments.rename)
     if left_out:
@@ -108,7 +105,7 @@ def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespa
             trajectory,
             rate_hz=rate_hz,
             rename=renamed,
-            rounds=None if arguments.loop else 1,
+            rounds=arguments.loop or None,
             speed=arguments.speed,
             largest=MOST_RAD if are_angles else math.inf,
         )
@@ -118,9 +115,6 @@ def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespa
 
 
 def _trajectory(path: str, arguments: argparse.Namespace) -> Trajectory:
-    from aces_bus.controller import read_trajectory
-    from aces_devices.kinematics.minihubo import WALK_HZ, read_walk
-
     if not os.path.isfile(path):
         raise CallerError(f"{path}: {'a folder' if os.path.isdir(path) else 'no such file'}")
     rate = arguments.rows_hz
@@ -158,8 +152,6 @@ def _renaming(texts: Iterable[str]) -> tuple[dict[str, str], set[str]]:
 
 
 def _without(trajectory: Trajectory, names: set[str]) -> Trajectory:
-    from aces_bus.controller import Trajectory
-
     keep = [number for number, name in enumerate(trajectory.names) if name not in names]
     if not keep:
         raise CallerError("--rename leaves no column")
@@ -180,8 +172,6 @@ def make_loggers(
     texts: Sequence[str], controllers: Sequence[ControllerLike], robot: Robot, rate_hz: float
 ) -> list[Logger]:
     """The logs of `--log FILE[:STATE,…]`; raises `CallerError` for a file that cannot be written."""
-    from aces_bus.controller.log import Logger
-
     made: list[Logger] = []
     for text in texts:
         path, states = _log_parts(text)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..output.text import printable
-from .figures import BusLine, Component, Figures, StateLine
+from .figures import USUAL, BusLine, Component, Figures, StateLine
 
 #: (style of rich, text).
 Piece = tuple[str, str]
@@ -80,7 +80,7 @@ def plain_line(figures: Figures) -> str:
     if figures.unknown:
         parts.append(f"unknown {len(figures.unknown)}")
     parts.append(f"clipped {figures.clipped}")
-    parts.append(f"events {_eventful(figures)}")
+    parts.append(f"events {sum(n for kind, n in figures.counts.items() if kind not in USUAL)}")
     return printable("; ".join(parts))
 
 
@@ -149,23 +149,13 @@ def _states(figures: Figures, width: int, room: int) -> list[Line]:
 
 def _feet(figures: Figures, width: int) -> list[Line]:
     clipped = f", {figures.clipped} clipped (most: {figures.clipped_most})" if figures.clipped else ""
-    counts = {
-        kind: n
-        for kind, n in figures.counts.items()
-        if kind not in ("opened", "closed", "error-active", "clipped")
-    }
+    counts = {kind: n for kind, n in figures.counts.items() if kind not in USUAL}
     lines: list[Line] = [[("", f"{figures.set_points} set-points"), ("yellow" if clipped else "", clipped)]]
     if counts:
         text = ", ".join(f"{kind} {number}" for kind, number in sorted(counts.items()))
         lines[0].append(("bold", f"; events: {text}"))
     lines += [[("red", event)] for event in figures.events[-3:]]
     return lines
-
-
-def _eventful(figures: Figures) -> int:
-    return sum(
-        n for kind, n in figures.counts.items() if kind not in ("opened", "closed", "error-active", "clipped")
-    )
 
 
 def _value(one: StateLine) -> str:

@@ -11,24 +11,23 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
 
+from aces_bus.controller import ControllerLike
+from aces_bus.controller.log import Logger
+from aces_bus.device import Device, Robot
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.frames import Frame
+from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, terminal_width, wants_colour
 from ..live import LivePatience
 from ..robot_arg import bus_options
 from .figures import USUAL, Figures, Watch, event_text
 from .panel import panel, plain_line, to_rich
-
-if TYPE_CHECKING:
-    from aces_bus.controller import ControllerLike
-    from aces_bus.controller.log import Logger
-    from aces_bus.device import Device, Robot
-    from aces_bus.frames import Frame
-    from aces_bus.robot import Ended, Runner
 
 #: Between two pictures of the panel, and two lines (ns).
 PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
@@ -38,7 +37,7 @@ REST_S = 4.0
 ENABLE_S, HOME_S = 30.0, 180.0
 #: Threads of Python wait for each other at most so long (s): the default, 5 ms, is a whole cycle.
 SWITCH_S = 0.0005
-#: Events of one kind and source that are told.
+#: Events of one kind and source that are printed.
 FEW = 3
 #: What python-can says where neither the call nor its own configuration names an interface.
 NO_INTERFACE = 'interface type "None"'
@@ -56,10 +55,9 @@ class Session:
         controllers: Sequence[ControllerLike],
         loggers: Sequence[Logger],
         rate_hz: float,
-        duration: int | None,
     ) -> None:
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
-        self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, duration
+        self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
         self.patience = LivePatience()
         self.said: dict[tuple[str, str], int] = {}
@@ -70,15 +68,13 @@ class Session:
     # ------------------------------------------------------------------ making
 
     def _make(self, stack: ExitStack) -> Runner:
-        from aces_bus.robot import run_real, run_replay, run_virtual
-
         asked = self.arguments
         if asked.virtual:
             return run_virtual(
                 self.robot, self.controllers, rate_hz=self.rate_hz, seed=asked.seed, loggers=self.loggers
             )
         if asked.replay:
-            frames = stack.enter_context(_Recording(asked.replay))
+            frames = stack.enter_context(_frames(asked.replay))
             return run_replay(self.robot, frames, self.controllers, loggers=self.loggers)
         options = bus_options(self.robot, asked)
         return run_real(
@@ -157,7 +153,7 @@ class Session:
         """Home and enable what is driven; False when some of it is not there."""
         asked = self.arguments
         if missing:
-            say(f"not heard: {', '.join(missing)}; powered, on this bus, and of this number?")
+            say(f"no answer from {', '.join(missing)}: powered, on this bus, and of this number?")
         if not runner.drives:
             return True
         driven = {device.name: device for one in runner.supervisors for device in runner.driven(one)}
@@ -240,7 +236,7 @@ class Session:
             return
         try:
             print(plain_line(figures), flush=True)
-        except BrokenPipeError:  # nobody reads any more: the robot is stopped as if by Ctrl-C
+        except BrokenPipeError:  # the reader has gone: the robot is stopped as if by Ctrl-C
             abandon_stdout()
             self.patience.is_over = True
 
@@ -305,30 +301,12 @@ class Session:
         return status or int(bool(ended.tripped or ended.failed or missing or is_cut))
 
 
-class _Recording:
+@contextmanager
+def _frames(path: str) -> Generator[Iterator[Frame]]:
     """A CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
-
-    def __init__(self, path: str) -> None:
-        from aces_bus.recordings import CanRecording, open_recording
-
-        capture = open_recording(path)
+    with open_recording(path) as capture:
         if not isinstance(capture, CanRecording):
-            capture.close()
             raise CallerError(f"{path}: a serial recording; --replay takes those of CAN")
-        self.capture = capture
-
-    def __iter__(self) -> Iterator[Frame]:
-        for frames in self.capture.batches(1024):
-            yield from frames
-
-    def __enter__(self) -> _Recording:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        problems = self.capture.lines_unreadable
-        if problems:
-            say(f"{self.capture.name}: {problems} unreadable lines")
-        self.capture.close()
-
-
-__all__ = ["Session"]
+        yield (frame for frames in capture.batches(1024) for frame in frames)
+        if capture.lines_unreadable:
+            say(f"{capture.name}: {capture.lines_unreadable} unreadable lines")

@@ -13,15 +13,21 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 
+from ..live import BusEventLines, LivePatience
+from .model import Model
+
 if TYPE_CHECKING:
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
     from aces_bus.protocol import Scanner
     from aces_bus.recordings import CanFilter
+
+    from ..sniff import Sniffing
 
 
 def check_screen() -> None:
@@ -34,55 +40,6 @@ def check_screen() -> None:
         raise CallerError(
             "--screen needs a terminal; without it lines are printed, also into files and pipes"
         )
-
-
-def run_screen(
-    gate: CanGate | SerialGate | DatagramGate,
-    scanner: Scanner | None,
-    *,
-    filter: CanFilter | None = None,
-    title: str = "",
-    record: Callable[[], str] | None = None,
-    bitrate: int | None = None,
-    data_bitrate: int | None = None,
-    open_gate: Callable[[], object] | None = None,
-    show: Sequence[str] = (),
-    end: Callable[[], bool] | None = None,
-    colour: bool | None = None,
-) -> int:
-    """Show what a gate hears, until the user quits; the exit status. The gate is opened, and closed at the end.
-
-    `scanner` has to be made with `include_unknown`; None, or one without protocols, decodes nothing (CAN only). `filter` is
-    applied before anything is counted; `show` is a filter as it can be typed, of words. `record` gives what the head says
-    of a recording. `bitrate` and `data_bitrate` in bit/s are what the load is a share of; without them it is the
-    protocols' bit rate, and where they have none, bit/s are shown. `open_gate` opens the gate instead of
-    `gate.start()`. The screen ends by itself when `end` says so. `colour` None: as the terminal has it.
-
-    Raises `CallerError` before anything is opened, where no screen can be shown (`check_screen`), and whatever opening
-    the gate raises.
-    """
-    check_screen()
-    screen = make_screen(
-        gate,
-        scanner,
-        filter=filter,
-        title=title,
-        record=record,
-        bitrate=bitrate,
-        data_bitrate=data_bitrate,
-        show=show,
-        end=end,
-        colour=colour,
-    )
-    try:
-        if open_gate is not None:
-            open_gate()
-        elif gate.state == "new":
-            gate.start()
-        screen.run()
-    finally:
-        gate.stop()
-    return int(screen.return_code or 0)
 
 
 def make_screen(
@@ -98,13 +55,19 @@ def make_screen(
     end: Callable[[], bool] | None = None,
     colour: bool | None = None,
 ) -> Any:
-    """The application of `run_screen`, not yet running; it listens to the gate from now on."""
+    """The application that shows what a gate receives, not yet running; it listens to the gate from now on.
+
+    `scanner` has to be made with `include_unknown`; None, or one without protocols, decodes nothing (CAN only). `filter` is
+    applied before anything is counted; `show` is a filter as it can be typed, of words. `record` gives what the head says
+    of a recording. `bitrate` and `data_bitrate` in bit/s are what the load is a share of; without them it is the
+    protocols' bit rate, and where they have none, bit/s are shown. The screen ends by itself when `end` says so. `colour`
+    None: as the terminal has it.
+    """
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
 
     from ..console import wants_colour
     from .app import LiveScreen
     from .model import Model
-    from .stream import ModelFeed
 
     if isinstance(gate, SerialGate):
         bitrate = gate.baud
@@ -135,4 +98,96 @@ def make_screen(
     return made
 
 
-__all__ = ["check_screen", "make_screen", "run_screen"]
+# ---------------------------------------------------------------------- streams
+
+#: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
+LEAST_NS = 20_000_000
+#: The silence after which nothing goes on, where no protocol declares a gap.
+SILENCE_S = 1.0
+#: Bit times of a byte on a serial line: start, eight bits, stop.
+BYTE = 10
+
+
+class ModelFeed:
+    """Feeds a model. Times are the host's, of its monotonic clock."""
+
+    def __init__(self, model: Model, *, are_datagrams: bool = False) -> None:
+        if model.scanner is None:
+            raise CallerError(
+                "bytes make rows only where a protocol finds packets in them; name one: -p NAME"
+            )
+        self._model = model
+        self._scanner: Any = model.scanner
+        self._are_datagrams = are_datagrams
+        self._gap_ns = max(LEAST_NS, round((getattr(self._scanner, "gap", 0.0) or SILENCE_S) * 1e9))
+        self._heard_ns = 0
+        self._is_settled = True
+
+    def feed(self, items: Sequence[Any]) -> None:
+        """What a gate handed over."""
+        feed = self._scanner.datagram if self._are_datagrams else self._scanner.feed
+        for item in items:
+            self.idle(item.host_ns)
+            self._model.feed_records(
+                feed(item.content, item.host_ns / 1e9), item.host_ns, BYTE * len(item.content)
+            )
+            self._heard_ns, self._is_settled = item.host_ns, self._are_datagrams
+
+    def idle(self, now_ns: int) -> None:
+        """Nothing came until now."""
+        if not self._is_settled and now_ns - self._heard_ns > self._gap_ns:
+            self._is_settled = True
+            self._model.feed_records(self._scanner.idle(now_ns / 1e9), now_ns)
+
+
+# ---------------------------------------------------------------------- aces sniff --screen
+
+#: Options that say something about lines.
+OF_LINES = ("where", "unknown", "count", "format", "output", "quiet")
+
+
+def run_on_screen(sniffing: Sniffing) -> int:
+    """One run; the exit status. Raises `CallerError` for a wrong call, a missing terminal, a bus that does not open."""
+    arguments, bus = sniffing.arguments, sniffing.bus
+    for option in OF_LINES:
+        if getattr(arguments, option):
+            raise CallerError(f"--{option} is about lines, and --screen prints none; press / there to filter")
+    if len(sniffing.messages) > 1:
+        raise CallerError("--screen takes one --message; press / there to filter")
+    if bus.kind != "can" and not arguments.protocol:
+        raise CallerError("--screen shows the packets of a protocol, and no bare bytes; name one: -p NAME")
+    check_screen()
+    gate = bus.gate(listen_only=True)
+    events, recorder = BusEventLines(gate), sniffing.recorder()
+    until = None if sniffing.duration is None else time.monotonic_ns() + sniffing.duration
+    with LivePatience() as patience:
+
+        def is_over() -> bool:
+            is_late = until is not None and time.monotonic_ns() >= until
+            return patience.is_over or is_late or (recorder is not None and recorder.failure is not None)
+
+        screen = make_screen(
+            gate,
+            sniffing.scanner,
+            filter=sniffing.filter,
+            title=" ".join(arguments.protocol),
+            record=None if recorder is None else lambda: f"{recorder.path} {recorder.recorded:,}",
+            bitrate=bus.options.get("bitrate"),
+            data_bitrate=bus.options.get("data_bitrate"),
+            show=sorted(sniffing.messages),
+            end=is_over,
+            colour=arguments.color,
+        )
+        try:
+            sniffing.open(gate, recorder)
+            screen.run()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            gate.stop()
+        dropped = gate.counters.dropped - (recorder.dropped if recorder is not None else 0)
+        sniffing.end(gate, events, recorder, dropped)
+    return sniffing.status or int(screen.return_code or 0)
+
+
+__all__ = ["check_screen", "make_screen", "run_on_screen"]

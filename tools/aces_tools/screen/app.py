@@ -1,4 +1,4 @@
-"""The live screen itself: what is heard, shown ten times a second.
+"""The live screen itself: what is received, shown ten times a second.
 
 1. It hears and never speaks: it has an inbox and looks at a gate's state; it knows no way to send.
 2. One thread: between two pictures the inbox is emptied into the model, in pieces, so that keys are answered in between.
@@ -24,8 +24,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 from textual.widgets import Footer, Input, Static
 
-from .detail import detail
-from .head import Line, Status, head, plain_text
+from .head import Line, Status, detail, head, plain_text
 from .model import Model, Place, RepeatedFrame
 from .paint import Needs, StyledText, TableColumn, line, styles, title, visible_columns
 from .view import View
@@ -51,7 +50,7 @@ HELP = """\
   s S      sort: identifier, rate, name, last change; reversed
   f space  freeze what is shown; counting goes on
   u        only what no protocol knows
-  c        clear: forget what was heard, count anew
+  c        clear: forget what was received, count anew
   h        mark what changes, or not
   q        quit
 
@@ -68,15 +67,6 @@ HELP = """\
   way to this screen, is counted in red.
 
 Esc closes this."""
-
-
-class ShownCounters(Protocol):
-    """What a gate counts, as far as it is shown."""
-
-    dropped: int
-    kernel_dropped: int
-    bad_input: int
-    reopened: int
 
 
 class InboxFeed(Protocol):
@@ -109,7 +99,7 @@ class Lines(Widget):
 
     @property
     def text(self) -> str:
-        """What stands there, without styles."""
+        """Its text, without styles."""
         return plain_text(self._lines)
 
     def show(self, lines: list[Line]) -> None:
@@ -266,7 +256,7 @@ class LiveScreen(App[None]):
     Footer {{ background: {BAND}; }}
     """
     BINDINGS: ClassVar[list[BindingType]] = [
-        # What stands first is what a narrow terminal has room for.
+        # What comes first is what a narrow terminal has room for.
         Binding("d,enter", "details", "Details", key_display="d"),
         Binding("slash", "filter", "Filter", key_display="/"),
         Binding("s", "sort", "Sort"),
@@ -411,7 +401,7 @@ class LiveScreen(App[None]):
         )
 
     def _counts(self) -> tuple[int, int, int]:
-        counters: ShownCounters = self.gate.counters
+        counters = self.gate.counters
         scanner = self.model.scanner
         return (
             counters.dropped + counters.kernel_dropped,
@@ -498,6 +488,3 @@ class LiveScreen(App[None]):
     def on_resize(self, event: Resize) -> None:
         self.set_class(event.size.width >= WIDE, "wide")
         self.call_after_refresh(self._again)
-
-
-__all__ = ["LiveScreen"]

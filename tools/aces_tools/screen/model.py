@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from math import sqrt
+from math import exp, sqrt
 from operator import attrgetter
 from typing import Any
 
@@ -32,7 +32,6 @@ from aces_bus.protocol import Scanner, Unknown
 from aces_bus.protocol.keys import key_of
 
 from ..output.shape import OfKind
-from .meter import Meter
 from .values import FieldFormat, FieldsOfKinds
 
 #: Rows, channels and events that are kept, at most.
@@ -43,7 +42,7 @@ ROW_TAU_S, CHANNEL_TAU_S = 2.0, 1.0
 SMOOTH = 1 / 32
 #: Values a row remembers for its curves, and the least time between two of them.
 HISTORY, STEP_NS = 40, 90_000_000
-#: How long a change is told from an old one, and how finely.
+#: How long a change counts as recent, and how finely its age is known.
 RECENT_NS, FINE_NS = 3_000_000_000, 50_000_000
 #: Bytes of a packet in which changes are looked for.
 COMPARED = 64
@@ -216,7 +215,7 @@ def changed_bits(before: bytes, after: bytes) -> int:
 
 @dataclass
 class ChannelRates:
-    """One bus of those that are heard: frames, and bits on the wire, in all and a second."""
+    """One bus of those that are listened to: frames, and bits on the wire, in all and a second."""
 
     name: str
     start_ns: int
@@ -274,7 +273,7 @@ class Model:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was heard; begin anew."""
+        """Forget what was received; begin anew."""
         self.rows: dict[Place, RepeatedFrame] = {}
         self.others: dict[str, FoldedRows] = {}
         self.channels: dict[str, ChannelRates] = {}
@@ -289,7 +288,7 @@ class Model:
         self._incoming.append(event)
 
     def take_events(self) -> None:
-        """Count what `tell` was told."""
+        """Count the events that came through `tell`."""
         while self._incoming:
             event = self._incoming.popleft()
             self.events.append(event)
@@ -474,7 +473,7 @@ class Model:
         return channel.bit_meter.per_second(now_ns) / self.bitrate if self.bitrate else None
 
     def fields_of(self, row: RepeatedFrame) -> FieldFormat | None:
-        """How the row's message is told; None where it is none."""
+        """How the row's message is shown; None where it is none."""
         return self.fields[type(row.record)]
 
     @property
@@ -490,4 +489,45 @@ class Model:
         )
 
 
-__all__ = ["ChannelRates", "FoldedRows", "Model", "RepeatedFrame", "changed_bits"]
+# ---------------------------------------------------------------------- rates
+
+#: Younger than this, nothing is divided by a meter's age, in seconds.
+YOUNGEST_S = 0.05
+
+
+class Meter:
+    """Adds amounts, gives the amount a second over about the last `tau_s` seconds.
+
+    >>> meter = Meter(1.0, 0)
+    >>> for tenth in range(1, 51):
+    ...     meter.add(tenth * 100_000_000, 80)
+    >>> round(meter.per_second(5_000_000_000))
+    800
+    """
+
+    __slots__ = ("_amount", "_at", "_start", "_tau")
+
+    def __init__(self, tau_s: float, start_ns: int) -> None:
+        self._tau = tau_s * 1e9
+        self._start = self._at = start_ns
+        self._amount = 0.0
+
+    def add(self, now_ns: int, amount: float) -> None:
+        """So much has come until `now_ns`."""
+        age = now_ns - self._at
+        if age > 0:
+            half = exp(-0.5 * age / self._tau)
+            self._amount = self._amount * half * half + amount * half
+            self._at = now_ns
+        else:
+            self._amount += amount
+
+    def _faded(self, now_ns: int) -> float:
+        age = now_ns - self._at
+        return self._amount * exp(-age / self._tau) if age > 0 else self._amount
+
+    def per_second(self, now_ns: int) -> float:
+        """The amount a second at `now_ns`."""
+        tau = self._tau / 1e9
+        age = max((now_ns - self._start) / 1e9, YOUNGEST_S)
+        return self._faded(now_ns) / (tau * (1.0 - exp(-age / tau)))

@@ -2,7 +2,7 @@
 
 1. Nothing here reads a clock or knows the terminal's library; styles are names, and `styles` says what they are.
 2. A piece of text has no control characters, whatever came over a wire; a line is never wider than asked for.
-3. Where there is no colour, what is new is bold or underlined: nothing is told by colour alone.
+3. Where there is no colour, what is new is bold or underlined: colour alone says nothing.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ LEAST_VALUES = 24
 
 
 def visible_columns(needs: Needs, width: int) -> list[TableColumn]:
-    """The columns that fit: what is told elsewhere, too, is left out first."""
+    """The columns that fit: what is shown elsewhere, too, is left out first."""
     size = min(needs.size, 16)
     spaced, packed = 3 * size - 1, 2 * size
     message = min(needs.message, 20) if needs.is_decoded else 0
@@ -336,12 +336,7 @@ def paint_hexadecimal(
     begin, style = 0, ""
     for number in range(len(shown)):
         for nibble in (1, 0):
-            bit = 8 * number + 4 * nibble
-            now = "data"
-            for fade, mask in zip(FADES, marks, strict=True):
-                if mask >> bit & 15:
-                    now = fade
-                    break
+            now = age_style(marks, 8 * number + 4 * nibble, 15)
             at = number * step + 1 - nibble
             if now != style:
                 if at > begin:
@@ -351,15 +346,16 @@ def paint_hexadecimal(
     return spans
 
 
+def age_style(marks: Sequence[int], bit: int, mask: int) -> str:
+    """The style of bits by the age of their last change; `marks` are `RepeatedFrame.ages`, or none."""
+    return next((fade for fade, mark in zip(FADES, marks, strict=False) if mark >> bit & mask), "data")
+
+
 def binary(byte: int, number: int, marks: Sequence[int]) -> list[StyledText]:
     """One byte as bits, the highest first, each by the age of its change; `number` is the byte's, `marks` are `ages`."""
     spans: list[StyledText] = []
     for bit in range(7, -1, -1):
-        style = "data"
-        for fade, mask in zip(FADES, marks, strict=False):
-            if mask >> (8 * number + bit) & 1:
-                style = fade
-                break
+        style = age_style(marks, 8 * number + bit, 1)
         text = str(byte >> bit & 1)
         if spans and spans[-1].style == style:
             spans[-1] = StyledText(spans[-1].text + text, style)
@@ -413,17 +409,3 @@ def fit(spans: Sequence[StyledText], width: int) -> list[StyledText]:
         found.append(span)
         width -= length
     return found
-
-
-__all__ = [
-    "Needs",
-    "StyledText",
-    "TableColumn",
-    "bar",
-    "binary",
-    "fit",
-    "line",
-    "styles",
-    "title",
-    "visible_columns",
-]

@@ -21,7 +21,7 @@ BLOCKS = "▁▂▃▄▅▆▇█"
 
 
 class Value(NamedTuple):
-    """One value of a record. `place` is where it stands in the message, `curve` how it went."""
+    """One value of a record. `place` is where it is in the message, `curve` how it went."""
 
     path: str
     text: str
@@ -40,7 +40,7 @@ class FieldText(NamedTuple):
 
 
 class FieldFormat:
-    """How one message's records are told."""
+    """How one message's records are shown."""
 
     def __init__(self, variant: Variant, message: Message) -> None:
         self.protocol, self.name = variant.name, message.name
@@ -147,6 +147,3 @@ class FieldsOfKinds(dict[type, FieldFormat | None]):
                 made = FieldFormat(variant, variant.messages[kind.__name__])
         self[kind] = made
         return made
-
-
-__all__ = ["FieldFormat", "FieldText", "FieldsOfKinds", "Value", "sparkline"]

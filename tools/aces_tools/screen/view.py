@@ -35,7 +35,7 @@ class View:
         self.is_reversed = False
         self.unknown_only = False
         self.text = ""
-        #: What is wrong with the filter as it stands.
+        #: What is wrong with the filter as it is typed.
         self.problem = ""
         self.frozen_ns: int | None = None
         self._words: list[str] = []
@@ -117,6 +117,3 @@ class View:
 
 def _natural(row: RepeatedFrame) -> tuple[int, str, int]:
     return len(row.identifier), row.identifier, row.number
-
-
-__all__ = ["SORTS", "View"]

@@ -1,0 +1,203 @@
+"""The words of the command line: what an option is, and those that several verbs have, spelled and explained once.
+
+1. A verb lists what it takes in ARGUMENTS, in the order of its help: entries of this table beside its own.
+2. What a verb is about is positional (files, messages, a device); what it works on or with is an option: -p PROTOCOL,
+   -r ROBOT, -o FILE. So an option can be left out where a variable says it, and its place is never guessed.
+3. A number or duration that is none is refused while the call is read, with what can be written.
+4. `main` may import this for any verb: nothing here is slow to import.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+_DIRECTIONS = {"to": "to device", "from": "from device", "both": "both"}
+
+_DURATION = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(ns|us|µs|ms|s|min|h)?")
+_UNITS_NS: Mapping[str | None, float] = {
+    "ns": 1,
+    "us": 1e3,
+    "µs": 1e3,
+    "ms": 1e6,
+    "s": 1e9,
+    "min": 60e9,
+    "h": 3600e9,
+    None: 1e9,
+}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An option or a positional argument: its names, and argparse's keywords."""
+
+    names: tuple[str, ...]
+    keywords: Mapping[str, Any]
+
+    def but(self, **keywords: Any) -> Argument:
+        """The same with other keywords: another help, another default."""
+        return replace(self, keywords={**self.keywords, **keywords})
+
+
+@dataclass(frozen=True)
+class Group:
+    """Arguments under a title of their own; of those that are exclusive one may be given."""
+
+    title: str
+    arguments: tuple[Argument, ...]
+    is_exclusive: bool = False
+
+
+#: A function adds what another library defines.
+Arguments = Iterable[Argument | Group | Callable[[argparse.ArgumentParser], None]]
+
+
+def argument(*names: str, **keywords: Any) -> Argument:
+    """What argparse's `add_argument` takes, as an entry of a table."""
+    return Argument(names, keywords)
+
+
+def flag(*names: str, help: str, **keywords: Any) -> Argument:
+    """An option without a value."""
+    return Argument(names, {"action": "store_true", "help": help, **keywords})
+
+
+def several(*names: str, metavar: str, help: str) -> Argument:
+    """An option that may be given several times; a list."""
+    return Argument(names, {"action": "append", "default": [], "metavar": metavar, "help": help})
+
+
+def add_arguments(parser: argparse.ArgumentParser, arguments: Arguments) -> None:
+    """Add the entries of a table to a parser."""
+    for one in arguments:
+        if isinstance(one, Argument):
+            parser.add_argument(*one.names, **one.keywords)
+        elif isinstance(one, Group):
+            adds: Any = (
+                parser.add_mutually_exclusive_group()
+                if one.is_exclusive
+                else parser.add_argument_group(one.title)
+            )
+            add_arguments(adds, one.arguments)
+        else:
+            one(parser)
+
+
+# ---------------------------------------------------------------------- what a value may be
+
+
+def duration(text: str, least: int = 1) -> int:
+    """A duration in ns: `10ms`, `0.5s`, `2min`, or plain seconds."""
+    found = _DURATION.fullmatch(text.strip())
+    ns = round(float(found[1]) * _UNITS_NS[found[2]]) if found else -1
+    if not least <= ns < 1 << 62:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a duration; write 10ms, 0.5s, 2min, or seconds")
+    return ns
+
+
+def duration_or_none(text: str) -> int:
+    """A duration in ns, or 0."""
+    return duration(text, least=0)
+
+
+def direction(text: str) -> Any:
+    """Which way bytes went, as scanners name it."""
+    if text not in _DIRECTIONS:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(_DIRECTIONS)}")
+    return _DIRECTIONS[text]
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """A whole number from `least` on; 0x10 is one, too."""
+
+    def number(text: str) -> int:
+        try:
+            found = int(text, 0)
+        except ValueError:
+            found = least - 1
+        if found < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} on")
+        return found
+
+    return number
+
+
+def positive(text: str) -> float:
+    """A number above 0."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not 0 < found <= 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return found
+
+
+# ---------------------------------------------------------------------- options of several verbs
+
+PROTOCOL = several(
+    "-p", "--protocol", metavar="PROTOCOL", help="what is spoken, as of 'aces decode'; the first wins"
+)
+DIRECTION = argument(
+    "--direction",
+    type=direction,
+    metavar="{to,from,both}",
+    help="which way the bytes went: to or from the device; both pairs requests and replies",
+)
+FILTER = several(
+    "--filter",
+    metavar="FILTER",
+    help="CAN: only what candump's filters pass, such as 060:7F0 or can0,150~7FF",
+)
+MAP = several("--map", metavar="OLD=NEW", help="CAN: another name for channel OLD")
+MESSAGE = several("-m", "--message", metavar="NAME", help="only this message; may be given several times")
+WHERE = several("--where", metavar="CONDITION", help="only records such as field=value, as of 'aces decode'")
+UNKNOWN = argument(
+    "--unknown",
+    choices=["show", "hide", "only"],
+    help="what is not decoded (default: show; hide with --message or --where, and in tables)",
+)
+FROM = argument(
+    "--from",
+    dest="start",
+    metavar="TIME",
+    help="from this time on: seconds from the first frame, or since 1970",
+)
+TO = argument("--to", dest="stop", metavar="TIME", help="up to this time, without it")
+TIME = argument(
+    "-t",
+    "--time",
+    choices=["relative", "absolute"],
+    default="relative",
+    help="from the first frame on, or as recorded (default: relative)",
+)
+COUNT = argument("-n", "--count", type=at_least(1), metavar="N", help="end after so many")
+FOR = argument("--for", dest="duration", type=duration, metavar="DURATION", help="so long: 10s, 500ms, 2min")
+EVERY = argument("--every", type=duration, metavar="DURATION", help="again and again: 10ms, 0.5s")
+RATE = argument("--rate", type=positive, metavar="N", help="CAN: at most N frames a second")
+LOOP = argument(
+    "--loop", type=at_least(0), default=1, metavar="N", help="so many times; 0: until Ctrl-C (default: 1)"
+)
+TX = flag("--tx", help="really send; nothing else makes it")
+OUTPUT = argument("-o", "--output", metavar="FILE", help="write there instead of on standard output")
+JSON = flag("--json", help="JSON on standard output, for programs")
+QUIET = flag("-q", "--quiet", help="print only the summary")
+STRICT = flag("--strict", help="exit 1 when anything was lost or not understood")
+JOBS = argument(
+    "--jobs",
+    type=at_least(0),
+    default=1,
+    metavar="N",
+    help="so many processes (default: 1; 0: one a processor)",
+)
+SEED = argument("--seed", type=int, default=0, metavar="N", help="of noise and chance (default: %(default)s)")
+COLOR = argument(
+    "--color",
+    action=argparse.BooleanOptionalAction,
+    default=None,
+    help="colour always, or never (default: on a terminal)",
+)
