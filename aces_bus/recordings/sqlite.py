@@ -49,11 +49,6 @@ _IS_FD_LENGTH = np.zeros(65, bool)
 _IS_FD_LENGTH[list(FD_LENGTHS)] = True
 
 
-def looks_like_sqlite(head: bytes) -> bool:
-    """Whether these are the first bytes of an SQLite database."""
-    return head.startswith(MAGIC)
-
-
 class UntrustedDatabase:
     """An SQLite file that is read; raises `sqlite3.Error`. Between two batches SQLite takes at most `most_steps` steps.
 

@@ -62,11 +62,6 @@ _FEW, _STEPS = 64, 1024
 _PADDING = 8
 
 
-def looks_like_blf(head: bytes) -> bool:
-    """Whether a file begins as a BLF log does."""
-    return head.startswith(SIGNATURE)
-
-
 class BlfCapture(CanRecording):
     """Frames of a Vector BLF log, error frames too. A channel is named by its number from 0, as in python-can; channel 0
     of the log, which counts from 1, is none.
@@ -83,26 +78,18 @@ class BlfCapture(CanRecording):
 
     def _tables(self) -> Iterator[FrameTable]:
         keep_freed_memory()
+        return self._joined(self._piece_tables(), TABLE_ROWS)
+
+    def _piece_tables(self) -> Iterator[FrameTable]:
         stream = _Stream(self)
-        pending: list[FrameTable] = []
-        rows = 0
         try:
             for piece in self._contents(stream):
-                for table in stream.feed(piece, flush=self.live):
-                    pending.append(table)
-                    rows += len(table)
-                if rows >= TABLE_ROWS or (rows and self.live):
-                    yield FrameTable.concat(pending)
-                    pending, rows = [], 0
+                yield from stream.feed(piece, flush=self.live)
         except CaptureError:
-            pending += stream.end()
-            if pending:  # what was read is given first
-                yield FrameTable.concat(pending)
+            yield from stream.end()
             raise
-        pending += stream.end()
+        yield from stream.end()
         self._compare()
-        if pending:
-            yield FrameTable.concat(pending)
 
     def _contents(self, stream: _Stream) -> Iterator[bytes | None]:
         """The unpacked bytes of all containers; None where some are missing."""
