@@ -91,7 +91,7 @@ class EquationError(CallerError):
 class Scope:
     """The names that equations of one controller may use, and the states they turned out to use.
 
-    `states` None lets them name any; `parameters` stand still unless the user changes them, `memory` keeps its value from
+    `states` None lets them name any; `parameters` stay the same unless the user changes them, `memory` keeps its value from
     step to step and may be assigned.
     """
 
@@ -207,7 +207,7 @@ class _Printer:
         raise self.fail(node, f"nothing is called {name!r} here (a state's value is written {name}[0])")
 
     def state(self, node: ast.expr) -> str:
-        """The state that stands before an index, as its name or as theta["its name"]."""
+        """The state in front of an index, as its name or as theta["its name"]."""
         match node:
             case ast.Name(id=name) if name not in RESERVED and name not in self.locals:
                 pass

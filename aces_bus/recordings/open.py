@@ -1,4 +1,4 @@
-"""Which format a source has, told by its first bytes.
+"""Which format a source has, by its first bytes.
 
 1. The suffix is never looked at, and the link of the protocol in use decides only what bytes alone cannot: any file
    at all may be a raw serial recording.
@@ -266,5 +266,5 @@ def split_capture(path: str, pieces: int) -> list[Span] | None:
 def open_part(path: str, span: Span) -> CanRecording:
     """The frames of a part; lines are counted from its start."""
     capture = CandumpCapture(ByteSource(path, span=span))
-    capture.is_known = True  # by the file's start: a part may well begin with what nobody can read
+    capture.is_known = True  # by the file's start: a part may begin with unreadable lines
     return capture

@@ -3,7 +3,7 @@
 1. Every row is a frame or unreadable with its reason; a row's number is its place in the table.
 2. The database is read and never written, and nothing in it is run: no extension, no trusted schema, no view; work without a
    row is bounded, and so are values and the number of rows.
-3. Where the database breaks off, what was read stands, and the rest counts as one unreadable row.
+3. Where the database breaks off, what was read is given, and the rest counts as one unreadable row.
 
 *Facts*: columns ts, arbitration_id, extended, remote, error, dlc (a number of bytes), data. *Choice*: the table has no
 column for CAN FD; more than 8 bytes are taken for a CAN FD frame, as nothing else can carry them. It has no channel

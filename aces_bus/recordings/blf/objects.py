@@ -423,7 +423,8 @@ def _way(sent: Ints) -> Ints:
 
 def _fd_flags(bits: Ints) -> Ints:
     """Of bits 0 (CAN FD), 1 (bit rate switch) and 2 (error state), of which the others mean something in CAN FD alone."""
-    return _FD_FLAGS[bits & 7]
+    flags: Ints = _FD_FLAGS[bits & 7]
+    return flags
 
 
 def _channels(given: Ints, channels: Channels) -> Ints:

@@ -266,7 +266,7 @@ class RecordFinder:
                 self._table[number] = place
 
     def number(self, buffer: bytearray, at: int) -> int:
-        """The number that stands there."""
+        """The number at this place."""
         return int(self._format.unpack_from(buffer, at)[0])
 
     def _step(self, buffer: bytearray, at: int, end: int) -> int:

@@ -4,7 +4,7 @@
 2. A channel that a frame needs, and that cannot be read as the file means it, refuses the group: each record of it is
    unreadable, with the channel's name and the reason. Nothing is taken for a default that is there and not understood.
 3. A record with a field that has no value (marked invalid, converted to no whole number or to an unknown text) is
-   unreadable, and the others stand.
+   unreadable, and the others are read.
 
 Taken are CAN_DataFrame, CAN_RemoteFrame and CAN_ErrorFrame with their ID, IDE, DLC, DataLength, EDL, BRS, ESI, BusChannel,
 Dir and DataBytes, and the time. For each of them counts: where it is in the record or that it is virtual (no bits; the

@@ -147,7 +147,7 @@ class StartedWriter(FrameWriter):
         time = table.time
         known = time != NO_TIME
         self.lose("unknown times (written as the start)", np.count_nonzero(~known))
-        if self._start is None:  # from now on the header stands, also where no time is known yet
+        if self._start is None:  # from now on the header is fixed, also where no time is known yet
             first = int(time[known].min()) if known.any() else 0
             self._start = self._settled(first) if first >= EARLIEST else 0
         early = known & (time < self._start)

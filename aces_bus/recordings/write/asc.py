@@ -46,7 +46,7 @@ _KINDS = choices([b" d ", b" r "])
 _DLC = choices([b"%x" % n for n in range(16)])
 _MARKS = choices([b"0 0 ", b"1 0 ", b"0 1 ", b"1 1 "])
 _FLAGS = choices([b"    1000", b"    3000", b"    5000", b"    7000"])
-_SYMBOLIC = b" " * 35  # the name of the message, which nobody knows here, and the blanks around it
+_SYMBOLIC = b" " * 35  # the name of the message, which is not known here, and the blanks around it
 _END = b"        0" * 5 + b"\n"  # CRC and bit timing
 
 

@@ -3,7 +3,7 @@
 1. Memory is bounded: records go out in data blocks of about 1 MiB, and the blocks that describe them are written by `close`.
 2. A frame's instant is kept to the nanosecond: the time channel counts integer nanoseconds from the start of the file.
 3. A channel has groups of its own, whose source has the channel's name as its path; so names survive.
-4. The order survives too: beside the frame, a record says how many frames stand before it (modulo 2³²).
+4. The order survives too: beside the frame, a record says how many frames come before it (modulo 2³²).
 
 A group is a channel × what its records hold: 8 or 64 data bytes, a data, remote or error frame, a direction or none.
 *Facts*: ASAM's bus logging: composed channels CAN_DataFrame, CAN_RemoteFrame, CAN_ErrorFrame with their parts; Dir is 0
