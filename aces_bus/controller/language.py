@@ -269,12 +269,16 @@ class _Printer:
     def target(self, node: ast.AST, name: str) -> str:
         if name in self.scope.memory:
             return f"m.{name}"
-        if name in self.scope.parameters:
-            raise self.fail(node, f"{name} is a parameter; only memory and new names can be assigned")
-        if name in RESERVED or name.startswith("_"):
-            raise self.fail(node, f"{name!r} cannot be assigned")
-        if name in (self.scope.states or self.scope.used):
-            raise self.fail(node, f"{name} is a state: write {name}[0] = …")
+        for is_so, why in (
+            (
+                name in self.scope.parameters,
+                f"{name} is a parameter; only memory and new names can be assigned",
+            ),
+            (name in RESERVED or name.startswith("_"), f"{name!r} cannot be assigned"),
+            (name in (self.scope.states or self.scope.used), f"{name} is a state: write {name}[0] = …"),
+        ):
+            if is_so:
+                raise self.fail(node, why)
         self.locals.add(name)
         return f"v_{name}"
 
