@@ -93,7 +93,7 @@ class StartedWriter(FrameWriter):
 
     def __init__(self, file: BinaryIO, name: str) -> None:
         super().__init__(file, name)
-        self._channels: ChannelNumbers = self._numbering()
+        self._numbers = self._channels = self._numbering()
         self._is_begun = False
         #: What the header states, ns since 1970, and the highest offset so far.
         self._start: int | None = None
@@ -157,7 +157,7 @@ class StartedWriter(FrameWriter):
         return offsets
 
 
-def kinds_of(table: FrameTable) -> tuple[Ints, Ints, Ints]:
+def rows_by_kind(table: FrameTable) -> tuple[Ints, Ints, Ints]:
     """The rows of classic frames, of CAN FD frames and of error frames."""
     is_error = table.flags & ERROR != 0
     is_fd = (table.flags & FD != 0) & ~is_error

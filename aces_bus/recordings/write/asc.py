@@ -25,7 +25,7 @@ from datetime import datetime
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, FrameTable, Ints
-from ._base import DLC_OF_LENGTH, StartedWriter, kinds_of
+from ._base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
 from ._text import (
     Column,
     choices,
@@ -88,12 +88,12 @@ class AscWriter(StartedWriter):
     def _encoded(self, table: FrameTable) -> bytes:
         times = _times(self._offsets)
         table = replace(table, length=self._remote_lengths(table))
-        channels = self._channels.numbers(table)
+        channels = self._numbers.numbers(table)
         return interleaved(
             len(table),
             [
                 (rows, kind(table.take(rows), times[rows], channels[rows]))
-                for rows, kind in zip(kinds_of(table), (_classic, _fd, _errors), strict=True)
+                for rows, kind in zip(rows_by_kind(table), (_classic, _fd, _errors), strict=True)
                 if len(rows)
             ],
         )
