@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from .filters import Filter
     from .rate import Rate
     from .running import Filtered, Integral, Uneven
-    from .spectrum import Spectrum
-    from .window import SampleWindow
+    from .window import SampleWindow, Spectrum
 
 Listener = Callable[[Any, int], None]
 
@@ -237,8 +236,8 @@ class TimeSeries(ABC):
         return window_of(self, t0, t1, rate_hz)
 
     def spectrum(self, window_s: float, *, taper: str = "hann", rate_hz: float | None = None) -> Spectrum:
-        """Amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.spectrum`."""
-        from .spectrum import spectrum_of
+        """Amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.window`."""
+        from .window import spectrum_of
 
         return spectrum_of(self, window_s, taper, rate_hz)
 
