@@ -113,7 +113,7 @@ class Spectrum:
 
 
 def spectrum_of(quantity: TimeSeries, window_s: float, taper: str, rate_hz: float | None) -> Spectrum:
-    """See `Quantity.spectrum`."""
+    """See `TimeSeries.spectrum`."""
     import numpy as np
 
     who = f"state {quantity.name!r}"
