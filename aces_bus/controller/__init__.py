@@ -1,7 +1,7 @@
 """Controllers: algorithms at a rate, from states to set-points. They touch no frame and no byte.
 
 `@controller` makes one of a function, `Equations` of a text near the paper's notation, `StateMachine` of a table; `Player`
-plays trajectories and via paths, `PIDController` regulates, `CartesianPath` moves the tips of a body. `Guard` stands below
+plays trajectories and via paths, `PIDController` regulates, `CartesianPath` moves the tips of a body. `Guard` is below
 each of them, `Supervisor` around both.
 """
 

@@ -1,4 +1,4 @@
-"""What a controller is told besides values, and what it tells: the upper end of the paper's shortcut.
+"""Events: what a controller receives besides values, and what it reports: the upper end of the paper's shortcut.
 
 1. An event is a value; telling one never waits and never raises.
 2. Instants are integer ns of the clock that the runtime steps the controller with.
@@ -57,7 +57,7 @@ Listener = Callable[[ControlEvent], None]
 
 
 class Listeners:
-    """Those who are told; `failures` counts what they raised (rule 1)."""
+    """The listeners of events; `failures` counts what they raised (rule 1)."""
 
     __slots__ = ("_all", "failures")
 

@@ -3,8 +3,8 @@
 1. What leaves a guard is finite and within the limits of position, always; within the rate too, from one call to the next;
    and within the acceleration, unless that would lead past a limit of position. A joint that begins outside of its limits
    is led inside by the same rules, and never further out.
-2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and told once a while.
-3. When no set-points come for `dead_man_s`, or somebody says `trip`, the declared action follows: "hold" (come to a stand
+2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and reported once a while.
+3. When no set-points come for `dead_man_s`, or `trip` is called, the declared action follows: "hold" (come to a stand
    within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
    and acts). The dead-man's hold ends with the next set-points; every other trip is latched until `release`.
 4. Nothing here waits or raises for a value.
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 Action = Literal["hold", "zero duty", "disable"]
 ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
-#: A state that is clipped for long is told about so often.
+#: A state that is clipped for long is reported so often.
 TOLD_EVERY_NS = 1_000_000_000
 #: Trips that are kept for a cycle.
 MOST_PENDING = 1_000
@@ -385,7 +385,7 @@ class Guard:
         self._pending.clear()
         if self.tripped is None or ACTIONS.index(wanted) > ACTIONS.index(self.tripped.action):
             self._stop(Trip(now, wanted, reason))
-        elif not self.tripped.latched:  # the dead-man held already; now somebody else wants it, too
+        elif not self.tripped.latched:  # the dead-man held already; now it is asked for, too
             self.tripped = Trip(now, self.tripped.action, reason)
 
     def _stop(self, trip: Trip) -> None:

@@ -91,7 +91,7 @@ class EquationError(CallerError):
 class Scope:
     """The names that equations of one controller may use, and the states they turned out to use.
 
-    `states` None lets them name any; `parameters` stand still unless the user changes them, `memory` keeps its value from
+    `states` None lets them name any; `parameters` stay the same unless the user changes them, `memory` keeps its value from
     step to step and may be assigned.
     """
 
@@ -207,7 +207,7 @@ class _Printer:
         raise self.fail(node, f"nothing is called {name!r} here (a state's value is written {name}[0])")
 
     def state(self, node: ast.expr) -> str:
-        """The state that stands before an index, as its name or as theta["its name"]."""
+        """The state in front of an index, as its name or as theta["its name"]."""
         match node:
             case ast.Name(id=name) if name not in RESERVED and name not in self.locals:
                 pass
@@ -269,12 +269,16 @@ class _Printer:
     def target(self, node: ast.AST, name: str) -> str:
         if name in self.scope.memory:
             return f"m.{name}"
-        if name in self.scope.parameters:
-            raise self.fail(node, f"{name} is a parameter; only memory and new names can be assigned")
-        if name in RESERVED or name.startswith("_"):
-            raise self.fail(node, f"{name!r} cannot be assigned")
-        if name in (self.scope.states or self.scope.used):
-            raise self.fail(node, f"{name} is a state: write {name}[0] = …")
+        for is_so, why in (
+            (
+                name in self.scope.parameters,
+                f"{name} is a parameter; only memory and new names can be assigned",
+            ),
+            (name in RESERVED or name.startswith("_"), f"{name!r} cannot be assigned"),
+            (name in (self.scope.states or self.scope.used), f"{name} is a state: write {name}[0] = …"),
+        ):
+            if is_so:
+                raise self.fail(node, why)
         self.locals.add(name)
         return f"v_{name}"
 

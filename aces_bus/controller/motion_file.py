@@ -65,7 +65,7 @@ def read_trajectory(
     """Read a file of set-points.
 
     `columns` names the columns of a file that does not; "" passes one over, and fewer names than columns pass over the
-    rest of them. With `unit="deg"` the numbers are converted to rad; else they are kept as they stand.
+    rest of them. With `unit="deg"` the numbers are converted to rad; else they are kept as they are.
     `rate_hz` None takes the rate from the file's name. `TrajectoryError` says file:line.
     """
     if not isinstance(file, (str, os.PathLike)):

@@ -48,7 +48,7 @@ def degrade(
 
 
 def stop(action: Action | None = None, *, sources: Iterable[str] | None = None) -> Reaction:
-    """Stop motion by "hold", "zero duty" or "disable"; None: as the guard was told."""
+    """Stop motion by "hold", "zero duty" or "disable"; None: the guard's own action."""
     if action is not None and action not in ACTIONS:
         raise CallerError(f"the action is one of {', '.join(ACTIONS)}, not {action!r}")
     return Reaction("stop", "", action, None if sources is None else frozenset(sources))
@@ -149,7 +149,7 @@ class Supervisor:
         self.controller.stop(now)
 
     def release(self) -> None:
-        """Motion may go on after a stop (somebody has looked)."""
+        """Let motion go on after a stop, once its cause has been looked into."""
         self.guard.release()
 
     def handle(self, event: EventLike) -> None:

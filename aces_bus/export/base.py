@@ -1,4 +1,4 @@
-"""What every export does: takes tables piece by piece, keeps little, stands at the end or not at all.
+"""What every export does: takes tables piece by piece, keeps little, and is there at the end or not at all.
 
 1. `write` keeps copies of values and no table. All pieces that wait together are at most about `BUDGET` bytes.
 2. A message's schema is the same in every piece; see `aces_bus.protocol.columns.layout`.
@@ -244,7 +244,7 @@ class Export(ABC):
             raise
 
     def abandon(self) -> None:
-        """Remove what was written; what stood at the path before still stands."""
+        """Remove what was written; what was at the path before is still there."""
         if not self._is_closed:
             self._is_closed = True
             try:
@@ -276,7 +276,7 @@ class Export(ABC):
 
     @abstractmethod
     def _finish(self) -> None:
-        """Write what waits, and all that stands at a file's end."""
+        """Write what waits, and all that is at a file's end."""
 
     @abstractmethod
     def _drop(self) -> None:

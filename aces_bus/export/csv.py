@@ -4,7 +4,7 @@
    name, bytes as hexadecimal, times in seconds with all their digits, nothing where a value is absent.
 2. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
    has an apostrophe in front.
-3. What CSV cannot say (units, enumerations, docs) stands in `_columns.csv` of the folder.
+3. What CSV cannot say (units, enumerations, docs) is in `_columns.csv` of the folder.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class AppendFile:
 class Staging:
     """A temporary name beside a path, which takes its place by `commit` or goes by `discard`.
 
-    `is_ours` says of the names in a folder that stands at the path already whether all are from an earlier export: only
+    `is_ours` says of the names in a folder that is at the path already whether all are from an earlier export: only
     then is it replaced. Raises `CallerError` when the path cannot be used.
     """
 
@@ -147,7 +147,7 @@ def _remove(path: str) -> None:
 
 class FilePool:
     """Files that are appended to, of which only the latest used are open. What is refused is said of `name`: they have
-    temporary names, which nobody knows."""
+    temporary names, which say nothing to a user."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -190,7 +190,7 @@ class FilePool:
 
 
 class ExportFile(io.RawIOBase):
-    """A file of a pool as libraries want one: it is written to, and knows where it stands."""
+    """A file of a pool as libraries want one: it is written to, and knows its position."""
 
     def __init__(self, pool: FilePool, path: str) -> None:
         super().__init__()

@@ -1,12 +1,12 @@
 """MCAP, as Foxglove and PlotJuggler open it: a channel of JSON messages for each message of a protocol.
 
-1. Messages stand in the order of the capture, piece by piece: readers need no sorting.
+1. Messages are in the order of the capture, piece by piece: readers need no sorting.
 2. A message's JSON schema names every field with its unit; it hangs on the plan and not on values.
 
-Topic `/protocol/Message`; the fields are nested as in a record, and under `meta` stand `channel`, `id` (CAN) or `offset`,
+Topic `/protocol/Message`; the fields are nested as in a record, and under `meta` are `channel`, `id` (CAN) or `offset`,
 `size` (streams), `rx`, and `source` where several captures are joined. Enumerations are numbers, which can be plotted, or
 with `names` names; bytes are hexadecimal. `log_time` is ns since 1970, or as the recording counts; a message without time
-stands where the latest one with a time did.
+has the time of the latest one that has one.
 
 Chunks are packed where zstandard is installed (extra `[mcap]`).
 """
@@ -57,9 +57,7 @@ class McapExport(Export):
         """What could not be written as it is."""
         if not self._untimed:
             return []
-        return [
-            f"{self._untimed} messages have no time; in the MCAP they stand at the time of the one before"
-        ]
+        return [f"{self._untimed} messages have no time; in the MCAP they have the time of the one before"]
 
     def _begin(self, dataset: Dataset) -> None:
         layout = dataset.layout

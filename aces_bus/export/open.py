@@ -1,4 +1,4 @@
-"""Which export a path asks for, told by its suffix.
+"""Which export a path asks for, by its suffix.
 
 1. A format's libraries are imported when it is used; a missing one is named with the extra that has it.
 """
@@ -62,7 +62,7 @@ def open_export(
     float32: bool = False,
     sources: bool = False,
 ) -> Export:
-    """An export into a file or folder, which stands at `path` when it is closed.
+    """An export into a file or folder, which is at `path` when it is closed.
 
     `format` is one of "parquet", "arrow", "feather", "csv", "npz", "sqlite", "mcap"; by default the suffix says it.
     `variants` are the protocols that tables come from: they say what is in columns of Python objects (without them such

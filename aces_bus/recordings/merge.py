@@ -103,7 +103,7 @@ def merge_by_key(sources: Iterable[Iterator[KeyedTable]]) -> Iterator[FrameTable
 
 
 def merge_in_order(total: int, places: Sequence[Ints], parts: Sequence[FrameTable]) -> FrameTable:
-    """The rows of `parts`, which stand at `places` (each going up, none twice) among `total`, as one table.
+    """The rows of `parts`, which are at `places` (each going up, none twice) among `total`, as one table.
 
     Places without a row are closed up.
     """

@@ -1,4 +1,4 @@
-"""Which format a source has, told by its first bytes.
+"""Which format a source has, by its first bytes.
 
 1. The suffix is never looked at, and the link of the protocol in use decides only what bytes alone cannot: any file
    at all may be a raw serial recording.
@@ -16,16 +16,19 @@ from typing import BinaryIO, Literal, NamedTuple, overload
 
 from ..errors import CallerError, CaptureError, UnknownNameError
 from .base import CanRecording, Link, SerialRecording, printable_start
-from .blf.reader import BlfCapture, looks_like_blf
-from .candump.reader import EXAMPLE, CandumpCapture, looks_like_candump, only_remarks
-from .mf4.reader import Mf4Capture, looks_like_mf4
+from .blf.reader import SIGNATURE, BlfCapture
+from .candump.reader import EXAMPLE, CandumpCapture, looks_like_candump
+from .mf4.reader import Mf4Capture
+from .mf4.tree import MAGIC as MDF
 from .pcap.pcapng import PcapngCapture, looks_like_pcapng
-from .pcap.reader import PcapCapture, looks_like_pcap
+from .pcap.reader import MAGIC as PCAP
+from .pcap.reader import PcapCapture
 from .serial.raw import OPENING, DxconfCapture, RawCapture
 from .serial.slog import OPENING as SERIAL_LOG
 from .serial.slog import SerialLogCapture, looks_like_serial_log
 from .source import BLOCK, ByteSource, PathSource, split_lines
-from .sqlite import SqliteCapture, looks_like_sqlite
+from .sqlite import MAGIC as SQLITE
+from .sqlite import SqliteCapture
 from .text.asc import AscCapture
 from .text.busmaster import BusmasterCapture
 from .text.canlog_csv import CanlogCsvCapture
@@ -45,8 +48,8 @@ class RecordingFormat(NamedTuple):
     reader: type[CanRecording] | type[SerialRecording]
 
 
-def _begins_after_blanks(beginning: bytes) -> Callable[[bytes], bool]:
-    return lambda head: head.lstrip().startswith(beginning)
+def _begins(*beginnings: bytes, after_blanks: bool = False) -> Callable[[bytes], bool]:
+    return lambda head: (head.lstrip() if after_blanks else head).startswith(beginnings)
 
 
 def _by_name_only(_: bytes) -> bool:
@@ -55,14 +58,17 @@ def _by_name_only(_: bytes) -> bool:
 
 #: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
 FORMATS: tuple[RecordingFormat, ...] = (
-    RecordingFormat("blf", "Vector BLF log", looks_like_blf, BlfCapture),
-    RecordingFormat("mf4", "ASAM MDF 4 bus log", looks_like_mf4, Mf4Capture),
-    RecordingFormat("pcap", "pcap capture", looks_like_pcap, PcapCapture),
+    RecordingFormat("blf", "Vector BLF log", _begins(SIGNATURE), BlfCapture),
+    RecordingFormat("mf4", "ASAM MDF 4 bus log", _begins(*MDF), Mf4Capture),
+    RecordingFormat("pcap", "pcap capture", _begins(*PCAP), PcapCapture),
     RecordingFormat("pcapng", "pcapng capture", looks_like_pcapng, PcapngCapture),
-    RecordingFormat("sqlite", "SQLite log of python-can", looks_like_sqlite, SqliteCapture),
+    RecordingFormat("sqlite", "SQLite log of python-can", _begins(SQLITE), SqliteCapture),
     RecordingFormat("slog", "serial log of aces-bus", looks_like_serial_log, SerialLogCapture),
     RecordingFormat(
-        "dxconf", "hex dump of the vendor's serial monitor", _begins_after_blanks(OPENING), DxconfCapture
+        "dxconf",
+        "hex dump of the vendor's serial monitor",
+        _begins(OPENING, after_blanks=True),
+        DxconfCapture,
     ),
     RecordingFormat("trc", "PEAK trace", TrcCapture.is_like, TrcCapture),
     RecordingFormat("asc", "Vector ASC log", AscCapture.is_like, AscCapture),
@@ -182,7 +188,7 @@ def _tell(source: ByteSource, link: Link | None) -> CanRecording | SerialRecordi
     for start, kind, advice in REFUSED:
         if head.startswith(start):
             raise CaptureError(f"{source.name}: this is {kind}; {advice}")
-    if only_remarks(head) or (link == "can" and source.live):
+    if _only_remarks(head, b"#") or (link == "can" and source.live):
         return CandumpCapture(source)  # it can still show what it is
     raise _refusal(source, head, link)
 
@@ -199,14 +205,12 @@ def _may_still_show(head: bytes, link: Link | None) -> bool:
     text = head.lstrip()
     if link == "serial":  # any bytes may be what was meant: only a first line of a format is waited for
         return len(head) < BLOCK and (OPENING.startswith(text) or SERIAL_LOG.startswith(head))
-    return len(head) < BLOCK and _only_remarks(text)
+    return len(head) < BLOCK and _only_remarks(text, b"#", b";", b"//")
 
 
-def _only_remarks(text: bytes) -> bool:
-    """Whether the lines so far are all blank or comments of some format: nothing that says what follows."""
-    return all(
-        not line or line.startswith((b"#", b";", b"//")) for line in map(bytes.strip, text.split(b"\n"))
-    )
+def _only_remarks(text: bytes, *marks: bytes) -> bool:
+    """Whether the lines so far are all blank or comments with these marks: nothing that says what follows."""
+    return all(not line or line.startswith(marks) for line in map(bytes.strip, text.split(b"\n")))
 
 
 def _other_link(source: ByteSource, form: RecordingFormat) -> CaptureError:
@@ -262,5 +266,5 @@ def split_capture(path: str, pieces: int) -> list[Span] | None:
 def open_part(path: str, span: Span) -> CanRecording:
     """The frames of a part; lines are counted from its start."""
     capture = CandumpCapture(ByteSource(path, span=span))
-    capture.is_known = True  # by the file's start: a part may well begin with what nobody can read
+    capture.is_known = True  # by the file's start: a part may begin with unreadable lines
     return capture

@@ -3,7 +3,7 @@
 1. A live source (pipe, terminal, socket, device) hands over what is there; it never waits to fill a block.
 2. A line is never longer than `MAX_LINE` for those who ask for lines: memory stays bounded whatever arrives.
 3. Whatever the system refuses is a `CaptureError` that names the source.
-4. What is packed (gzip, zstandard; told by content) is unpacked here, and nothing behind this knows.
+4. What is packed (gzip, zstandard; recognised by content) is unpacked here, and nothing behind this knows.
 5. `on_disk` uses a plain file where it is; what comes from a pipe, from memory or unpacked goes into a temporary file,
    which is bounded, and gone when reading ends.
 """
@@ -37,7 +37,7 @@ def _small() -> int:
 
 
 class ByteSource:
-    """Bytes of one capture, once, from where the source stands.
+    """Bytes of one capture, once, from the present position of the source.
 
     `live` says that the bytes may still be in the making. The file is closed at its end, or by `close`, when it was
     opened here; standard input and files of the caller stay open.

@@ -3,7 +3,7 @@
 1. Every row is a frame or unreadable with its reason; a row's number is its place in the table.
 2. The database is read and never written, and nothing in it is run: no extension, no trusted schema, no view; work without a
    row is bounded, and so are values and the number of rows.
-3. Where the database breaks off, what was read stands, and the rest counts as one unreadable row.
+3. Where the database breaks off, what was read is given, and the rest counts as one unreadable row.
 
 *Facts*: columns ts, arbitration_id, extended, remote, error, dlc (a number of bytes), data. *Choice*: the table has no
 column for CAN FD; more than 8 bytes are taken for a CAN FD frame, as nothing else can carry them. It has no channel
@@ -15,9 +15,9 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, ClassVar
 from urllib.parse import quote
 
@@ -44,14 +44,10 @@ _STEPS_A_CALL = 100_000
 _ROW_BYTES = 4
 
 _Row = tuple[Any, ...]
+_Columns = tuple[tuple[Any, ...], ...]
 _TYPES = ({float}, {int}, {int}, {int}, {int}, {int}, {bytes})
 _IS_FD_LENGTH = np.zeros(65, bool)
 _IS_FD_LENGTH[list(FD_LENGTHS)] = True
-
-
-def looks_like_sqlite(head: bytes) -> bool:
-    """Whether these are the first bytes of an SQLite database."""
-    return head.startswith(MAGIC)
 
 
 class UntrustedDatabase:
@@ -136,26 +132,27 @@ class SqliteCapture(CanRecording):
             raise CaptureError(
                 f"{self.name}: an SQLite file that cannot be read: {error}; `sqlite3 FILE .recover` may help"
             ) from error
-        kept = _Columns()
+        kept: list[_Columns] = []
+        count, broken = 0, ""
         try:
             for rows in source.batches(query, _BATCH):
-                is_odd = not kept.take(rows)
-                if (is_odd or len(kept) >= _ROWS) and (table := self._plain(kept)) is not None:
-                    yield table
-                if is_odd and (table := self._one_by_one(rows)) is not None:
-                    yield table
-                if self.lines + len(kept) > room:
-                    raise sqlite3.DatabaseError("more rows than the file has room for")
+                if (usual := _columns_of(rows)) is not None:
+                    kept.append(usual)
+                    count += len(rows)
+                if usual is None or count >= _ROWS:
+                    yield from self._plain(kept)
+                    kept, count = [], 0
+                if usual is None:
+                    yield from self._one_by_one(rows)
+                if self.lines + count > room:
+                    broken = "more rows than the file has room for"
+                    break
         except sqlite3.Error as error:
-            broken = str(error)
-        else:
-            broken = ""
-        if (table := self._plain(kept)) is not None:
-            yield table
+            broken = f"the database is damaged: {error}"
+        yield from self._plain(kept)
         if broken:
             self.lines += 1
-            reason = broken if broken.startswith("more rows") else f"the database is damaged: {broken}"
-            self._unreadable(self.lines, f"{reason}; rows behind this one are lost", b"")
+            self._unreadable(self.lines, f"{broken}; rows behind this one are lost", b"")
 
     def _query(self, source: UntrustedDatabase) -> str:
         # A writable schema is one that may be broken: a file that was cut is read as far as it goes. Nothing is written.
@@ -175,7 +172,7 @@ class SqliteCapture(CanRecording):
             f"{self.name}: an SQLite file without python-can's table messages({', '.join(COLUMNS)}); it is no CAN log"
         )
 
-    def _one_by_one(self, rows: Iterable[_Row]) -> FrameTable | None:
+    def _one_by_one(self, rows: Iterable[_Row]) -> list[FrameTable]:
         """The frames of rows of which some may be none."""
         frames: list[Frame] = []
         for row in rows:
@@ -185,15 +182,15 @@ class SqliteCapture(CanRecording):
             except CallerError as error:
                 self._unreadable(self.lines, str(error), repr(row)[1:-1].encode())
         self.frames += len(frames)
-        return FrameTable.from_frames(frames, self.channels) if frames else None
+        return [FrameTable.from_frames(frames, self.channels)] if frames else []
 
-    def _plain(self, kept: _Columns) -> FrameTable | None:
-        """The frames of the rows that were kept, all at once when none of them is odd; then none are kept."""
-        n = len(kept)
-        if not n:
-            return None
-        ts, identifier, extended, remote, error, dlc, data = columns = kept.columns
-        kept.columns = tuple([] for _ in COLUMNS)
+    def _plain(self, kept: Sequence[_Columns]) -> list[FrameTable]:
+        """The frames of the rows that were kept, all at once when none of them is odd."""
+        if not kept:
+            return []
+        columns = [list(chain.from_iterable(parts)) for parts in zip(*kept, strict=True)]
+        ts, identifier, extended, remote, error, dlc, data = columns
+        n = len(ts)
         try:
             ids, wide, asks, faulty, length = (
                 np.array(column, np.int64) for column in (identifier, extended, remote, error, dlc)
@@ -217,7 +214,7 @@ class SqliteCapture(CanRecording):
         width = 64 if is_fd.any() else 8
         self.lines += n
         self.frames += n
-        return FrameTable(
+        table = FrameTable(
             ns_of(np.array(ts, np.float64)),
             np.full(n, self.channels.number(None), np.uint16),
             ids.astype(np.uint32),
@@ -228,30 +225,15 @@ class SqliteCapture(CanRecording):
             ),
             self.channels,
         )
+        return [table]
 
 
-class _Columns:
-    """Rows of the right types, as columns: rows are many objects, and columns of numbers are seven."""
-
-    def __init__(self) -> None:
-        self.columns: tuple[list[Any], ...] = tuple([] for _ in COLUMNS)
-
-    def __len__(self) -> int:
-        return len(self.columns[0])
-
-    def take(self, rows: list[_Row]) -> bool:
-        """Keep the rows, if all of them have the types and sizes that rows have."""
-        if not rows:
-            return True
-        columns = tuple(zip(*rows, strict=True))
-        data = columns[-1]
-        if any(set(map(type, column)) != kind for column, kind in zip(columns, _TYPES, strict=True)):
-            return False
-        if len(max(data, key=len)) > 64:
-            return False
-        for column, more in zip(self.columns, columns, strict=True):
-            column.extend(more)
-        return True
+def _columns_of(rows: Sequence[_Row]) -> _Columns | None:
+    """Rows as columns, which take less room; None when they have not the types and sizes that rows have."""
+    columns = tuple(zip(*rows, strict=True))
+    if any(set(map(type, column)) != kind for column, kind in zip(columns, _TYPES, strict=True)):
+        return None
+    return None if len(max(columns[-1], key=len)) > 64 else columns
 
 
 def _whole_pages(path: str, folder: str) -> str:

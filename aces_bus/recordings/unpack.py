@@ -1,8 +1,8 @@
-"""Packed sources: gzip and zstandard, told by their first bytes and unpacked as they are read.
+"""Packed sources: gzip and zstandard, recognised by their first bytes and unpacked as they are read.
 
 1. Memory is bounded whatever the packed bytes claim: at once is unpacked what one small piece of input can hold (some
    16 MiB of `_PIECES`), and no window is larger than `_WINDOW` (128 MiB).
-2. What could be read is given first; then damage is one `CaptureError` that says after how many packed bytes it stands.
+2. What could be read is given first; then damage is one `CaptureError` that says after how many packed bytes it is.
 3. A file of several members or frames is read as one, as `gzip -dc` and `zstd -dc` do. What is packed twice is refused.
 
 *Facts*: RFC 1952 (gzip), RFC 8878 (zstandard): a block gives at most 128 KiB and may take as few as 4 bytes; members

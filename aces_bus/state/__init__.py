@@ -15,9 +15,8 @@ from .estimators import ConstantAcceleration, ConstantVelocity, Estimation, Esti
 from .filters import Filter, LowPass, Median, MovingAverage, RateLimit, Sos
 from .kalman import Kalman
 from .quantity import TimeSeries
-from .spectrum import Spectrum
 from .state import State
-from .window import SampleWindow
+from .window import SampleWindow, Spectrum
 
 __all__ = [
     "UNKNOWN",

@@ -11,7 +11,7 @@ import msgspec
 from ..runtime import Clock
 from .errors import StateError, raise_first
 
-#: Samples kept when nobody says otherwise: five seconds at 200 Hz.
+#: Samples kept by default: five seconds at 200 Hz.
 HISTORY = 1_000
 #: 16 bytes a sample, twice: 512 MiB.
 MOST_HISTORY = 1 << 24

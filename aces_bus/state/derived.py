@@ -98,7 +98,7 @@ class Derived(TimeSeries):
 
     @property
     def origin(self) -> int | None:
-        """What `[0]` stands for when the past is counted from it: the oldest of the inputs' origins."""
+        """The instant of `[0]` when the past is counted from it: the oldest of the inputs' origins."""
         return _oldest(one.origin for one in self._sources)
 
     @property

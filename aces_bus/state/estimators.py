@@ -25,7 +25,7 @@ Estimate = Callable[..., Any]
 
 
 class Estimation(NamedTuple):
-    """A running estimator: told each known sample (None: need not be), asked for the value at an instant (ns)."""
+    """A running estimator: given each known sample (None: not needed), asked for the value at an instant (ns)."""
 
     observe: Observe | None
     estimate: Estimate

@@ -135,7 +135,7 @@ class Track:
 
 
 class VelocityTrack(Track):
-    """Nearly constant velocity; behind value and velocity stand the covariances xx, xv, vv."""
+    """Nearly constant velocity; behind value and velocity are the covariances xx, xv, vv."""
 
     def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
         r = self.variance
@@ -159,7 +159,7 @@ class VelocityTrack(Track):
 
 
 class AccelerationTrack(Track):
-    """Nearly constant acceleration; behind the three stand the covariances xx, xv, xa, vv, va, aa."""
+    """Nearly constant acceleration; behind the three are the covariances xx, xv, xa, vv, va, aa."""
 
     def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
         r = self.variance

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from .filters import Filter
     from .rate import Rate
     from .running import Filtered, Integral, Uneven
-    from .spectrum import Spectrum
-    from .window import SampleWindow
+    from .window import SampleWindow, Spectrum
 
 Listener = Callable[[Any, int], None]
 
@@ -43,7 +42,7 @@ MOST_MADE = 64
 
 
 class TimeSeries(ABC):
-    """What can be read like a state. `unit` is "" for a plain number and None where nobody has stated it."""
+    """What can be read like a state. `unit` is "" for a plain number and None where it is not stated."""
 
     name: str
     unit: str | None
@@ -110,7 +109,7 @@ class TimeSeries(ABC):
 
     @property
     def origin(self) -> int | None:
-        """The instant that `q[0]` stands for (rule 1)."""
+        """The instant of `q[0]` (rule 1)."""
         return self.instant
 
     @property
@@ -170,7 +169,7 @@ class TimeSeries(ABC):
         """The error for an instant outside of the history."""
         origin, span = self.origin, self.span
         if origin is None or span is None:
-            return StateError(f"state {self.name!r}: nothing was heard yet")
+            return StateError(f"state {self.name!r}: it has no sample yet")
         return StateError(
             f"state {self.name!r} has no value at t = {(instant - origin) / 1e9:+.9g} s: its history reaches from "
             f"{(span[0] - origin) / 1e9:.9g} to {(span[1] - origin) / 1e9:.9g} s; {hint}"
@@ -237,8 +236,8 @@ class TimeSeries(ABC):
         return window_of(self, t0, t1, rate_hz)
 
     def spectrum(self, window_s: float, *, taper: str = "hann", rate_hz: float | None = None) -> Spectrum:
-        """Amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.spectrum`."""
-        from .spectrum import spectrum_of
+        """Amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.window`."""
+        from .window import spectrum_of
 
         return spectrum_of(self, window_s, taper, rate_hz)
 

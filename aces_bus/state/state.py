@@ -3,7 +3,7 @@
 1. `push` never raises for a value, whatever it is: NaN, infinities, text and `UNKNOWN` are kept as an unknown
    sample, and counted.
 2. Instants only grow. A sample older than the newest is dropped (`counts.late`); one at the same instant takes its place
-   (`counts.repeated`), and is not told to listeners again.
+   (`counts.repeated`), and is not passed to listeners again.
 3. One thread pushes; any may read. A sample is in place before `_count` says so, and a reader that was overtaken
    reads again.
 4. No allocation for a sample: instants and values are preallocated arrays.
@@ -49,7 +49,7 @@ class State(TimeSeries):
 
     `node` is the identification that its device gives it, `type` what its values are (float, int or bool; others are not
     quantities). It is writable when it has a `setter`, or by `writable`, when it is `sampled=False`: then a set-point is its
-    value at once, as nobody measures it. `period_s` is how often it should be refreshed; `refresh` asks for that through
+    value at once, as it is not measured. `period_s` is how often it should be refreshed; `refresh` asks for that through
     `request`. `history` counts samples; `history_s` says the same in seconds, and needs `period_s`. `interpolation`
     is "hold" (the last one counts; what whole numbers get), "linear", "cubic" or the order of the polynomial.
     `stale_after_s` is the age after which the value passes no longer as fresh; None: never.
@@ -91,7 +91,7 @@ class State(TimeSeries):
         self.is_writable = (setter is not None or not sampled) if writable is None else writable
         if self.is_writable and setter is None and sampled:
             raise StateError(
-                f"state {name!r} is writable: say setter=…, or sampled=False where nobody measures it"
+                f"state {name!r} is writable: say setter=…, or sampled=False where it is not measured"
             )
         self.period_s = checked_seconds(name, "period_s", period_s)
         self.stale_after_s = checked_seconds(name, "stale_after_s", stale_after_s)
@@ -392,7 +392,7 @@ class State(TimeSeries):
 
     @property
     def origin(self) -> int | None:
-        """What `state[0]` stands for: the newest sample's instant; with an estimator, now."""
+        """The instant of `state[0]`: the newest sample's instant; with an estimator, now."""
         if self._newest_at == _NEVER:
             return None
         return self._newest_at if self._estimate is None else max(self._now(), self._newest_at)

@@ -2,7 +2,7 @@
 
 1. A unit is a product of symbols with whole exponents: "rad/s", "N·m", "kg*m^2", "m/s²", "1/s". Whatever does not read like
    that ("counts per turn") is one symbol.
-2. "" is dimensionless; None says that nobody has stated the unit, and spreads.
+2. "" is dimensionless; None says that the unit is not stated, and spreads.
 3. Symbols are compared, not understood: N·m·rad/s is not simplified to W, and mm is not m.
 """
 

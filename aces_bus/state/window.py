@@ -1,15 +1,19 @@
-"""A stretch of a quantity's history as arrays.
+"""A stretch of a quantity's history as arrays, and the frequencies that it has: its Fourier transform.
 
 1. Samples are given with their real instants, NaN where unknown; nothing is resampled unless `rate_hz` says so.
 2. Samples that were there and are gone make an error, not a shorter array.
+3. Amplitudes are single-sided and in the quantity's unit: a sine of amplitude A that fits the window has a peak of A.
+4. The transform needs even samples. Those within 1 % of the period are taken as they are; others are interpolated
+   onto an even grid, and the result says so. Unknown samples and a history shorter than the window are errors.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..device.signals import UNKNOWN
-from .errors import StateError
+from .errors import StateError, raise_first
 from .quantity import TimeSeries
 from .state import State
 
@@ -78,3 +82,88 @@ def _grid(quantity: TimeSeries, start: int, end: int, rate_hz: float) -> list[in
     if steps >= MOST_POINTS:
         raise StateError(f"state {quantity.name!r}: {steps} points at {rate_hz:g} Hz; at most {MOST_POINTS}")
     return [end - round(i * 1e9 / rate_hz) for i in range(steps, -1, -1)]
+
+
+#: Name of a taper → the NumPy function of it.
+TAPERS = {"none": "ones", "hann": "hanning", "hamming": "hamming", "blackman": "blackman"}
+
+#: Spacing off by less than this share of the period counts as even.
+EVEN = 0.01
+FEWEST = 4
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """`amplitudes` (in `unit`) and `phases_rad` (of a cosine, at the first sample) at `frequencies_hz`, of samples
+    at `rate_hz`.
+    """
+
+    frequencies_hz: NDArray[float64]
+    amplitudes: NDArray[float64]
+    phases_rad: NDArray[float64]
+    rate_hz: float
+    is_resampled: bool
+    unit: str | None
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """Frequency (Hz) and amplitude of the highest line, the mean left out."""
+        place = 1 + int(self.amplitudes[1:].argmax())
+        return float(self.frequencies_hz[place]), float(self.amplitudes[place])
+
+
+def spectrum_of(quantity: TimeSeries, window_s: float, taper: str, rate_hz: float | None) -> Spectrum:
+    """See `TimeSeries.spectrum`."""
+    import numpy as np
+
+    who = f"state {quantity.name!r}"
+    raise_first(
+        StateError,
+        (taper not in TAPERS, f"{who}: no taper named {taper!r} (there are: {', '.join(TAPERS)})"),
+        (not window_s > 0, f"{who}: a window of {window_s!r} s"),
+    )
+    found = quantity.window(-window_s, 0.0)
+    if len(found.instants) < FEWEST:
+        raise StateError(
+            f"{who}: {len(found.instants)} samples in the last {window_s:g} s, a spectrum needs {FEWEST}"
+        )
+    spacing = np.diff(found.instants)
+    period = float(np.median(spacing))
+    unknown = int(np.isnan(found.values).sum())
+    raise_first(
+        StateError,
+        (
+            found.times_s[0] + window_s > 2e-9 * period,
+            f"{who}: a spectrum of {window_s:g} s is asked for, the history reaches back to {found.times_s[0]:.6g} s",
+        ),
+        (
+            unknown > 0,
+            f"{who}: {unknown} of {len(found.values)} samples in the last {window_s:g} s are unknown",
+        ),
+    )
+    is_even = bool(np.abs(spacing - period).max() <= EVEN * period)
+    values: Any = found.values
+    is_resampled = rate_hz is not None or not is_even
+    if is_resampled:
+        rate = 1e9 / period if rate_hz is None else rate_hz
+        origin, span = quantity.origin, quantity.span
+        begin = 0.0 if origin is None or span is None else (span[0] - origin) / 1e9
+        values = quantity.window(max(-window_s, begin), float(found.times_s[-1]), rate_hz=rate).values
+    else:
+        rate = 1e9 * (len(values) - 1) / float(found.instants[-1] - found.instants[0])
+    size = len(values)
+    if size < FEWEST:
+        raise StateError(f"{who}: {size} points at {rate:g} Hz, a spectrum needs {FEWEST}")
+    weights: Any = getattr(np, TAPERS[taper])(size + 1)[:-1]
+    mean = values.mean()  # taken out before the taper, which would spread it over the first lines
+    lines = np.fft.rfft((values - mean) * weights) / weights.sum()
+    lines[0] = mean
+    lines[1 : (size + 1) // 2] *= 2  # the mean and, of an even number, the last line have no second side
+    return Spectrum(
+        np.fft.rfftfreq(size, 1 / rate).astype(np.float64),
+        np.abs(lines),
+        np.angle(lines),
+        rate,
+        is_resampled,
+        quantity.unit,
+    )

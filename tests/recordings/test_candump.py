@@ -190,7 +190,7 @@ UNREADABLE = {
     "identifier 1234 has 4 digits, not 3 or 8": b"(1.5) can0 1234#11",
     "identifier 12G is not hexadecimal": b"(1.5) can0 12G#11",
     "no flags digit after ##": b"(1.5) can0 123##",
-    "after R stands a length of 0 to 8": b"(1.5) can0 123#R9",
+    "after R comes a length of 0 to 8": b"(1.5) can0 123#R9",
     "raw length code with 2 data bytes; only 8 may have one": b"(1.5) can0 123#1122_B",
     "CAN XL is not supported": b"(1.5) can0 123###81000:00:00000000#11",
     "time stamp 'now' is neither seconds nor a date": b"(now) can0 123#11",

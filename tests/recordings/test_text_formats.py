@@ -191,7 +191,7 @@ FAULTS = {
     "microchip": [
         ("505.7063;RX;0x65;64;;;;;;;;;", "64 bytes are announced, 0 are there"),
         ("5;RX;0x65;1;0x100", "byte 0x100 is more than 255"),
-        ("5;RX;0x65;1;0x10;what", "what stands behind the bytes is none"),
+        ("5;RX;0x65;1;0x10;what", "what follows the bytes is none"),
         ("5;UP;0x65;1;0x10", "direction 'UP' is neither Rx nor Tx"),
         ("5;RX", "a line needs time"),
     ],

@@ -41,7 +41,7 @@ Read = Callable[[], float]
 
 
 class LogColumn(msgspec.Struct, frozen=True):
-    """A column: of which state, which attribute, in which unit ("" for a plain number or one nobody has stated)."""
+    """A column: of which state, which attribute, in which unit ("" for a plain number or one that is not stated)."""
 
     state: str
     attribute: str = "value"

@@ -1,9 +1,9 @@
 """The logger: samples states at a rate, as a controller does, and has them on disk.
 
 1. `step` never waits for a disk. In real time it puts a row into a bounded queue and a thread writes; what does not fit is
-   dropped, counted (`dropped`) and told. In virtual time nothing is waited for but the file, and nothing is dropped.
+   dropped, counted (`dropped`) and reported. In virtual time nothing is waited for but the file, and nothing is dropped.
 2. What was sampled `KEPT_S` ago is with the operating system: a killed process loses no more.
-3. A disk that is full or gone is told once, what it did not take is counted (`lost`), and sampling goes on: what can be
+3. A disk that is full or gone is reported once, what it did not take is counted (`lost`), and sampling goes on: what can be
    written again later is written.
 4. In virtual time the same run gives the same file: rows are written at instants that the rows alone decide.
 """
@@ -34,7 +34,7 @@ from .formats import log_format, open_sink
 KEPT_S = 0.25
 #: How often the disk itself is waited for, in real time (ns).
 SYNC_NS = 1_000_000_000
-#: A disk that took rows for so long is well again, and its next trouble told (s): a full one takes a small piece now and
+#: A disk that took rows for so long is well again, and its next trouble reported (s): a full one takes a small piece now and
 #: then.
 WELL_S = 5
 #: Rows written at once.
@@ -113,7 +113,7 @@ class Logger:
         self.written = self.dropped = self.lost = 0
         #: What first kept the file from being whole; "" while nothing did.
         self.failure = ""
-        #: Who is told when something is dropped or lost; the events so far, the last few.
+        #: Called when something is dropped or lost; the events so far, the last few.
         self.listeners = Listeners()
         self.events: deque[ControlEvent] = deque(maxlen=64)
         self._clock = clock

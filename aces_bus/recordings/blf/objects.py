@@ -111,6 +111,9 @@ _FD_LENGTH = np.isin(np.arange(256), FD_LENGTHS)
 #: Number of bytes → mask that keeps as many of a little-endian word.
 _KEPT = np.array([(1 << 8 * count) - 1 for count in range(9)], np.uint64)
 _DLC_LENGTH = np.array(FD_LENGTHS, np.uint8)
+_FD_FLAGS = np.array(
+    [n & 1 and FD | (n >> 1 & 1) * BITRATE_SWITCH | (n >> 2) * ERROR_STATE for n in range(8)], np.uint8
+)
 _VERSIONS = (1, 2, 3)
 #: An instant beyond is no time; and so no sum leaves 63 bits.
 _MOST_TIME = 1 << 61
@@ -324,10 +327,7 @@ def _error_ext(objects: _Objects) -> _Frames:
 
 def _fd_message(objects: _Objects) -> _Frames:
     flags, fd_flags, identifier = objects.field(2, "u1"), objects.field(13, "u1"), objects.field(4, "<u4")
-    fd = (fd_flags & 1) != 0
-    out = _extended(identifier) | _way(flags & 1) | fd * np.uint8(FD)
-    out |= (fd & (fd_flags & 2 != 0)) * np.uint8(BITRATE_SWITCH)
-    out |= (fd & (fd_flags & 4 != 0)) * np.uint8(ERROR_STATE)
+    out = _extended(identifier) | _way(flags & 1) | _fd_flags(fd_flags)
     remote = (flags & 0x80) != 0
     return _with_data(
         objects,
@@ -343,10 +343,7 @@ def _fd_message(objects: _Objects) -> _Frames:
 
 def _fd_message_64(objects: _Objects) -> _Frames:
     flags, identifier = objects.field(12, "<u4"), objects.field(4, "<u4")
-    fd = (flags & 0x1000) != 0
-    out = _extended(identifier) | _way(objects.field(34, "u1")) | fd * np.uint8(FD)
-    out |= (fd & (flags & 0x2000 != 0)) * np.uint8(BITRATE_SWITCH)
-    out |= (fd & (flags & 0x4000 != 0)) * np.uint8(ERROR_STATE)
+    out = _extended(identifier) | _way(objects.field(34, "u1")) | _fd_flags(flags >> 12)
     _without_further(objects, objects.field(35, "u1"))
     return _with_data(
         objects,
@@ -421,6 +418,12 @@ def _extended(identifier: Ints) -> Ints:
 
 def _way(sent: Ints) -> Ints:
     flags: Ints = (sent != 0) * np.uint8(TX - RX) + np.uint8(RX)
+    return flags
+
+
+def _fd_flags(bits: Ints) -> Ints:
+    """Of bits 0 (CAN FD), 1 (bit rate switch) and 2 (error state), of which the others mean something in CAN FD alone."""
+    flags: Ints = _FD_FLAGS[bits & 7]
     return flags
 
 

@@ -10,13 +10,13 @@
 3. After damage reading goes on at the next "LOBJ"; what lies between is one unreadable thing, with its offset.
 4. What the header states is compared with what was read: objects that are missing are one unreadable thing, with their
    number. A header that states none is of a log that was not closed.
-5. No number stands in for another: an object whose length code and number of bytes differ, or whose identifier has bits
+5. No number replaces another: an object whose length code and number of bytes differ, or whose identifier has bits
    that mean nothing, is unreadable.
 
 Objects are counted like lines: `lines` is their number, with one for each damaged stretch. Times are those of the
 objects after the start of the measurement, exact to the nanosecond.
 
-*Facts*: python-can `can/io/blf.py`; Wireshark `wiretap/blf.h` (objects may stand before the containers). Objects are
+*Facts*: python-can `can/io/blf.py`; Wireshark `wiretap/blf.h` (objects may come before the containers). Objects are
 padded: the next begins within 8 bytes. Vector's programs pad with zeros behind the last one, which is no damage. Logs may
 be joined: another header begins another log, with its own start. The number of objects is without containers.
 *Choice*: the start is taken as UTC, as python-can takes it; Vector's programs write the local time of their machine.
@@ -62,11 +62,6 @@ _FEW, _STEPS = 64, 1024
 _PADDING = 8
 
 
-def looks_like_blf(head: bytes) -> bool:
-    """Whether a file begins as a BLF log does."""
-    return head.startswith(SIGNATURE)
-
-
 class BlfCapture(CanRecording):
     """Frames of a Vector BLF log, error frames too. A channel is named by its number from 0, as in python-can; channel 0
     of the log, which counts from 1, is none.
@@ -83,26 +78,18 @@ class BlfCapture(CanRecording):
 
     def _tables(self) -> Iterator[FrameTable]:
         keep_freed_memory()
+        return self._joined(self._piece_tables(), TABLE_ROWS)
+
+    def _piece_tables(self) -> Iterator[FrameTable]:
         stream = _Stream(self)
-        pending: list[FrameTable] = []
-        rows = 0
         try:
             for piece in self._contents(stream):
-                for table in stream.feed(piece, flush=self.live):
-                    pending.append(table)
-                    rows += len(table)
-                if rows >= TABLE_ROWS or (rows and self.live):
-                    yield FrameTable.concat(pending)
-                    pending, rows = [], 0
+                yield from stream.feed(piece, flush=self.live)
         except CaptureError:
-            pending += stream.end()
-            if pending:  # what was read is given first
-                yield FrameTable.concat(pending)
+            yield from stream.end()
             raise
-        pending += stream.end()
+        yield from stream.end()
         self._compare()
-        if pending:
-            yield FrameTable.concat(pending)
 
     def _contents(self, stream: _Stream) -> Iterator[bytes | None]:
         """The unpacked bytes of all containers; None where some are missing."""
@@ -243,7 +230,7 @@ class BlfCapture(CanRecording):
     def _decoded(
         self, data: Ints, begins: Ints, sizes: Ints, damages: list[tuple[int, str]], start_ns: int
     ) -> FrameTable:
-        """The frames of these objects; counts everything. Of `damages` each stands before one of the objects."""
+        """The frames of these objects; counts everything. Each of `damages` is before one of the objects."""
         found = (
             decode_objects(data, begins, sizes, start_ns, self.channels)
             if len(begins)

@@ -4,7 +4,7 @@
 2. Nothing is believed: every byte of a line is checked against its layout, or the line is left.
 3. Memory is that of one block, whatever it holds.
 
-A layout says where things stand in a line: digits of the seconds and of their fraction, length of the name, 3 or 8
+A layout says where things are in a line: digits of the seconds and of their fraction, length of the name, 3 or 8
 digits of the identifier. A log has a few of them, so all lines of one layout are read together, each of their columns
 as one array. Layouts are learnt from the lines themselves. When all lines of a block are as long as the first, their
 columns are views into the block (the fast path, checked like the other); otherwise lines are found by their ends and

@@ -100,7 +100,7 @@ def _log_frame(found: re.Match[bytes], names: ChannelNames) -> Frame:
         if error:
             raise UnreadableRow(REMOTE_AND_ERROR)
         if not (asked := _REMOTE.fullmatch(body)):
-            raise UnreadableRow("after R stands a length of 0 to 8")
+            raise UnreadableRow("after R comes a length of 0 to 8")
         size = int(asked[1] or b"0")
     elif coded := _RAW_LENGTH.fullmatch(body):
         data = _hex(coded[1])

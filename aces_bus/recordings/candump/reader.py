@@ -119,8 +119,3 @@ def looks_like_candump(head: bytes) -> bool:
     """Whether one of the first lines is at least meant as candump's: even a faulty one tells a log from other files."""
     lines = (COLOUR.sub(b"", line[:MAX_LINE]) for line in head.split(b"\n", PATIENCE)[:PATIENCE])
     return any(_LIKE.match(line) for line in lines)
-
-
-def only_remarks(head: bytes) -> bool:
-    """Whether the lines so far are all blank or comments: nothing that says what follows."""
-    return all(not line or line.startswith(b"#") for line in map(bytes.strip, head.split(b"\n")))

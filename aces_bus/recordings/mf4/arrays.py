@@ -1,9 +1,9 @@
 """MDF 4 bus logs, read here and in arrays.
 
-1. What cannot be read here is told before the first frame, as `UnusualFile`; `reader.py` then has another reader.
+1. What cannot be read here is refused before the first frame, as `UnusualFile`; `reader.py` then has the records copied.
 2. Memory is bounded: of each group some ten thousand records are at hand, of packed ones a block, and the streams that mix
    groups are sorted in a file on disk, which is bounded too.
-3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, stand.
+3. A group that breaks off costs the rest of that group; what was read of it, and the other groups, are given.
 4. What a file says of itself is held against what is there: more or fewer records than announced are counted and said.
 
 Here are found the records: of fixed size, one group's or several's with their numbers in front, plain or deflated, finished

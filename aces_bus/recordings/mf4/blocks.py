@@ -15,7 +15,7 @@ from typing import NamedTuple
 ALIGNMENT = 8
 ID_BYTES, HD_AT = 64, 64
 PROGRAM = b"aces_bus"
-#: The channel of our own that says how many frames stand before one.
+#: The channel of our own that says how many frames come before one.
 ORDER = "aces_bus.order"
 
 # Of `channel`: what a channel is, and how its bits are to be read.

@@ -1,9 +1,9 @@
 """What the numbers of an MDF 4 channel mean: its conversion.
 
-1. A number is converted as the file says, or it is not a number: NaN stands for what has no meaning here. The number in the
+1. A number is converted as the file says, or it is not a number: NaN is what has no meaning here. The number in the
    record is never used in its place.
 2. A conversion that is not read has a `fault`, and whoever meets it refuses what depends on it. Formulas are never
-   evaluated: they are programs of a stranger.
+   evaluated: they are programs from an unknown source.
 
 Read are: none, linear, rational, tables of values (with and without interpolation), tables of ranges, and tables of texts
 where a text is a number or one of `WORDS`. Not read are formulas, conversions of texts, and bit fields as texts.

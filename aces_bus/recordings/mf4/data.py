@@ -51,7 +51,10 @@ class Bytes:
                 size = self._read(view[done : done + size])
             else:
                 if not self._at:
-                    self._unpacked = self._unpack(segment)
+                    try:
+                        self._unpacked = unpacked(self._file, segment)
+                    except ValueError as error:
+                        self._unpacked, self.fault = b"", str(error)
                 size = min(size, len(self._unpacked) - self._at)
                 view[done : done + size] = self._unpacked[self._at : self._at + size]
             done += size
@@ -75,22 +78,22 @@ class Bytes:
             done += count
         return done
 
-    def _unpack(self, segment: Segment) -> bytes:
-        self._file.seek(segment.at)
-        size, columns = segment.size, segment.packing
-        try:
-            data = zlib.decompressobj().decompress(self._file.read(segment.stored), size + 1)
-        except zlib.error as error:
-            self.fault = f"packed records are damaged: {error}"
-            return b""
-        if len(data) != size:
-            self.fault = f"packed records should be {size} bytes and are {len(data)} or more"
-            return b""
-        if columns:  # a table was packed column by column; what is left of a row is behind it
-            rows = size // columns
-            table = np.frombuffer(data, np.uint8, rows * columns).reshape(columns, rows)
-            data = table.T.tobytes() + data[rows * columns :]
-        return data
+
+def unpacked(file: BinaryIO, segment: Segment) -> bytes:
+    """The bytes of a packed segment; raises `ValueError` when it is damaged."""
+    file.seek(segment.at)
+    size, columns = segment.size, segment.packing
+    try:
+        data = zlib.decompressobj().decompress(file.read(segment.stored), size + 1)
+    except zlib.error as error:
+        raise ValueError(f"packed records are damaged: {error}") from None
+    if len(data) != size:
+        raise ValueError(f"packed records should be {size} bytes and are {len(data)} or more")
+    if columns:  # a table was packed column by column; what is left of a row is behind it
+        rows = size // columns
+        table = np.frombuffer(data, np.uint8, rows * columns).reshape(columns, rows)
+        data = table.T.tobytes() + data[rows * columns :]
+    return data
 
 
 class Variable:
@@ -126,10 +129,7 @@ class Variable:
             else:
                 if number != self._number:
                     self._left -= segment.size
-                    reader = Bytes(self._file, [segment])
-                    self._number, self._unpacked = number, reader._unpack(segment)
-                    if reader.fault:
-                        raise ValueError(reader.fault)
+                    self._number, self._unpacked = number, unpacked(self._file, segment)
                 parts.append(self._unpacked[at : at + size])
             start, number = start + size, number + 1
         return b"".join(parts)
@@ -266,7 +266,7 @@ class RecordFinder:
                 self._table[number] = place
 
     def number(self, buffer: bytearray, at: int) -> int:
-        """The number that stands there."""
+        """The number at this place."""
         return int(self._format.unpack_from(buffer, at)[0])
 
     def _step(self, buffer: bytearray, at: int, end: int) -> int:

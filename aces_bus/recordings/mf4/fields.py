@@ -38,6 +38,13 @@ class Refused(Exception):
     """A channel group that is not read, and why."""
 
 
+def refuse(*faults: tuple[bool, str], name: str = "") -> None:
+    """Raise `Refused` with the first fault that is there, of pairs (whether it is there, text), of the channel `name`."""
+    for is_there, text in faults:
+        if is_there:
+            raise Refused(f"{name} {text}".lstrip())
+
+
 def field_of(channel: MdfChannel, record_bytes: int) -> BitField:
     """The field of a channel, in records with so many bytes. Raises `Refused` where it is not read."""
     kind, shift, bits = channel.data_type, channel.first_bit, channel.bits
@@ -51,7 +58,7 @@ def field_of(channel: MdfChannel, record_bytes: int) -> BitField:
     is_placed = channel.kind in (VALUE, VARIABLE, MASTER) or (channel.kind == SIZED and is_bytes)
     is_high_first = not is_bytes and kind % 2 == 1
     has_plain = not is_bytes and is_whole and size in (1, 2, 4, 8)
-    for is_so, why in (
+    refuse(
         (channel.is_array or not is_placed, "is not a plain field of its records"),
         (not (is_number or is_real or is_bytes), f"is of data type {kind}, which is not read"),
         (not bits or channel.first_byte + size > record_bytes, "does not lie within its records"),
@@ -64,9 +71,8 @@ def field_of(channel: MdfChannel, record_bytes: int) -> BitField:
             is_high_first and not has_plain,
             "has its highest byte first, and not 1, 2, 4 or 8 whole bytes",
         ),
-    ):
-        if is_so:
-            raise Refused(f"{channel.name} {why}")
+        name=channel.name,
+    )
     if has_plain:
         letter = "f" if is_real else "i" if kind in _SIGNED else "u"
         plain = np.dtype(f"{'>' if is_high_first else '<'}{letter}{size}")

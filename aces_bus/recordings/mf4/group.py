@@ -4,7 +4,7 @@
 2. A channel that a frame needs, and that cannot be read as the file means it, refuses the group: each record of it is
    unreadable, with the channel's name and the reason. Nothing is taken for a default that is there and not understood.
 3. A record with a field that has no value (marked invalid, converted to no whole number or to an unknown text) is
-   unreadable, and the others stand.
+   unreadable, and the others are read.
 
 Taken are CAN_DataFrame, CAN_RemoteFrame and CAN_ErrorFrame with their ID, IDE, DLC, DataLength, EDL, BRS, ESI, BusChannel,
 Dir and DataBytes, and the time. For each of them counts: where it is in the record or that it is virtual (no bits; the
@@ -24,7 +24,7 @@ from ..merge import KeyedTable
 from .blocks import ORDER
 from .conversions import IDENTITY, LINEAR, conversion_meaning, convert_values
 from .data import values_at
-from .fields import BitField, Refused, bytes_at, field_of, numbers
+from .fields import BitField, Refused, bytes_at, field_of, numbers, refuse
 from .frames import (
     Fault,
     FrameNumbers,
@@ -69,14 +69,20 @@ class _Number:
             self.field = field_of(channel, group.data_bytes)
         self._mark = _mark_of(channel, group)
         self._is_plain = self.conversion.kind == IDENTITY
-        if channel.kind == VIRTUAL and self._is_plain:
-            raise Refused(f"{channel.name} is virtual, and has no conversion with its value")
-        if self.field is not None and self.field.is_bytes:
-            if part != "Dir" or channel.data_type == _BYTES:
-                raise Refused(f"{channel.name} has data type {channel.data_type}, and is no number")
-            if not self._is_plain:
-                raise Refused(f"{channel.name} is a text with a conversion, which is not read")
-        elif self.field is not None and self.field.is_real:
+        is_text = self.field is not None and self.field.is_bytes
+        refuse(
+            (
+                channel.kind == VIRTUAL and self._is_plain,
+                "is virtual, and has no conversion with its value",
+            ),
+            (
+                is_text and (part != "Dir" or channel.data_type == _BYTES),
+                f"has data type {channel.data_type}, and is no number",
+            ),
+            (is_text and not self._is_plain, "is a text with a conversion, which is not read"),
+            name=channel.name,
+        )
+        if self.field is not None and self.field.is_real:
             self._is_plain = False
         self._table: FrameNumbers | None = None
         if self._is_plain:
@@ -176,10 +182,10 @@ class _Layout:
                 raise Refused(f"two of its channels are called {channel.name}")
             named[channel.name] = channel
         times = [channel for channel in group.channels if channel.kind in (MASTER, VIRTUAL_MASTER)]
-        if len(times) != 1:
-            raise Refused(f"it has {len(times) or 'no'} time channels, and one is needed")
-        if times[0].sync != TIMES:
-            raise Refused(f"{times[0].name} is not a time")
+        refuse(
+            (len(times) != 1, f"it has {len(times) or 'no'} time channels, and one is needed"),
+            (any(time.sync != TIMES for time in times), f"{times[0].name if times else ''} is not a time"),
+        )
         self.time = _Number(times[0], group)
         if self.time.field is not None and self.time.field.is_bytes:
             raise Refused(f"{times[0].name} is not a number")
@@ -187,15 +193,16 @@ class _Layout:
         for part in _PARTS:
             if (found := named.get(f"{kind}.{part}")) is not None:
                 self.numbers[part] = _Number(found, group, part)
-        if "ID" not in self.numbers and kind != "CAN_ErrorFrame":
-            raise Refused("it has no identifiers")
-        if kind == "CAN_DataFrame" and "DataLength" not in self.numbers:
-            if (code := self.numbers.get("DLC")) is None:
-                raise Refused("it has no lengths")
-            if (
-                code.conversion.kind != IDENTITY
-            ):  # whether it then is a length or still a code, it does not say
-                raise Refused(f"{kind}.DLC has a conversion, and there is no DataLength")
+        code = self.numbers.get("DLC")
+        needs_code = kind == "CAN_DataFrame" and "DataLength" not in self.numbers
+        refuse(
+            ("ID" not in self.numbers and kind != "CAN_ErrorFrame", "it has no identifiers"),
+            (needs_code and code is None, "it has no lengths"),
+            (  # whether it then is a length or still a code, it does not say
+                needs_code and code is not None and code.conversion.kind != IDENTITY,
+                f"{kind}.DLC has a conversion, and there is no DataLength",
+            ),
+        )
         self.order = _Number(named[ORDER], group) if is_ours and ORDER in named else None
         self.whole = _mark_of(named[kind], group)
         self.data: BitField | None = None
@@ -204,10 +211,17 @@ class _Layout:
         self.is_variable = False
         data = named.get(f"{kind}.DataBytes")
         if data is not None and kind != "CAN_RemoteFrame":
-            if data.kind not in (VALUE, SIZED, VARIABLE) or data.data_type != _BYTES:
-                raise Refused(f"{data.name} has data type {data.data_type}, and is no bytes")
-            if data.conversion.fault or data.conversion.kind != IDENTITY:
-                raise Refused(f"{data.name} has a conversion, and is no bytes")
+            refuse(
+                (
+                    data.kind not in (VALUE, SIZED, VARIABLE) or data.data_type != _BYTES,
+                    f"has data type {data.data_type}, and is no bytes",
+                ),
+                (
+                    bool(data.conversion.fault) or data.conversion.kind != IDENTITY,
+                    "has a conversion, and is no bytes",
+                ),
+                name=data.name,
+            )
             self.data, self.data_mark = field_of(data, group.data_bytes), _mark_of(data, group)
             self.is_variable = data.kind == VARIABLE
 

@@ -31,7 +31,7 @@ from ..base import PROBLEMS_KEPT, CanRecording, UnreadableEntry, printable_start
 from ..source import ByteSource, on_disk
 from . import child as child
 from .arrays import BusLog
-from .tree import MAGIC, Blocks, Damaged, UnusualFile, tree_of
+from .tree import Blocks, Damaged, UnusualFile, tree_of
 
 #: Seconds after which the other process is stopped: so many, and one more for so many bytes of the file.
 PATIENCE = 60.0
@@ -43,11 +43,6 @@ _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
     " from aces_bus.recordings.mf4.child import run_child; run_child(sys.argv[2:])"
 )
-
-
-def looks_like_mf4(head: bytes) -> bool:
-    """Whether these are the first bytes of an MDF file, of whatever version, finished or not."""
-    return head[:8] in MAGIC
 
 
 class Mf4Capture(CanRecording):

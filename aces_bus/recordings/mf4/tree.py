@@ -2,7 +2,7 @@
 
 1. Nothing is believed: a block is looked at only where it lies within the file, each group, channel and data block once, and
    no more of them than `BLOCKS`. So this ends soon on any file, in memory that the file's size bounds.
-2. What is damaged is `Damaged`; what is in order and not told here is `UnusualFile`, and another reader's.
+2. What is damaged is `Damaged`; what is in order and not read here is `UnusualFile`, and needs asammdf.
 3. Records are not touched; `data.py` reads them.
 4. Nothing that changes what a number means is left out: a channel has its data type, its invalidation bit and its
    conversion. What of these is not read is refused by `group.py`, with the channel's name.

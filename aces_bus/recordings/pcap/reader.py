@@ -54,18 +54,13 @@ _BATCH = 1 << 20
 #: So many kinds of other things are named apart.
 _KINDS = 64
 
-_MAGIC: dict[bytes, tuple[str, int]] = {
+MAGIC: dict[bytes, tuple[str, int]] = {
     b"\xa1\xb2\xc3\xd4": (">", 1000),
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
     b"\xa1\xb2\x3c\x4d": (">", 1),
     b"\x4d\x3c\xb2\xa1": ("<", 1),
 }
 _LINK_NAMES = {1: " (Ethernet)", 189: " (USB)", 190: " (CAN 2.0B)", 220: " (USB)", 249: " (USB)"}
-
-
-def looks_like_pcap(head: bytes) -> bool:
-    """Whether these are the first bytes of a pcap file."""
-    return head[:4] in _MAGIC
 
 
 def link_words(link: int) -> str:
@@ -194,7 +189,7 @@ class PcapCapture(PacketCapture):
         self._link = 0
 
     def _header(self, buffer: bytes) -> None:
-        self._order, self._unit = _MAGIC[buffer[:4]]
+        self._order, self._unit = MAGIC[buffer[:4]]
         self._link = struct.unpack_from(self._order + "I", buffer, 20)[0] & 0xFFFF
         if self._link not in LINK_TYPES:
             raise CaptureError(
@@ -207,7 +202,7 @@ class PcapCapture(PacketCapture):
         if not self._order:
             if len(buffer) < _HEADER:
                 return [], 0, _HEADER
-            if buffer[:4] not in _MAGIC:
+            if buffer[:4] not in MAGIC:
                 raise CaptureError(f"{self.name}: not a pcap file: it begins with {buffer[:4].hex()}")
             self._header(buffer)
             position = _HEADER
@@ -249,7 +244,7 @@ class PcapCapture(PacketCapture):
                 limit = f"of {original} in all" if captured > original else "captured"
                 fault = f"a packet of {captured} bytes {limit}"
                 break
-            if not original and buffer[position : position + 4] in _MAGIC:
+            if not original and buffer[position : position + 4] in MAGIC:
                 fault = _JOINED
                 break
             size = captured + _HEAD

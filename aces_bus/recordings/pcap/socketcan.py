@@ -1,4 +1,4 @@
-"""Linux CAN frames as they stand in packets: many at once, from a buffer into columns.
+"""Linux CAN frames as they are in packets: many at once, from a buffer into columns.
 
 1. No I/O in this file. Whatever the bytes are, nothing is read behind a packet's end, and nothing raises.
 2. Every packet gets one status: a frame, readable but no CAN frame, or unreadable with its reason. No other byte order
@@ -11,8 +11,8 @@ which way the packet went and what follows; the identifier is then in the byte o
     0 identifier with the flags 29-bit, remote, error | 4 length | 5 FD flags | 6, 7 unused or a raw length code | 8 data
 
 *Facts*: the LINKTYPE pages of tcpdump.org; include/uapi/linux/can.h; cooked byte order: pcap-common.c of libpcap.
-*Choice*: before the FDF flag existed a CAN FD frame was told by its 72 bytes, or by its protocol number; both still count.
-The raw length code of an 8-byte frame is not kept.
+*Choice*: before the FDF flag existed a CAN FD frame was recognised by its 72 bytes, or by its protocol number; both still
+count. The raw length code of an 8-byte frame is not kept.
 """
 
 from __future__ import annotations

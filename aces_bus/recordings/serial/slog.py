@@ -11,7 +11,7 @@
 3. What is read is what was written: bytes, boundaries, directions, and times to the nanosecond.
 
 One file is one line; which one, a comment may say. Lines that begin with # are comments, the first among them. A chunk of
-more than `LINE_BYTES` takes several lines; all but its last have a +. The same time and direction stand on each. Where
+more than `LINE_BYTES` takes several lines; all but its last have a +. Each has the same time and direction. Where
 one is missing, it counts as an unreadable line, and the chunk ends before it.
 
 *Choice*: text, like candump's, because a recording is looked at with the tools at hand first; hexadecimal digits cost twice

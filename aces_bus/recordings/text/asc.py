@@ -25,7 +25,7 @@ switch, 14 error state. A CANFD line without bit 12 is a classic frame on an FD 
 *Choice*: channels count from 1 there and from 0 here, as in python-can. The date of the first trigger block goes before that
 of the header, as python-can's header holds the time of writing. A fraction of a date of up to three digits is milliseconds:
 python-can writes 13.5 for 13.005 s. Relative times are added up.
-*Doubt*: a message may stand with its name instead of its number; then "ID =" behind the data must say it. Where both are
+*Doubt*: a message may have its name instead of its number; then "ID =" behind the data must give the number. Where both are
 numbers and contradict each other, the column goes before: it is what all programs write.
 """
 
@@ -340,7 +340,7 @@ class AscCapture(LineCapture):
         )
 
     def _common(self, words: Words, channel: int, identifier: int, way: int) -> tuple[Mask, Ints, FrameTable]:
-        """Channel, and a table of time, identifier and direction; all but the time stand at these words."""
+        """Channel, and a table of time, identifier and direction; all but the time are at these words."""
         word = words.word
         time, good = words.time(word(0), 9)
         bus, _, is_bus = words.number(word(channel), 10, 1, 5)

@@ -5,7 +5,7 @@
 
 1. Every line is one of: frame, header, blank, unreadable.
 2. A line whose dlc is not its number of bytes is unreadable, of an error frame too.
-3. It is told by its header, word for word: data are base64 here, and hexadecimal in any other CSV.
+3. It is recognised by its header, exactly: data are base64 here, and hexadecimal in any other CSV.
 
 *Facts*: python-can's documentation of `CSVWriter`. It has no channel, no direction and no mark for CAN FD.
 *Choice*: a frame of more than 8 bytes is CAN FD. What python-can writes as data of a remote frame is its length alone.

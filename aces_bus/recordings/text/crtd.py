@@ -6,7 +6,7 @@
     19292.299819 CEV vehicle.alert this is a textual vehicle alert
 
 1. Every line is one of: frame, comment (CXX, CVR), another record (`others`, by kind), blank, unreadable.
-2. A record states no length: its bytes are all there is, and each must be one. No other word stands in for a number.
+2. A record states no length: its bytes are all there is, and each must be one. No other text is taken for a number.
 3. Times are seconds as written: from 1970, or from the start of the device.
 
 *Facts*: the OVMS developer's guide, "CRTD CAN Log Format" (1.0 to 3.1). Identifiers and bytes are hexadecimal, with or

@@ -102,7 +102,7 @@ _GAPS = re.compile(rb"[\s,;:._-]+")
 
 @dataclass(frozen=True)
 class Plan:
-    """Where things stand in a line: column numbers by role, those of single bytes, and how numbers are written."""
+    """Where things are in a line: column numbers by role, those of single bytes, and how numbers are written."""
 
     separator: bytes
     places: dict[str, int]
@@ -330,7 +330,7 @@ def _plan(separator: bytes, names: list[str], source: str) -> Plan:
             )
         if "data" in places and len(single) > 1:
             raise CaptureError(
-                f"{source}: data stand in one column and in single ones, which to take is not said: {listed}"
+                f"{source}: data are in one column and in single ones, and which to take is not said: {listed}"
             )
         byte_places = tuple(single[number] for number in sorted(single)) if "data" not in places else ()
     elif "data" not in places:

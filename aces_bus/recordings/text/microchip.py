@@ -62,7 +62,7 @@ class MicrochipCapture(LineCapture):
         number = _number(digits, "identifier")
         size = integer(length, 10, "length")
         if any(data[size:]) and not all(map(_is_byte, data[size:])):
-            raise UnreadableRow("what stands behind the bytes is none")
+            raise UnreadableRow("what follows the bytes is none")
         unit = 1_000_000_000 if b"." in stamp else 1_000_000
         frame = Frame(
             number,

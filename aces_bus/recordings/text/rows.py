@@ -94,22 +94,14 @@ class LineCapture(CanRecording):
         self.is_known = True
 
     def _tables(self) -> Iterator[FrameTable]:
-        tables: list[FrameTable] = []
-        rows = 0
-        try:
-            for block in self._blocks():
-                before = len(tables)
-                self._read(block, tables)
-                rows += self._found(sum(map(len, tables[before:])))
-                if rows >= self._ROWS or (rows and self.live):
-                    yield FrameTable.concat(tables)
-                    tables, rows = [], 0
-        except CaptureError:
-            if rows:  # what was read is given first
-                yield FrameTable.concat(tables)
-            raise
-        if rows:
-            yield FrameTable.concat(tables)
+        return self._joined(self._block_tables(), self._ROWS)
+
+    def _block_tables(self) -> Iterator[FrameTable]:
+        for block in self._blocks():
+            tables: list[FrameTable] = []
+            self._read(block, tables)
+            self._found(sum(map(len, tables)))
+            yield from tables
         self._check_end()
 
     def _found(self, count: int) -> int:

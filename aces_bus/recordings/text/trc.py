@@ -15,7 +15,7 @@
 
 1. Every line is one of: frame, comment or header (`;`), blank, something that is no frame (`others`), unreadable.
 2. Times are from 1970 when the file says when it starts, and from its start when it does not (1.0).
-3. A line whose bus, direction, length or number of bytes is not understood is unreadable: no default stands in. A column
+3. A line whose bus, direction, length or number of bytes is not understood is unreadable: no default is used. A column
    that is not there, or is "-", says nothing.
 
 *Facts*: "PEAK CAN TRC File Format" of PEAK-System (2016 to 2023). Identifiers of 4 digits have 11 bits, of 8 digits 29.
@@ -149,7 +149,7 @@ class TrcCapture(LineCapture):
         raise UnreadableRow(f"not a line of a trace of version {self._version}")
 
     def _old(self, cells: list[bytes]) -> FrameRow | None:
-        """A line of versions 1.x; a version's columns are told by what is there, as headers are lost or wrong."""
+        """A line of versions 1.x; the columns are recognised by what is there, as headers are lost or wrong."""
         time = self._instant(cells[1]) if len(cells) > 1 else 0
         rest = cells[2:]
         bus = kind = None

@@ -1,6 +1,6 @@
 """The words of many lines at once, as columns: where they are, and the numbers that they say.
 
-1. A word is what stands between separators; the word k of a line is a row of every column that is asked for.
+1. A word is the text between two separators; the word k of a line is a row of every column that is asked for.
 2. Nothing here loops over lines. What is asked of a line that has not so many words, or whose word is no such number, is
    any number, and the mask that comes with it is False there.
 

@@ -15,7 +15,7 @@ or is packed. A writer raises `CallerError` or `OSError`, and is not used after 
 "channel names" counts names. What cannot differ in any bus (the 29-bit flag of an error frame) is not counted.
 
 **Channels.** Some formats name channels, others number them from 1. `ChannelNumbers` gives a name the number that
-stands at its end, plus one: "0" and "can0" are channel 1, as with python-can, whose channels count from 0 while files count
+is at its end, plus one: "0" and "can0" are channel 1, as with python-can, whose channels count from 0 while files count
 from 1. Readers give channel 1 the name "0"; formats with names write it "can0". So can0 survives candump → BLF →
 candump. A name whose number is taken or that has none gets the lowest free one, and counts as a lost name, as do
 those that do not come back the same ("vcan0"). BLF has a number for frames without a channel: 0.

@@ -93,7 +93,7 @@ class StartedWriter(FrameWriter):
 
     def __init__(self, file: BinaryIO, name: str) -> None:
         super().__init__(file, name)
-        self._channels: ChannelNumbers = self._numbering()
+        self._numbers = self._channels = self._numbering()
         self._is_begun = False
         #: What the header states, ns since 1970, and the highest offset so far.
         self._start: int | None = None
@@ -147,7 +147,7 @@ class StartedWriter(FrameWriter):
         time = table.time
         known = time != NO_TIME
         self.lose("unknown times (written as the start)", np.count_nonzero(~known))
-        if self._start is None:  # from now on the header stands, also where no time is known yet
+        if self._start is None:  # from now on the header is fixed, also where no time is known yet
             first = int(time[known].min()) if known.any() else 0
             self._start = self._settled(first) if first >= EARLIEST else 0
         early = known & (time < self._start)
@@ -157,7 +157,7 @@ class StartedWriter(FrameWriter):
         return offsets
 
 
-def kinds_of(table: FrameTable) -> tuple[Ints, Ints, Ints]:
+def rows_by_kind(table: FrameTable) -> tuple[Ints, Ints, Ints]:
     """The rows of classic frames, of CAN FD frames and of error frames."""
     is_error = table.flags & ERROR != 0
     is_fd = (table.flags & FD != 0) & ~is_error
@@ -195,7 +195,8 @@ class ChannelMap:
         self._channels: Channels | None = None
         self._row: list[Any] = []
 
-    def _of(self, name: str | None) -> Any:
+    def number(self, name: str | None) -> Any:
+        """What a new name becomes."""
         raise NotImplementedError
 
     def row(self, channels: Channels, highest: int) -> list[Any]:
@@ -204,7 +205,7 @@ class ChannelMap:
             self._channels, self._row = channels, []
         names = channels.names[len(self._row) : highest + 1]
         for name in sorted((name for name in names if name not in self._known), key=_claim):
-            self._known[name] = self._of(name)
+            self._known[name] = self.number(name)
         self._row += [self._known[name] for name in names]
         return self._row
 
@@ -230,7 +231,8 @@ class ChannelNumbers(ChannelMap):
         self._taken: set[int] = set()
         self._free = 1
 
-    def _of(self, name: str | None) -> int:
+    def number(self, name: str | None) -> int:
+        """A number for a new name."""
         if name is None and self._none is not None:
             return self._none
         found = _DIGITS.fullmatch(name) if name is not None else None
@@ -266,7 +268,7 @@ class WrittenChannels(ChannelMap):
         self._limit = limit
         self._taken: set[str] = set()
 
-    def _of(self, name: str | None) -> str:
+    def number(self, name: str | None) -> str:
         if name is not None and _KEPT.fullmatch(name):
             wanted = name if name.startswith("can") else f"can{name}"
             self.lost += wanted in self._taken

@@ -116,7 +116,7 @@ class OutFile:
 
     @contextmanager
     def checked(self) -> Generator[None, None, None]:
-        """Errors of the system as one line; a pipe that nobody reads stays a `BrokenPipeError`."""
+        """Errors of the system as one line; a pipe without a reader stays a `BrokenPipeError`."""
         try:
             yield
         except BrokenPipeError:

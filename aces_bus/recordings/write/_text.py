@@ -30,7 +30,7 @@ def blocks(n: int) -> Iterator[slice]:
 
 
 def join_columns(columns: Sequence[Column | bytes], n: int) -> bytes:
-    """The columns side by side, without NULs; what is given as bytes stands in every line."""
+    """The columns side by side, without NULs; what is given as bytes is in every line."""
     widths = [len(column) if isinstance(column, bytes) else column.shape[1] for column in columns]
     text = np.empty((n, sum(widths)), np.uint8)
     start = 0

@@ -25,7 +25,7 @@ from datetime import datetime
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, FrameTable, Ints
-from ._base import DLC_OF_LENGTH, StartedWriter, kinds_of
+from ._base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
 from ._text import (
     Column,
     choices,
@@ -46,7 +46,7 @@ _KINDS = choices([b" d ", b" r "])
 _DLC = choices([b"%x" % n for n in range(16)])
 _MARKS = choices([b"0 0 ", b"1 0 ", b"0 1 ", b"1 1 "])
 _FLAGS = choices([b"    1000", b"    3000", b"    5000", b"    7000"])
-_SYMBOLIC = b" " * 35  # the name of the message, which nobody knows here, and the blanks around it
+_SYMBOLIC = b" " * 35  # the name of the message, which is not known here, and the blanks around it
 _END = b"        0" * 5 + b"\n"  # CRC and bit timing
 
 
@@ -88,12 +88,12 @@ class AscWriter(StartedWriter):
     def _encoded(self, table: FrameTable) -> bytes:
         times = _times(self._offsets)
         table = replace(table, length=self._remote_lengths(table))
-        channels = self._channels.numbers(table)
+        channels = self._numbers.numbers(table)
         return interleaved(
             len(table),
             [
                 (rows, kind(table.take(rows), times[rows], channels[rows]))
-                for rows, kind in zip(kinds_of(table), (_classic, _fd, _errors), strict=True)
+                for rows, kind in zip(rows_by_kind(table), (_classic, _fd, _errors), strict=True)
                 if len(rows)
             ],
         )

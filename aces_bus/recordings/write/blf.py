@@ -37,7 +37,7 @@ from ...frame_table import (
     Ints,
     widened,
 )
-from ._base import DLC_OF_LENGTH, EARLIEST, ChannelNumbers, StartedWriter, kinds_of, records_in_order
+from ._base import DLC_OF_LENGTH, EARLIEST, ChannelNumbers, StartedWriter, records_in_order, rows_by_kind
 
 _CONTAINER = 128 * 1024
 _LEVEL = 2
@@ -121,13 +121,13 @@ class BlfWriter(StartedWriter):
         self.lose("error frames with more than 8 bytes", np.count_nonzero(is_long))
 
     def _encoded(self, table: FrameTable) -> bytes:
-        channels, offsets = self._channels.numbers(table), self._offsets
+        channels, offsets = self._numbers.numbers(table), self._offsets
         self._objects += len(table)
         self._kept += records_in_order(
             len(table),
             [
                 (rows, make(table.take(rows), offsets[rows], channels[rows]))
-                for rows, make in zip(kinds_of(table), (_classic, _fd, _error), strict=True)
+                for rows, make in zip(rows_by_kind(table), (_classic, _fd, _error), strict=True)
                 if len(rows)
             ],
         )

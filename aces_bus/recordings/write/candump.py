@@ -30,11 +30,11 @@ class CandumpWriter(FrameWriter):
 
     def __init__(self, file: BinaryIO, name: str) -> None:
         super().__init__(file, name)
-        self._channels: WrittenChannels = WrittenChannels()
+        self._names = self._channels = WrittenChannels()
 
     def _encoded(self, table: FrameTable) -> bytes:
         n, flags, channel = len(table), table.flags, table.channel
-        names = self._channels.row(table.channels, int(channel.max()))
+        names = self._names.row(table.channels, int(channel.max()))
         seconds, nanoseconds = np.divmod(self._epoch_times(table), 1_000_000_000)
         fraction = decimal_text(nanoseconds, 9)
         whole = nanoseconds % 1000 == 0

@@ -3,7 +3,7 @@
 1. Memory is bounded: records go out in data blocks of about 1 MiB, and the blocks that describe them are written by `close`.
 2. A frame's instant is kept to the nanosecond: the time channel counts integer nanoseconds from the start of the file.
 3. A channel has groups of its own, whose source has the channel's name as its path; so names survive.
-4. The order survives too: beside the frame, a record says how many frames stand before it (modulo 2³²).
+4. The order survives too: beside the frame, a record says how many frames come before it (modulo 2³²).
 
 A group is a channel × what its records hold: 8 or 64 data bytes, a data, remote or error frame, a direction or none.
 *Facts*: ASAM's bus logging: composed channels CAN_DataFrame, CAN_RemoteFrame, CAN_ErrorFrame with their parts; Dir is 0
@@ -13,7 +13,6 @@ for received, 1 for sent; BusChannel is a number, here the digits at the end of 
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
@@ -34,7 +33,7 @@ from ...frame_table import (
 )
 from ..mf4 import blocks as mdf
 from ..mf4.blocks import ORDER
-from ._base import DLC_OF_LENGTH, RecordingWriter
+from ._base import DLC_OF_LENGTH, ChannelNumbers, RecordingWriter
 
 #: Bytes of a record before those of the frame.
 _FRAME_AT = 12
@@ -43,7 +42,6 @@ _BLOCK = 1 << 20
 #: Kept back in all groups together.
 _KEPT = 16 << 20
 _CHANNELS = 256
-_DIGITS = re.compile(r"(?:.*[^0-9])?([0-9]{1,3})", re.DOTALL)
 _COMMENT = "<HDcomment><TX>CAN bus log, written by aces-bus</TX></HDcomment>"
 _HISTORY = (
     "<FHcomment><TX>written</TX><tool_id>aces-bus</tool_id><tool_vendor>aces-bus</tool_vendor>"
@@ -95,6 +93,7 @@ class Mf4Writer(RecordingWriter):
         super().__init__(file, name)
         self._groups: dict[tuple[str | None, str, int, bool], _Group] = {}
         self._numbers: dict[str | None, int] = {}
+        self._free = ChannelNumbers(limit=_CHANNELS)
         self._start: int | None = None
         self._last = 0
         self._frames = 0
@@ -161,14 +160,11 @@ class Mf4Writer(RecordingWriter):
     def _number(self, name: str | None) -> int:
         """The number of a channel: that at the end of its name, or the lowest that is free."""
         if name not in self._numbers:
-            found = _DIGITS.fullmatch(name or "")
-            number = int(found[1]) if found else 0
-            taken = set(self._numbers.values())
-            if number in taken or number >= _CHANNELS:
-                number = next((free for free in range(_CHANNELS) if free not in taken), _CHANNELS - 1)
-            self._numbers[name] = number
-            if name is not None and (not name or name != name.strip(" \r\t\n\0") or "\0" in name):
-                self.lose("channel names", 1)
+            self._numbers[name] = self._free.number(name) - 1
+            self.lose(
+                "channel names",
+                name is not None and (name != name.strip(" \r\t\n\0") or not name or "\0" in name),
+            )
         return self._numbers[name]
 
     def _add(self, group: _Group, table: FrameTable, time: Ints, order: Ints) -> None:

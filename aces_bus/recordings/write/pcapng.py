@@ -1,7 +1,7 @@
 """pcapng of SocketCAN packets, as Wireshark opens it.
 
 1. One section, little-endian; one interface a channel, described before its first packet; times in nanoseconds.
-2. Every packet says which way it went, or that nobody knows: all blocks of classic frames are 64 bytes.
+2. Every packet says which way it went, or that this is unknown: all blocks of classic frames are 64 bytes.
 
 *Facts*: draft-ietf-opsawg-pcapng, and the LINKTYPE page for 227. *Choice*: a frame takes as many bytes as Linux gives it
 (16, of CAN FD 72), so that readers that know no FDF flag tell them by that.

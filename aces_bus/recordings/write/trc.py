@@ -116,7 +116,7 @@ class TrcWriter(StartedWriter):
                 b".",
                 decimal_text(micro, 3),
                 _TYPES[kind],
-                decimal_text(self._channels.numbers(table), 5, least=1, fill=b" "),
+                decimal_text(self._numbers.numbers(table), 5, least=1, fill=b" "),
                 b" ",
                 digits,
                 _WAYS[(flags & TX != 0).astype(np.uint8)],
