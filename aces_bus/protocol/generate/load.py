@@ -91,33 +91,29 @@ def _part_type(shape: tuple[str, tuple[str, ...]]) -> type:
     return made
 
 
-class DecoderSet:
-    """The decode functions of a variant, in physical units or raw.
+@cache
+def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapping[str, Decode]:
+    """The decode functions of a variant by message, in physical units or raw; each is made when it is first asked for.
 
     Without `guard` a function may raise `struct.error` for data of the wrong length, where it would give None.
     """
+    label = f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
 
-    def __init__(self, variant: Variant, *, raw: bool, guard: bool) -> None:
-        self.variant = variant
-        self.raw = raw
-        kind = f"{'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
-        self._guard, self._name = guard, f"aces {variant.label} {kind}"
-        #: By message. Each is printed and compiled when it is first asked for.
-        self.decoders: Mapping[str, Decode] = OnDemand(self._made)
-
-    def _made(self, name: str) -> Decode:
-        message = self.variant.messages[name]
-        printed = Decoder(message.plan, raw=self.raw, guard=self._guard)
+    def made(name: str) -> Decode:
+        message = variant.messages[name]
+        printed = Decoder(message.plan, raw=raw, guard=guard)
         source = print_decoder(printed)
-        types = _types(self.variant)[name]
+        types = _types(variant)[name]
         names = {**_CALLED, **printed.module.bound}
         names |= {called: types[kind] for called, kind in printed.types.items()}
         if printed.opaque:
-            names[printed.opaque] = _opaque(message, self.variant, raw=self.raw)
+            names[printed.opaque] = _opaque(message, variant, raw=raw)
         if printed.holds:
             names[printed.holds] = _holds(message)
-        decode: Decode = load_source(source, f"{self._name}: {name}", names)[printed.function]
+        decode: Decode = load_source(source, f"{label}: {name}", names)[printed.function]
         return decode
+
+    return OnDemand(made)
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:
@@ -199,12 +195,6 @@ class _Records(Mapping[str, type[Record]]):
 def records_of(variant: Variant) -> Mapping[str, type[Record]]:
     """The record types of a variant, by message; each is made when it is first asked for."""
     return _Records(variant)
-
-
-@cache
-def codec(variant: Variant, raw: bool = False, guard: bool = True) -> DecoderSet:
-    """The codec of a variant, made once."""
-    return DecoderSet(variant, raw=raw, guard=guard)
 
 
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
