@@ -27,7 +27,7 @@ from aces_bus.protocol import (
     bits,
     load_protocol,
 )
-from aces_bus.protocol.generate.load import codec, print_decoders
+from aces_bus.protocol.generate.load import decoders_of, print_decoders
 from aces_bus.protocol.generate.records import print_records
 from aces_bus.protocol.plan.flatten import flatten
 
@@ -103,7 +103,7 @@ def test_the_same_spec_prints_the_same_bytes_in_every_process() -> None:
 
 def test_generated_code_shows_in_tracebacks() -> None:
     """An error inside a generated function shows its line, under a name that says which protocol and what it does."""
-    decode = codec(small().variant(), False, False).decoders["Position"]
+    decode = decoders_of(small().variant(), False, False)["Position"]
     with pytest.raises(Exception, match="buffer") as caught:
         decode(b"too short to be eight", 0x60, None, None, b"", None)
     last = traceback.extract_tb(caught.value.__traceback__)[-1]
@@ -113,7 +113,7 @@ def test_generated_code_shows_in_tracebacks() -> None:
 
 def test_a_debugger_finds_the_source() -> None:
     """`inspect` and `pdb` see generated functions as they see any other."""
-    decode = codec(small().variant()).decoders["Mode"]
+    decode = decoders_of(small().variant())["Mode"]
     assert inspect.getsource(decode).startswith("def decode_Mode(")
     assert pdb.Pdb().canonic(decode.__code__.co_filename) == "<aces small decoders: Mode>"
 

@@ -30,6 +30,7 @@ from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.draw import picture
 from aces_bus.recordings import Chunk
 from aces_bus.recordings.candump.line import read_line
+from aces_bus.recordings.text.rows import UnreadableRow
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import Output, abandon_stdout, say, terminal_width, wants_colour

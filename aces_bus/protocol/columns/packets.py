@@ -19,7 +19,7 @@ from ..live.decide import Decider
 from ..plan.choose import Choice, choose
 from .rows import PacketRows, RowDecoder
 from .scanner import Gatherer
-from .table import Array, Column, ColumnKind, MessageTable, join_columns, packet_rows, take_rows
+from .table import Array, Column, ColumnKind, MessageTable, concat_columns, packet_rows, take_rows
 
 #: How many bytes of rows are made at once.
 ROWS = 1 << 24
@@ -279,7 +279,7 @@ class PacketTables:
 
         def make(column: ColumnKind) -> Column:
             pieces = [kind.column(column, rows) for _, rows in parts if isinstance(rows, PacketRows)]
-            whole = join_columns(column, pieces)
+            whole = concat_columns(column, pieces)
             if order is None:
                 return whole
             return Column(column, whole.values[order], None if whole.absent is None else whole.absent[order])

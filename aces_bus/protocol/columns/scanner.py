@@ -16,6 +16,7 @@ from ...frame_table import Channels, FrameTable, to_ns
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Variant
+from ..generate.load import OnDemand
 from ..keys import key_of
 from ..live.scanner import Scanner, make_scanner
 from ..plan import nodes as p
@@ -90,9 +91,10 @@ class RecordColumns:
         self.link = self.scanner.link
         self.channels = Channels()
         self._rows = 0
-        self._raw = raw
         #: By record type, made when its first record comes.
-        self._gatherers: dict[type[Record], Gatherer] = {}
+        self._gatherers: OnDemand[type[Record], Gatherer] = OnDemand(
+            lambda kind: Gatherer(kind, kind._declared.plan, raw=raw)
+        )
 
     @property
     def counts(self) -> ScanCounts:
@@ -117,12 +119,6 @@ class RecordColumns:
         tables = self.tables(self.scanner.feed(table.frames()), rows)
         return [replace(one, time=table.time[np.searchsorted(rows, one.row)]) for one in tables]
 
-    def _gatherer(self, kind: type[Record]) -> Gatherer:
-        found = self._gatherers.get(kind)
-        if found is None:
-            found = self._gatherers[kind] = Gatherer(kind, kind._declared.plan, raw=self._raw)
-        return found
-
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
         """Records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
         by_kind: dict[Any, list[int]] = {}
@@ -131,7 +127,7 @@ class RecordColumns:
         tables = []
         for kind, indices in by_kind.items():
             some = [items[index] for index in indices]
-            gatherer = None if kind is Unknown else self._gatherer(kind)
+            gatherer = None if kind is Unknown else self._gatherers[kind]
             if gatherer is None and not self.include_unknown:
                 continue
             if rows is not None:

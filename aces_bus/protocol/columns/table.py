@@ -116,7 +116,7 @@ def join_pieces(pieces: Sequence[_Piece]) -> tuple[Array, Array | None]:
     return np.concatenate([piece.values for piece in pieces]), absent
 
 
-def join_columns(kind: ColumnKind, columns: Sequence[Column]) -> Column:
+def concat_columns(kind: ColumnKind, columns: Sequence[Column]) -> Column:
     """One column of several."""
     return columns[0] if len(columns) == 1 else Column(kind, *join_pieces(columns))
 
@@ -213,7 +213,7 @@ class MessageTable:
             return first
 
         def make(kind: ColumnKind) -> Column:
-            return join_columns(kind, [table[kind.name] for table in tables])
+            return concat_columns(kind, [table[kind.name] for table in tables])
 
         if is_lazy:
             take: Callable[[ColumnKind], Column] = make

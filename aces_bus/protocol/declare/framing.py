@@ -299,6 +299,14 @@ class Framing:
         known = [m.extras for m in messages if m.framing is self and m.extras is not None]
         return {number: extra for extras in known for number, extra in extras.items()} if known else None
 
+    def checks_of(self, packet: bytes, extra: bytes) -> tuple[bytes, bytes]:
+        """The check that a packet should have, and the one that it has; raises `ValueError` where it cannot be unstuffed."""
+        assert self.check is not None
+        whole = packet if isinstance(self.stuffing, Insert) else self.logical(packet)
+        end = len(whole) - len(self.end) - self.check_size
+        covered = self.check.covered(whole, len(self.sync), end, extra=extra)
+        return self.check.encode(covered), whole[end : end + self.check_size]
+
     def extra_number(self, packet: bytes) -> int:
         head = self.extra_head
         return head.number(packet) if head is not None else 0

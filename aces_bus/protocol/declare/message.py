@@ -21,7 +21,7 @@ from .bits import BitLayout, whole_bits
 from .checks import Check, Extra
 from .delimited import Delimited
 from .examples import Example
-from .fields import Counter, Enumeration, Multiplexed, innermost
+from .fields import Counter, Enumeration, Multiplexed, innermost, wire_number
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
 from .normalise import check_name, check_selectors, normalised, sizes
@@ -187,19 +187,9 @@ class Message:
 
     def _request_fields(self) -> tuple[str, ...]:
         """The request's constrained fields that the message does not carry itself: its record has them too."""
-        own = {capture.name for capture in self.identifier.captures}
-        for head in self.heads:
-            own |= (
-                {head.name or ""}
-                if head.pattern is None
-                else {capture.name for capture in head.pattern.captures}
-            )
-        names: dict[str, None] = {}
-        for request in (*self.reply_to, *self.after):
-            for name, _ in request.values:
-                if name not in own:
-                    names[name] = None
-        return tuple(names)
+        own = self.outer_names
+        asked = (name for one in (*self.reply_to, *self.after) for name, _ in one.values)
+        return tuple(dict.fromkeys(name for name in asked if name not in own))
 
     def _lengths(self, length: int | Collection[int] | None) -> Collection[int] | None:
         low, high = sizes(self.payload)
@@ -258,12 +248,8 @@ class Message:
 
         for capture in self.identifier.captures:
             claim(capture.name, "identifier")
-        for head in self.heads:
-            if head.pattern is not None:
-                for capture in head.pattern.captures:
-                    claim(capture.name, "head")
-            elif head.name is not None:
-                claim(head.name, "head")
+        for name in self._head_names():
+            claim(name, "head")
         for name in self.request_fields:
             claim(name, "request")
         for name in self._payload_names():
@@ -346,15 +332,20 @@ class Message:
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of a record's fields, in order."""
-        names = [capture.name for capture in self.identifier.captures]
-        names += self.request_fields
-        for head in self.heads:
-            if head.pattern is not None and not head.is_own:
-                names += [capture.name for capture in head.pattern.captures]
-            elif head.name is not None and not head.is_constant:
-                names.append(head.name)
+        captures = (capture.name for capture in self.identifier.captures)
         check = self.check.field if self.check is not None else None
-        return (*names, *(n for n in self._payload_names() if n != check))
+        payload = (name for name in self._payload_names() if name != check)
+        return (*captures, *self.request_fields, *self._head_names(), *payload)
+
+    def _head_names(self) -> list[str]:
+        """The fields of the head that records have: captured parts, and fields that no pattern takes apart."""
+        names: list[str] = []
+        for head in self.heads:
+            if head.pattern is not None:
+                names += [capture.name for capture in head.pattern.captures]
+            elif head.name is not None:
+                names.append(head.name)
+        return names
 
     @cached_property
     def counters(self) -> dict[str, int]:
@@ -420,15 +411,12 @@ class Message:
         for item in payload.subcons:
             least, most = sizes(item)
             if item.name == name:
-                inner = innermost(item)
                 if least != size:
                     raise SpecError(
                         f"{self.place.of_field(name)}: check field {name!r} has {least} bytes, its check {size}"
                     )
-                little = str(getattr(inner, "fmtstr", "")).startswith("<") or bool(
-                    getattr(inner, "swapped", False)
-                )
-                return offset, size, "little" if little else "big"
+                wire = wire_number(innermost(item))
+                return offset, size, wire.order if wire is not None else "big"
             if least != most:
                 raise SpecError(f"{self.place.of_field(name)}: check field {name!r} has no fixed place")
             offset += least
@@ -530,13 +518,7 @@ class Message:
     @property
     def outer_names(self) -> frozenset[str]:
         """The fields outside the payload, captures and head fields: what a reply and its request may share."""
-        names = {capture.name for capture in self.identifier.captures}
-        for head in self.heads:
-            if head.name is not None and head.is_own:
-                names.add(head.name)
-            elif head.pattern is not None:
-                names |= {capture.name for capture in head.pattern.captures}
-        return frozenset(names)
+        return frozenset([*(capture.name for capture in self.identifier.captures), *self._head_names()])
 
     def __repr__(self) -> str:
         return f"<message {self.protocol.name}.{self.name}>"

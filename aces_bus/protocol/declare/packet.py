@@ -57,6 +57,13 @@ class ContentError(ConstructError):
         self.what = "" if isinstance(error, ConstError) else f"{name} cannot be read ({type(error).__name__})"
 
 
+def error_text(error: BaseException) -> str:
+    """What a construct's error says, on one line and without the path to it."""
+    lines = str(error).splitlines()
+    said = [line for line in lines if line and not line.startswith("Error in path")] or lines
+    return " ".join(" ".join(said).split()) or type(error).__name__
+
+
 def can_image(
     identifier: int, data: bytes, *, extended: bool = False, remote: bool = False, fd: bool = False
 ) -> bytes:

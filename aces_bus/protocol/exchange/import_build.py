@@ -8,10 +8,11 @@
 How a message is recognised: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
 `trailing`. A message of up to 8 bytes is it in both formats, classic and CAN FD: most databases do not say which it is.
 
-J1939 messages are recognised by their parameter group (SAE J1939-21): `priority` and `source` are captured, and `destination`
-where the group is addressed (PDU format below 240). Where a group has several messages, each has its declared identifier's
-source address (and destination, and priority, where that does not tell them apart). Frames of other sources are the first
-message where all are laid out alike, else unknown. A message that is no parameter group goes before one that is.
+J1939 messages are recognised by their parameter group (SAE J1939-21): `priority` and `source` are captured, and
+`destination` where the group is addressed (PDU format below 240). Where a group has several messages, each has its
+declared identifier's source address (and destination, and priority, where that does not tell them apart). Frames of other
+sources are the first message where all are laid out alike, else unknown. A message that is no parameter group goes before
+one that is.
 
 Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools
 raises; names that a value table has twice get their number; signals that share bits all decode.

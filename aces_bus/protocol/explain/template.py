@@ -18,8 +18,9 @@ from construct import ConstructError
 from ...errors import AcesError
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Message
-from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError
+from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
 from ..declare.pattern import describe_values
+from ..declare.stuffing import Insert
 from ..draw import Mark, marks_of
 from ..plan import nodes as p
 
@@ -35,6 +36,7 @@ class Template:
         self.plan = message.plan
         self.framing: Framing | None = message.framing
         self.is_moved = self.framing is not None and self.framing.stuffing is not None
+        self._is_inserted = self.framing is not None and isinstance(self.framing.stuffing, Insert)
         self.marks: list[Mark] = marks_of(message)
         self._ends = self._field_ends()
         #: What bytes are that only construct takes apart.
@@ -93,13 +95,13 @@ class Template:
         try:
             self.message.struct.parse(image, raw=True, request=request)
         except NotThisError as error:
-            return "template", _said(error)
+            return "template", error_text(error)
         except LengthError as error:
-            return "length", _said(error)
+            return "length", error_text(error)
         except WrongCheckError:
             return "check", "its own check does not hold"
         except (ContentError, ConstructError, AcesError) as error:
-            return "content", _said(error)
+            return "content", error_text(error)
         return None
 
     def _is_length(self, name: str | None) -> bool:
@@ -124,22 +126,10 @@ class Template:
                 return "length", f"packets have {framing.min_size}…{framing.max_size} bytes"
             return "framing", reason
         try:
-            whole = data if self._is_inserted else framing.logical(data)
-            end = len(whole) - len(framing.end) - framing.check_size
-            covered = framing.check.covered(whole, len(framing.sync), end, extra=self.message.check_extra)
-            wanted = framing.check.encode(covered)
-            return (
-                "check",
-                f"{wanted.hex(' ').upper()}, not {whole[end : end + framing.check_size].hex(' ').upper()}",
-            )
+            wanted, given = framing.checks_of(data, self.message.check_extra)
+            return "check", f"{wanted.hex(' ').upper()}, not {given.hex(' ').upper()}"
         except (ValueError, AcesError):
             return "check", reason
-
-    @property
-    def _is_inserted(self) -> bool:
-        from ..declare.stuffing import Insert
-
-        return self.framing is not None and isinstance(self.framing.stuffing, Insert)
 
     # ------------------------------------------------------------------ what is where
 
@@ -247,8 +237,3 @@ def _bytes_of(node: p.Node) -> list[int]:
     if isinstance(node, p.FromIdentifier) and node.number is not None:
         node = node.number
     return sorted({bit // 8 for bit in node.place})
-
-
-def _said(error: BaseException) -> str:
-    lines = [line for line in str(error).splitlines() if line and not line.startswith("Error in path")]
-    return " ".join(" ".join(lines).split()) or type(error).__name__

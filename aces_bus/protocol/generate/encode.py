@@ -18,8 +18,7 @@ from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
 from ..plan import nodes as p
-from .runs import compact
-from .source import NameScope, SourceText, comment_line, is_plain, literal
+from .source import NameScope, SourceText, comment_line, compact, is_plain, literal
 
 #: What encoders call, given to every module of them.
 CALLED = ("Struct", "Unusual")

@@ -10,8 +10,8 @@ import linecache
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
-from typing import Any
+from functools import cache, partial
+from typing import Any, TypeVar
 
 import msgspec
 from construct import ConstructError
@@ -29,6 +29,8 @@ from .records import part_names, print_records
 from .source import NameScope, comment_line
 
 Decode = Callable[..., Any]
+K = TypeVar("K")
+V = TypeVar("V")
 
 
 def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, Any]:
@@ -48,23 +50,25 @@ def flag_type(bits: tuple[tuple[str, int], ...]) -> type[FlagSet]:
     return type("FlagSet", (FlagSet,), {"bits": dict(bits), "__slots__": ()})
 
 
-class _FlagValues(dict[int, FlagSet]):
-    """The values of a flags field, made when first seen; a few thousand are kept."""
+class OnDemand(dict[K, V]):
+    """Values made when they are first asked for; `most` of them are kept (None: all)."""
 
-    def __init__(self, kind: type[FlagSet]) -> None:
-        super().__init__()
-        self._kind = kind
+    def __init__(
+        self, make: Callable[[K], V], given: Mapping[K, V] | None = None, most: int | None = None
+    ) -> None:
+        super().__init__(given or {})
+        self._make, self._most = make, most
 
-    def __missing__(self, raw: int) -> FlagSet:
-        made = self._kind(raw)
-        if len(self) < 4096:
-            self[raw] = made
+    def __missing__(self, key: K) -> V:
+        made = self._make(key)
+        if self._most is None or len(self) < self._most:
+            self[key] = made
         return made
 
 
-def _flags(bits: Mapping[str, int]) -> _FlagValues:
+def _flags(bits: Mapping[str, int]) -> OnDemand[int, FlagSet]:
     """What generated decoders call for the values of a flags field."""
-    return _FlagValues(flag_type(tuple(bits.items())))
+    return OnDemand(flag_type(tuple(bits.items())), most=4096)
 
 
 #: What printed decoders call (see `print_decode.CALLED`).
@@ -77,60 +81,39 @@ _CALLED: Mapping[str, Any] = {
 }
 
 
-class _Parts(dict[tuple[str, tuple[str, ...]], type]):
-    """Types of nested records by path and fields. What no walk of a construct foresees (fields that stop half way, values
-    of a user's adapter) gets its type when it is first seen."""
-
-    def __missing__(self, shape: tuple[str, tuple[str, ...]]) -> type:
-        path, names = shape
-        if all(name.isidentifier() and not keyword.iskeyword(name) for name in names):
-            made: type = msgspec.defstruct(path, names, bases=(Part,), frozen=True, gc=False)
-        else:
-            made = dict  # keys that cannot be attributes
-        if len(self) < 4096:
-            self[shape] = made
-        return made
+def _part_type(shape: tuple[str, tuple[str, ...]]) -> type:
+    """The type of a nested record, by path and fields, that no walk of a construct foresees (fields that stop half way,
+    values of a user's adapter)."""
+    path, names = shape
+    if not all(name.isidentifier() and not keyword.iskeyword(name) for name in names):
+        return dict  # keys that cannot be attributes
+    made: type = msgspec.defstruct(path, names, bases=(Part,), frozen=True, gc=False)
+    return made
 
 
-class DecoderSet:
-    """The decode functions of a variant, in physical units or raw.
+@cache
+def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapping[str, Decode]:
+    """The decode functions of a variant by message, in physical units or raw; each is made when it is first asked for.
 
     Without `guard` a function may raise `struct.error` for data of the wrong length, where it would give None.
     """
+    label = f"aces {variant.label} {'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
 
-    def __init__(self, variant: Variant, *, raw: bool, guard: bool) -> None:
-        self.variant = variant
-        self.raw = raw
-        kind = f"{'raw ' if raw else ''}{'' if guard else 'quick '}decoders"
-        self._guard, self._name = guard, f"aces {variant.label} {kind}"
-        #: By message. Each is printed and compiled when it is first asked for.
-        self.decoders: Mapping[str, Decode] = _Decoders(self._made)
-
-    def _made(self, name: str) -> Decode:
-        message = self.variant.messages[name]
-        printed = Decoder(message.plan, raw=self.raw, guard=self._guard)
+    def made(name: str) -> Decode:
+        message = variant.messages[name]
+        printed = Decoder(message.plan, raw=raw, guard=guard)
         source = print_decoder(printed)
-        types = _types(self.variant)[name]
+        types = _types(variant)[name]
         names = {**_CALLED, **printed.module.bound}
         names |= {called: types[kind] for called, kind in printed.types.items()}
         if printed.opaque:
-            names[printed.opaque] = _opaque(message, self.variant, raw=self.raw)
+            names[printed.opaque] = _opaque(message, variant, raw=raw)
         if printed.holds:
             names[printed.holds] = _holds(message)
-        decode: Decode = load_source(source, f"{self._name}: {name}", names)[printed.function]
+        decode: Decode = load_source(source, f"{label}: {name}", names)[printed.function]
         return decode
 
-
-class _Decoders(dict[str, Decode]):
-    """Decode functions by message, made when asked for."""
-
-    def __init__(self, make: Callable[[str], Decode]) -> None:
-        super().__init__()
-        self._make = make
-
-    def __missing__(self, name: str) -> Decode:
-        made = self[name] = self._make(name)
-        return made
+    return OnDemand(made)
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:
@@ -165,38 +148,31 @@ def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -
     return "\n".join(parts) + "\n"
 
 
-class _Types(dict[str, dict[str, Any]]):
-    """By message, its record type and those of its nested records, by their names; made when first asked for."""
-
-    def __init__(self, variant: Variant) -> None:
-        super().__init__()
-        self._variant = variant
-
-    def __missing__(self, name: str) -> dict[str, Any]:
-        variant, message = self._variant, self._variant.messages[name]
-        called: dict[tuple[str, str], str] = {}
-        label = f"{variant.label}: {name}"
-        source = print_records(label, [message.plan], called)
-        space = load_source(
-            source,
-            f"aces records of {label}",
-            {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any},
-        )
-        made: dict[str, Any] = {}
-        for (_, own), text in called.items():
-            kind = made[own] = space[text]
-            kind.__name__ = kind.__qualname__ = own
-        made[name]._protocol = variant.name
-        made[name]._direction = message.direction
-        made[name]._is_stream = message.framing is not None
-        made[name]._declared = message
-        self[name] = made
-        return made
+def _made_types(variant: Variant, name: str) -> dict[str, Any]:
+    """The record type of a message and those of its nested records, by their names."""
+    message = variant.messages[name]
+    called: dict[tuple[str, str], str] = {}
+    label = f"{variant.label}: {name}"
+    source = print_records(label, [message.plan], called)
+    space = load_source(
+        source,
+        f"aces records of {label}",
+        {"Record": Record, "Part": Part, "FlagSet": FlagSet, "Any": Any},
+    )
+    made: dict[str, Any] = {}
+    for (_, own), text in called.items():
+        kind = made[own] = space[text]
+        kind.__name__ = kind.__qualname__ = own
+    made[name]._protocol = variant.name
+    made[name]._direction = message.direction
+    made[name]._is_stream = message.framing is not None
+    made[name]._declared = message
+    return made
 
 
 @cache
-def _types(variant: Variant) -> _Types:
-    return _Types(variant)
+def _types(variant: Variant) -> OnDemand[str, dict[str, Any]]:
+    return OnDemand(partial(_made_types, variant))
 
 
 class _Records(Mapping[str, type[Record]]):
@@ -221,17 +197,12 @@ def records_of(variant: Variant) -> Mapping[str, type[Record]]:
     return _Records(variant)
 
 
-@cache
-def codec(variant: Variant, raw: bool = False, guard: bool = True) -> DecoderSet:
-    """The codec of a variant, made once."""
-    return DecoderSet(variant, raw=raw, guard=guard)
-
-
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
     """A decode function that goes through construct."""
     types = _types(variant)[message.name]
     plan = message.plan
-    parts = _Parts({shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)})
+    given = {shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)}
+    parts = OnDemand(_part_type, given, most=4096)
     record = types[message.name]
     framing = message.framing
 

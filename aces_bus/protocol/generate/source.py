@@ -13,6 +13,7 @@ from __future__ import annotations
 import builtins
 import keyword
 import math
+import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -118,3 +119,8 @@ def literal(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{literal(key)}: {literal(item)}' for key, item in value.items())}}}"
     raise TypeError(f"{type(value).__name__} is not printed into generated code")
+
+
+def compact(text: str) -> str:
+    """A `struct` format with counts: `<hhh` as `<3h`."""
+    return re.sub(r"(?<!\d)([a-zA-Z])\1+", lambda run: f"{len(run[0])}{run[1]}", text)

@@ -20,9 +20,8 @@ from ..declare.delimited import Delimited
 from ..declare.examples import Example, ExampleFrame
 from ..declare.fields import FlagSet
 from ..declare.message import Message
-from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError
+from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
 from ..declare.protocol import Protocol, Variant
-from ..declare.stuffing import Insert
 from ..record import plain_value
 from ..reference import Reference, ReferenceItem
 from .finding import Finding
@@ -69,15 +68,15 @@ def failure(message: Message, example: Example) -> str | None:
     try:
         values = message.struct.parse(image, request=request)
     except NotThisError as error:
-        return f"it is not {message.name}: {_said(error)}{_wanted_check(message, image)}"
+        return f"it is not {message.name}: {error_text(error)}{_wanted_check(message, image)}"
     except LengthError as error:
-        return f"its length does not go with the fields of {message.name}: {_said(error)}"
+        return f"its length does not go with the fields of {message.name}: {error_text(error)}"
     except WrongCheckError:
         return "its check does not hold"
     except ContentError as error:
-        return f"a field cannot be read: {_said(error)}"
+        return f"a field cannot be read: {error_text(error)}"
     except (ConstructError, AcesError) as error:
-        return f"it cannot be read: {_said(error)}"
+        return f"it cannot be read: {error_text(error)}"
     found = plain_value(values)
     for name, wanted in example.fields.items():
         if name not in found:
@@ -87,7 +86,7 @@ def failure(message: Message, example: Example) -> str | None:
     try:
         built = bytes(message.struct.build(merge_example(values, example.fields)))
     except (ConstructError, AcesError, KeyError, TypeError, AttributeError, ValueError) as error:
-        return f"its fields cannot be written: {_said(error)}"
+        return f"its fields cannot be written: {error_text(error)}"
     if built != image and not (isinstance(message.payload, Delimited) and _reads_as(message, built, found)):
         return f"its fields are written as {_shown(built, example.word)}"
     return _unrecognised(message, example)
@@ -99,12 +98,9 @@ def _wanted_check(message: Message, packet: bytes) -> str:
     if framing is None or framing.check is None or framing.judge(packet, 0, silent=True).reason != "checksum":
         return ""
     try:
-        whole = packet if isinstance(framing.stuffing, Insert) else framing.logical(packet)
+        wanted, given = framing.checks_of(packet, message.check_extra)
     except ValueError:
         return ""
-    end = len(whole) - len(framing.end) - framing.check_size
-    covered = framing.check.covered(whole, len(framing.sync), end, extra=message.check_extra)
-    wanted, given = framing.check.encode(covered), whole[end : end + framing.check_size]
     return f" {given.hex(' ').upper()}; by the spec it is {wanted.hex(' ').upper()}"
 
 
@@ -230,8 +226,3 @@ def show_value(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(show_value, value)) + "]"
     return repr(value) if isinstance(value, str) else str(value)
-
-
-def _said(error: BaseException) -> str:
-    lines = [line for line in str(error).splitlines() if not line.startswith("Error in path")]
-    return " ".join(" ".join(lines or str(error).splitlines()).split()) or type(error).__name__

@@ -188,7 +188,7 @@ def _fits(variant: Variant, message: Message, request: Request) -> bool:
     shared = set(message.fields) & set(asked.fields)
     for name in shared:
         mine, theirs = _values(message, name), _values(asked, name)
-        if not (_is_outer(message, name) and _is_outer(asked, name)) or mine is None or theirs is None:
+        if name not in message.outer_names & asked.outer_names or mine is None or theirs is None:
             continue
         everyone = variant.protocol.broadcast.get(name)
         if everyone is not None and everyone in theirs:
@@ -197,13 +197,6 @@ def _fits(variant: Variant, message: Message, request: Request) -> bool:
         if len(few) <= 65536 and not any(value in many for value in few):
             return False
     return True
-
-
-def _is_outer(message: Message, name: str) -> bool:
-    return any(c.name == name for c in message.identifier.captures) or any(
-        h.name == name or (h.pattern is not None and any(c.name == name for c in h.pattern.captures))
-        for h in message.heads_written
-    )
 
 
 # ---------------------------------------------------------------------- messages that others take

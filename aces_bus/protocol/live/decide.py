@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 from ..declare.ambiguity import needing_context, ordered
 from ..declare.message import Direction, Message
 from ..declare.protocol import Variant
-from ..generate.load import codec, load_source
+from ..generate.load import decoders_of, load_source
 from ..generate.scan import print_choice
 from ..generate.source import SourceText
 from ..plan.choose import Choice, choose
@@ -33,9 +33,9 @@ class Decider:
     def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
         self.variant = variant
         self.messages = ordered(variant.messages_for(direction))
-        self.decoders = codec(variant, raw).decoders
-        self._quick = codec(variant, raw, False).decoders
-        self.raw_decoders = codec(variant, True).decoders
+        self.decoders = decoders_of(variant, raw)
+        self._quick = decoders_of(variant, raw, False)
+        self.raw_decoders = decoders_of(variant, True)
         self.contextual = needing_context(self.messages)
         self.context = Context(self.messages, self.contextual, variant.protocol.broadcast)
         #: What `sent` looks for: requests, whichever way this scanner faces.

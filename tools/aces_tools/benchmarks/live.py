@@ -16,7 +16,7 @@ import can
 from construct import Array, Compiled, Int16sl, Int32sl, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, bits
-from aces_bus.protocol.generate.load import codec
+from aces_bus.protocol.generate.load import decoders_of
 from aces_protocols.robotis.spec import robotis
 
 from . import BenchRow, fastest, optional
@@ -124,7 +124,7 @@ def can_rows(
     """Rows of one kind of frames; `shapes` are (identifier, length, message, bare struct format)."""
     frames = messages([(identifier, size) for identifier, size, _, _ in shapes], count)
     cantools = optional("cantools")
-    decoders = codec(protocol.variant(), False, False).decoders
+    decoders = decoders_of(protocol.variant(), False, False)
     work = [
         (
             bytes(frame.data),
@@ -300,7 +300,7 @@ def construct_rows(*, rounds: int, count: int) -> list[BenchRow]:
     quick: Compiled = plain.compile()
     rng = random.Random(3)
     data = [rng.randbytes(8) for _ in range(count)]
-    decode = codec(hubo_like().variant(), False, False).decoders["Encoder"]
+    decode = decoders_of(hubo_like().variant(), False, False)["Encoder"]
 
     def each(call: Callable[[bytes], object]) -> Callable[[], object]:
         def run() -> None:
