@@ -16,7 +16,6 @@ from typing import Any
 
 from ..errors import CallerError
 from ..frames import Frame, message_to_frame
-from ..recordings.filters import CanFilter
 from ..runtime import Clock
 from .backends import (
     DATAGRAMS,
@@ -28,7 +27,7 @@ from .backends import (
     silence,
 )
 from .gate import POLL_S, Gate, Received
-from .queues import LIMIT, Inbox, Listener, Report
+from .queues import Report
 from .simulated.bus import arbitration
 
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
@@ -115,20 +114,6 @@ class CanGate(Gate[Frame]):
 
     def _shut(self, bus: Any) -> None:
         bus.shutdown()
-
-    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received[Frame]]:
-        """A queue of what arrives from now on, at most `limit` frames; `close` it to leave."""
-        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.content))
-
-    def listen(
-        self,
-        listener: Callable[[list[Received[Frame]]], None],
-        *,
-        limit: int = LIMIT,
-        filter: CanFilter | None = None,
-    ) -> Listener[Received[Frame]]:
-        """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
-        return self._listened(self.subscribe(limit=limit, filter=filter), listener)
 
     # ------------------------------------------------------------------ receiving
 
