@@ -4,7 +4,7 @@
 2. What one backend does wrong in its own way is known in `backends`, or found by what it does; see the constants.
 
 Two time stamps are kept. `frame.timestamp` is the adapter's, in seconds of its own clock; `host_ns` is this machine's
-monotonic clock when the frame was read. An adapter's clock that goes back is told as an event "clock".
+monotonic clock when the frame was read. An adapter's clock that goes back is reported as an event "clock".
 """
 
 from __future__ import annotations
@@ -256,7 +256,7 @@ class CanGate(Gate[Frame]):
         """Queue a frame (or a python-can message). The lowest `priority` goes first, by default as on the wire.
 
         `age_s`: one that has not left after so many seconds does not leave (None: `AGE_S`). `urgent` is for stops: it goes
-        before all others, instead of those that wait with the same `topic`, and waits for a lost bus. `report` is told
+        before all others, instead of those that wait with the same `topic`, and waits for a lost bus. `report` gets
         what became of it. False: the bus is lost, and the frame is dropped.
 
         Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.

@@ -113,7 +113,7 @@ class GateCounters:
     """What went through a gate, and what did not: frames of CAN, bytes of a serial line, datagrams.
 
     `dropped` came faster than a reader took it. `kernel_dropped` is what the system says it dropped before we could read.
-    `bad_input` counts what an adapter said and nobody understood, `echoes` what a backend gave back of our own unasked.
+    `bad_input` counts what an adapter sent that cannot be understood, `echoes` what a backend returned of our own, unasked.
 
     Of what was `given` to be sent, each is in one of `sent`, `send_failed` (the backend refused it), `send_expired` (too
     old), `send_dropped` (the bus was lost, or a stop overtook it) and `unsent` (left over at the end), or still waits.

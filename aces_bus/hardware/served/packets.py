@@ -95,7 +95,7 @@ def unpack_records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int,
 
 def _check(identifier: int, flags: int, length: int, most: int) -> None:
     if flags & ERROR:
-        raise PacketError("an error frame; nobody sends those")
+        raise PacketError("an error frame, which cannot be sent")
     if identifier > (0x1FFF_FFFF if flags & EXTENDED else 0x7FF):
         raise PacketError(f"identifier {identifier:#x} does not exist")
     if flags & FD:

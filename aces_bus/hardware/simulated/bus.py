@@ -1,11 +1,11 @@
 """A CAN bus as a simulation: bit rate, arbitration, acknowledgement, errors, load.
 
 1. Time is the clock's. All that happens is an event of it; the same clock, calls and seed give the same bus, bit for bit.
-2. Nothing is lost in silence: a frame is delivered, waits, is retransmitted, or its sender is told what became of it.
+2. Nothing is lost in silence: a frame is delivered, waits, is retransmitted, or what became of it is reported to its sender.
 3. Cost is per frame, not per bit.
 
 A frame takes its real stuffed length (`frame_time`). Whoever wants to send when the bus falls idle takes part in
-arbitration; the lowest arbitration field wins, as on the wire: identifier, then RTR, SRR and IDE. A frame that nobody
+arbitration; the lowest arbitration field wins, as on the wire: identifier, then RTR, SRR and IDE. A frame that no node
 acknowledges, that a fault destroys, or that meets another of the same identifier ends in an error frame, counts at both
 ends (ISO 11898-1:2015, 12.1.4) and is sent again, until its sender is bus-off.
 
@@ -63,10 +63,10 @@ class Load:
 
 
 class BusNode:
-    """A controller on a wire; made by `Wire.attach`.
+    """A controller on a bus; made by `SimulatedBus.attach`.
 
-    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each `WireEvent` of
-    its own. Both are called from within the simulation: they may send, and must not block.
+    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each
+    `SimulatedBusEvent` of its own. Both are called from within the simulation: they may send, and must not block.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class BusNode:
         self.state: State = "error-active"
         self.is_connected = True
         self.quiet_until = 0
-        #: Whether `happened` is told of every frame that was sent.
+        #: Whether `happened` is called for every frame that was sent.
         self.hears_sent = happened is not None
         self._waiting: list[tuple[int, int, Frame]] = []
         #: Who wants to know what becomes of a frame, by its number.
@@ -247,7 +247,7 @@ class SimulatedBus:
         mailboxes: int = 1024,
         restart_ns: int | None = None,
     ) -> BusNode:
-        """A new node. `restart_ns` is when it comes back from bus-off by itself, None: when told to."""
+        """A new node. `restart_ns` is when it comes back from bus-off by itself, None: only by `restart`."""
         node = BusNode(
             self,
             name or f"node{len(self.nodes)}",
@@ -270,7 +270,7 @@ class SimulatedBus:
     # ------------------------------------------------------------------ the bus
 
     def wake(self) -> None:
-        """Somebody has something to send."""
+        """A node has something to send."""
         if not self._is_busy and not self._is_woken:
             self._is_woken = True
             self.clock.post(self._idle_from, self._arbitrate)  # or now, if that has passed
@@ -397,7 +397,7 @@ class SimulatedBus:
                 if node._sending is not None and node in self.nodes:
                     heappush(node._waiting, node._sending)
                 node._sending = None
-                # A passive node whose frame nobody acknowledges does not count it (12.1.4.2 c, exception 1).
+                # A passive node whose frame no node acknowledges does not count it (12.1.4.2 c, exception 1).
                 if kind != "no acknowledge" or node.state != "error-passive":
                     node.tell(kind, frame)
                     node.count_errors(8, 0, frame)

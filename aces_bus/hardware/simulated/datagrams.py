@@ -16,7 +16,7 @@ DELAY_NS = 100_000
 
 
 class DatagramNode:
-    """One socket; made by `DatagramWire.attach`. What it sends reaches all others."""
+    """One socket; made by `SimulatedDatagrams.attach`. What it sends reaches all others."""
 
     def __init__(
         self, wire: SimulatedDatagrams, name: str, received: Callable[[bytes, int], None] | None
