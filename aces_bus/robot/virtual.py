@@ -15,9 +15,8 @@ from ..device.config import Bus
 from ..device.drivers import Driver, load_driver
 from ..device.host import BUDGET
 from ..hardware.ports import port_of
-from ..hardware.simulated.bus import SimulatedBus
+from ..hardware.simulated.bus import NO_FAULTS, Faults, SimulatedBus
 from ..hardware.simulated.datagrams import SimulatedDatagrams
-from ..hardware.simulated.faults import NO_FAULTS, Faults
 from ..hardware.simulated.serial_line import Noise, SimulatedSerialLine
 from ..protocol import Protocol
 from ..runtime import VirtualClock

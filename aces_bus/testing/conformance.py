@@ -20,8 +20,7 @@ from typing import Any, Final
 from ..device import UNKNOWN, Device, Driver, Host, Job, Robot, Signal, Twin, load_driver
 from ..device.ticket import Awaited
 from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
-from ..hardware.simulated.bus import ListeningNode, SimulatedBus
-from ..hardware.simulated.faults import NO_FAULTS, Faults
+from ..hardware.simulated.bus import NO_FAULTS, Faults, ListeningNode, SimulatedBus
 from ..hardware.simulated.serial_line import Noise
 from ..robot.file import parse_robot
 from ..robot.rig import simulate

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any
 from ...errors import CallerError
 from ...frames import Frame
 from ...runtime import VirtualClock
-from ..simulated.bus import BusNode, SimulatedBus, SimulatedBusEvent
-from ..simulated.faults import NO_FAULTS, Faults
+from ..simulated.bus import NO_FAULTS, BusNode, Faults, SimulatedBus, SimulatedBusEvent
 from . import packets
 from .packets import (
     BITRATE_SWITCH,

@@ -42,7 +42,6 @@ CLASSIC_RECORD = Struct("<qIBB2x8s")
 LONG_RECORD = Struct("<qIBB2x64s")
 #: A packet with one record: what most packets are.
 CLASSIC_PACKET = Struct("<HBxqIBB2x8s")
-LONG_PACKET = Struct("<HBxqIBB2x64s")
 
 EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, OWN = 1, 2, 4, 8, 16, 32, 64
 

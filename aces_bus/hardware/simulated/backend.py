@@ -33,8 +33,7 @@ from ...frames import Frame, message_to_frame
 from ...runtime import VirtualClock
 from ..python_can import QUEUE, VirtualBus, copy_message, frame_to_message
 from ..served.address import is_served
-from .bus import BusNode, SimulatedBus, SimulatedBusEvent
-from .faults import NO_FAULTS, Faults
+from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus, SimulatedBusEvent
 
 
 class Medium:
