@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
-    from .simulated.bus import Babbler, BusNode, ListeningNode, SimulatedBus, SimulatedBusEvent
+    from .simulated.bus import Babbler, BusNode, Faults, ListeningNode, SimulatedBus, SimulatedBusEvent
     from .simulated.datagrams import SimulatedDatagrams
-    from .simulated.faults import Faults
     from .simulated.frame_time import FrameBits, frame_bits
     from .simulated.serial_line import SimulatedSerialLine
 
@@ -57,9 +56,8 @@ __getattr__, __dir__ = lazy_names(
         ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",
-        ".simulated.bus": "Babbler BusNode ListeningNode SimulatedBus SimulatedBusEvent",
+        ".simulated.bus": "Babbler BusNode Faults ListeningNode SimulatedBus SimulatedBusEvent",
         ".simulated.datagrams": "SimulatedDatagrams",
-        ".simulated.faults": "Faults",
         ".simulated.frame_time": "FrameBits frame_bits",
         ".simulated.serial_line": "SimulatedSerialLine",
     },

@@ -27,7 +27,7 @@ from typing import Any, Literal
 
 from ..frames import Frame
 
-#: Backend → the keywords that make it listen without acknowledging. SocketCAN is told by `ip link set … listen-only on`.
+#: Backend → the keywords that make it listen without acknowledging. SocketCAN is set by `ip link set … listen-only on`.
 QUIET: Mapping[str, Mapping[str, Any]] = {
     "aces": {"listen_only": True},
     "slcan": {"listen_only": True},
@@ -151,17 +151,17 @@ _OVERFLOW, _WARNING, _PASSIVE, _ACTIVE = 0x01, 0x0C, 0x30, 0x40
 class SocketcanReader:
     """Reads frames from the socket of a python-can SocketCAN bus.
 
-    `state` is the controller's, as its error frames tell it. Raises `OSError` where the interface is down.
+    `state` is the controller's, as its error frames report it. Raises `OSError` where the interface is down.
     """
 
     def __init__(self, bus: Any, sock: socket.socket) -> None:
         self._socket = sock
         self._channel: str | None = str(bus.channel) or None
-        # The kernel filters; where it could not be told how, python-can does.
+        # The kernel filters; where that cannot be set, python-can does.
         self._wanted = None if getattr(bus, "_is_filtered", False) else bus._matches_filters
         self._seen = self._dropped = 0
         self.state: State = "error-active"
-        #: Error frames that told of a full buffer in the adapter: nobody knows how many frames it lost.
+        #: Error frames that reported a full buffer in the adapter: how many frames it lost is unknown.
         self.overflows = 0
         for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):  # the first takes a privilege, and knows no limit
             try:

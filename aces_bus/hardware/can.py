@@ -4,7 +4,7 @@
 2. What one backend does wrong in its own way is known in `backends`, or found by what it does; see the constants.
 
 Two time stamps are kept. `frame.timestamp` is the adapter's, in seconds of its own clock; `host_ns` is this machine's
-monotonic clock when the frame was read. An adapter's clock that goes back is told as an event "clock".
+monotonic clock when the frame was read. An adapter's clock that goes back is reported as an event "clock".
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any
 
 from ..errors import CallerError
 from ..frames import Frame, message_to_frame
-from ..recordings.filters import CanFilter
 from ..runtime import Clock
 from .backends import (
     DATAGRAMS,
@@ -28,7 +27,7 @@ from .backends import (
     silence,
 )
 from .gate import POLL_S, Gate, Received
-from .queues import LIMIT, Inbox, Listener, Report
+from .queues import Report
 from .simulated.bus import arbitration
 
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
@@ -115,20 +114,6 @@ class CanGate(Gate[Frame]):
 
     def _shut(self, bus: Any) -> None:
         bus.shutdown()
-
-    def subscribe(self, *, limit: int = LIMIT, filter: CanFilter | None = None) -> Inbox[Received[Frame]]:
-        """A queue of what arrives from now on, at most `limit` frames; `close` it to leave."""
-        return self._subscribed(limit, None if filter is None else lambda item: filter.matches(item.content))
-
-    def listen(
-        self,
-        listener: Callable[[list[Received[Frame]]], None],
-        *,
-        limit: int = LIMIT,
-        filter: CanFilter | None = None,
-    ) -> Listener[Received[Frame]]:
-        """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
-        return self._listened(self.subscribe(limit=limit, filter=filter), listener)
 
     # ------------------------------------------------------------------ receiving
 
@@ -271,7 +256,7 @@ class CanGate(Gate[Frame]):
         """Queue a frame (or a python-can message). The lowest `priority` goes first, by default as on the wire.
 
         `age_s`: one that has not left after so many seconds does not leave (None: `AGE_S`). `urgent` is for stops: it goes
-        before all others, instead of those that wait with the same `topic`, and waits for a lost bus. `report` is told
+        before all others, instead of those that wait with the same `topic`, and waits for a lost bus. `report` gets
         what became of it. False: the bus is lost, and the frame is dropped.
 
         Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.

@@ -1,7 +1,7 @@
 """The gatekeeper of UDP datagrams.
 
-1. The rules of `gate`. A datagram is whole or not there; who sent it is told with it.
-2. It binds to loopback unless another address is named: nobody on the network is listened to by accident.
+1. The rules of `gate`. A datagram is whole or not there, and comes with its sender's address.
+2. It binds to loopback unless another address is named: other machines are not listened to by accident.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class DatagramGate(Gate[bytes]):
     """One UDP socket and its only owner.
 
     `bind` is (address, port) to receive at; port 0 takes a free one, which `address` then tells. `peer` is where `send`
-    goes when it is not told; with `only_peer` datagrams of others are counted as bad input and not handed on.
+    goes without an address; with `only_peer` datagrams of others are counted as bad input and not handed on.
     """
 
     items = unit = "datagrams"
@@ -81,7 +81,7 @@ class DatagramGate(Gate[bytes]):
                 data, source = self._bus.recvfrom(65_536)
             except TimeoutError:
                 continue
-            except ConnectionError:  # nobody was there for what we sent: some systems say so here
+            except ConnectionError:  # what we sent reached no socket: some systems say so here
                 continue
             except OSError as error:
                 if self._stopping.is_set() or not self._lose(error):

@@ -19,7 +19,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
 import msgspec
 
@@ -98,6 +98,7 @@ class BusEvents:
 
 
 Item = TypeVar("Item")
+Filtered = TypeVar("Filtered", contravariant=True)
 
 #: Seconds that the receive thread waits before it looks at other things.
 POLL_S = 0.2
@@ -112,7 +113,7 @@ class GateCounters:
     """What went through a gate, and what did not: frames of CAN, bytes of a serial line, datagrams.
 
     `dropped` came faster than a reader took it. `kernel_dropped` is what the system says it dropped before we could read.
-    `bad_input` counts what an adapter said and nobody understood, `echoes` what a backend gave back of our own unasked.
+    `bad_input` counts what an adapter sent that cannot be understood, `echoes` what a backend returned of our own, unasked.
 
     Of what was `given` to be sent, each is in one of `sent`, `send_failed` (the backend refused it), `send_expired` (too
     old), `send_dropped` (the bus was lost, or a stop overtook it) and `unsent` (left over at the end), or still waits.
@@ -150,6 +151,14 @@ _BINS: dict[Fate, str] = {
     "dropped": "send_dropped",
     "unsent": "unsent",
 }
+
+
+class ContentFilter(Protocol[Filtered]):
+    """What a reader wants: a `CanFilter` for frames."""
+
+    def matches(self, content: Filtered, /) -> bool:
+        """Whether the reader wants this."""
+        ...
 
 
 class Received(msgspec.Struct, Generic[Item], frozen=True, gc=False):
@@ -477,9 +486,11 @@ class Gate(ABC, Generic[Item]):
 
     # ------------------------------------------------------------------ who wants to know
 
-    def _subscribed(
-        self, limit: int, wanted: Callable[[Received[Item]], bool] | None
+    def subscribe(
+        self, *, limit: int = LIMIT, filter: ContentFilter[Item] | None = None
     ) -> Inbox[Received[Item]]:
+        """A queue of what arrives from now on, at most `limit` items of those that `filter` matches; `close` it to leave."""
+        wanted = None if filter is None else lambda item: filter.matches(item.content)
         inbox: Inbox[Received[Item]] = Inbox(limit, wanted, self._leave, self._overflowed)
         with self._lock:
             self._inboxes += (inbox,)
@@ -487,25 +498,22 @@ class Gate(ABC, Generic[Item]):
             inbox.end()
         return inbox
 
-    def _listened(
-        self, inbox: Inbox[Received[Item]], listener: Callable[[list[Received[Item]]], None]
+    def listen(
+        self,
+        listener: Callable[[list[Received[Item]]], None],
+        *,
+        limit: int = LIMIT,
+        filter: ContentFilter[Item] | None = None,
     ) -> Listener[Received[Item]]:
+        """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
+
         def failed(error: BaseException) -> None:
             self._tell("listener", f"{type(error).__name__}: {error}")
 
+        inbox = self.subscribe(limit=limit, filter=filter)
         made = Listener(inbox, listener, failed, f"{self.name} listener")
         self._listeners.append(made)
         return made
-
-    def subscribe(self, *, limit: int = LIMIT) -> Inbox[Received[Item]]:
-        """A queue of what arrives from now on, at most `limit` items; `close` it to leave."""
-        return self._subscribed(limit, None)
-
-    def listen(
-        self, listener: Callable[[list[Received[Item]]], None], *, limit: int = LIMIT
-    ) -> Listener[Received[Item]]:
-        """Call `listener` with what arrives, on a thread of its own. What it raises becomes an event."""
-        return self._listened(self._subscribed(limit, None), listener)
 
     def on_event(self, handler: Handler) -> None:
         """Call `handler` at once with everything that happens to the bus."""

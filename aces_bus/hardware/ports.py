@@ -32,7 +32,7 @@ Handler = Callable[[Any, int], Any]
 Told = Callable[[str, str], Any]
 #: Told of what happens to a bus: kind ("bus-off", "lost", "reopened" …) and details.
 BusHandler = Callable[[str, str], Any]
-#: What of a simulated node is told; the others ("bit error", "no acknowledge") come by thousands, and are counted.
+#: What is reported of a simulated node; the others ("bit error", "no acknowledge") come by thousands, and are counted.
 STATES = ("error-active", "error-passive", "bus-off", "recovered")
 #: How long after bus-off a simulated station comes back (ns): SocketCAN's usual restart-ms, and what boards do.
 RESTART_NS = 100_000_000
@@ -45,7 +45,7 @@ class BasePort(Generic[Word]):
 
     def __init__(self, bus: Any, loop: Loop | None, name: str) -> None:
         self._gate: Gate[Word] | None = bus if isinstance(bus, Gate) else None
-        self.clock: EventClock = bus.clock if self._gate is None else _loop_of(loop)
+        self.clock: EventClock = _loop_of(loop) if isinstance(bus, Gate) else bus.clock
         self.name = name
         self._send: Callable[..., bool]
         self._inbox: Any = None

@@ -19,7 +19,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 Item = TypeVar("Item")
 
-#: What a queue holds at most when nobody says otherwise: eight seconds of a full 1 Mbit/s bus.
+#: What a queue holds at most by default: eight seconds of a full 1 Mbit/s bus.
 LIMIT = 65_536
 
 
@@ -90,7 +90,7 @@ class Inbox(Generic[Item]):
 
 
 class Listener(Generic[Item]):
-    """A reader's function on a thread of its own. What it raises is told and does not end it."""
+    """A reader's function on a thread of its own. What it raises is reported and does not end it."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ Fate = Literal["sent", "failed", "expired", "dropped", "unsent"]
 #: Called once with what became of a word, and why; on the thread where it happens.
 Report = Callable[[Fate, str], object]
 
-#: How old a word may be when it leaves, where nobody says otherwise (s).
+#: How old a word may be when it leaves, by default (s).
 AGE_S = 1.0
 
 

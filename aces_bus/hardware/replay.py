@@ -1,6 +1,6 @@
 """A capture as a bus: at its own pace, faster, or in virtual time.
 
-1. Nothing is sent: a replay is heard. What a capture says of time and channel is kept in the frames.
+1. A replay is only received; nothing can be sent. What a capture says of time and channel is kept in the frames.
 2. Frames without a time follow the one before them at once; time that goes back in a capture does not stop the replay.
 """
 
@@ -178,7 +178,7 @@ class ReplayBus(BusABC):
         self._closed.wait(None if until is None else max(0, until - now) / 1e9)
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """A replay is heard and not spoken to."""
+        """Refuse: nothing can be sent into a recording."""
         raise CanOperationError(f"{self.channel_info}: nothing can be sent into a recording")
 
     def _apply_filters(self, filters: Any) -> None:

@@ -1,8 +1,8 @@
 """The gatekeeper of a serial line: ports, `socket://`, `rfc2217://`, ptys; RS-485 with its echo and its turnaround.
 
 1. The rules of `gate`. Bytes are handed over as they come, with the time they were read; nothing here finds packets.
-2. On a half-duplex line nothing is sent while somebody else speaks: after bytes were heard, `turnaround` must pass.
-3. What a half-duplex adapter hears of itself is taken out, byte by byte; what differs is a collision, and is told.
+2. On a half-duplex line nothing is sent while another speaks: after bytes were received, `turnaround` must pass.
+3. What a half-duplex adapter hears of itself is taken out, byte by byte; what differs is a collision, and is reported.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class SerialGate(Gate[bytes]):
 
     `url` is what pyserial opens: a port, `socket://host:port`, `rfc2217://…`, `loop://`. `baud` in bit/s. `half_duplex`: one
     pair of wires for both ways; `echo` says whether the adapter hears itself (None: on a half-duplex line that is found out
-    with what is heard first, and `echo` says it from then on; else it does not). `turnaround` is the
+    with what is received first, and `echo` says it from then on; else it does not). `turnaround` is the
     silence, in seconds, that must lie between what others say and what is sent. `keep_own` also hands own bytes to readers.
     """
 
@@ -63,7 +63,7 @@ class SerialGate(Gate[bytes]):
         self.url, self.baud = url, baud
         self.half_duplex = half_duplex
         self.echo = half_duplex if echo is None else echo
-        #: Whether the adapter hears itself is found out with what is heard first; what was heard of that so far.
+        #: Whether the adapter hears itself is found out with what is received first; what was received of that so far.
         self._is_unsure = half_duplex and echo is None
         self._held = bytearray()
         self._others = 0
@@ -199,7 +199,7 @@ class SerialGate(Gate[bytes]):
         if self.echo:
             with self._outgoing:
                 if len(self._echo_due) > OUTBOX:
-                    self._echo_due.clear()  # nothing is heard at all
+                    self._echo_due.clear()  # nothing is received at all
                 self._echo_due += word
                 bits = 10 * (len(self._echo_due) + len(word))
                 self._echo_until = self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)

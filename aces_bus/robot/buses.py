@@ -19,9 +19,8 @@ from ..hardware.can import CanGate
 from ..hardware.datagram import DatagramGate
 from ..hardware.ports import port_of
 from ..hardware.serial import SerialGate
-from ..hardware.simulated.bus import SimulatedBus
+from ..hardware.simulated.bus import NO_FAULTS, Faults, SimulatedBus
 from ..hardware.simulated.datagrams import SimulatedDatagrams
-from ..hardware.simulated.faults import NO_FAULTS, Faults
 from ..hardware.simulated.serial_line import Noise, SimulatedSerialLine
 from ..protocol import Protocol
 from ..runtime import Loop, VirtualClock

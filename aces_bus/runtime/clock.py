@@ -1,7 +1,7 @@
 """Time as a parameter: the monotonic clock in life, a virtual one in tests and simulations.
 
 1. An instant is integer nanoseconds of one clock, and has that clock's name; instants of two clocks are never compared.
-2. Virtual time moves only when somebody advances it, from event to event; nothing waits, and no thread is needed.
+2. Virtual time moves only when it is advanced, from event to event; nothing waits, and no thread is needed.
 3. Events at the same instant run in the order in which they were asked for: the same program, the same run.
 
 `Loop` is to the monotonic clock what events are to the virtual one: all its actions run on one thread, in order of their
@@ -111,7 +111,7 @@ class VirtualClock:
         return timer
 
     def post(self, instant: int, action: Callable[[], object]) -> None:
-        """Plan what nobody will take back: `call_at` without its `Timer`, which is what most events cost."""
+        """Plan what will not be cancelled: `call_at` without its `Timer`, which is what most events cost."""
         if instant < self._now:
             instant = self._now
         self._count += 1
@@ -208,7 +208,7 @@ class EventClock(Clock, Protocol):
         ...
 
     def post(self, instant: int, action: Callable[[], object]) -> None:
-        """Plan what nobody will take back."""
+        """Plan what will not be cancelled."""
         ...
 
     def call_soon(self, action: Callable[[], object]) -> None:
@@ -258,7 +258,7 @@ class Loop(RealClock):
         return self.call_at(self.now() + delay, action)
 
     def post(self, instant: int, action: Callable[[], object]) -> None:
-        """Plan what nobody will take back."""
+        """Plan what will not be cancelled."""
         self._push(instant, action)
 
     def call_soon(self, action: Callable[[], object]) -> None:

@@ -2,7 +2,7 @@
 
 1. Deadlines are absolute: a tick's lateness does not move the next one. Deadlines that have passed when a tick ends are left
    out and counted, never made up for in a burst.
-2. What a component raises ends nothing: it is counted and told, with the component's name.
+2. What a component raises ends nothing: it is counted and reported, with the component's name.
 3. Under the virtual clock there are no threads: the same components, the same order, every run.
 
 `VirtualTasks` plans ticks on a clock; `ThreadTasks` gives each component a thread, with real-time priority where the system

@@ -20,7 +20,7 @@ from ..protocol.keys import key_of
 from ..protocol.live.scanner import Scanner
 from ..protocol.record import Meta, Unknown, as_dict
 from .scenes import Scene, Way, Wire, wire_variants
-from .trial import ScannedItem, comparable, copy_item, join_losses
+from .trial import ScannedItem, comparable, join_losses, plain_counts
 
 #: raw, everything
 MODES = ((True, True), (False, True), (False, False))
@@ -59,12 +59,14 @@ def columns_difference(
             return f"fed {at}…{cut}, gives two tables of {twice}"
         tables += given
         at = cut
-        if is_can and copy_item(columnar.counts) != copy_item(live.counts):
-            return f"after {at}, counts {copy_item(columnar.counts)} instead of {copy_item(live.counts)}"
+        if is_can and plain_counts(columnar.counts) != plain_counts(live.counts):
+            return (
+                f"after {at}, counts {plain_counts(columnar.counts)} instead of {plain_counts(live.counts)}"
+            )
     items += live.close()
     tables += columnar.close()
-    if copy_item(columnar.counts) != copy_item(live.counts):
-        return f"at the end, counts {copy_item(columnar.counts)} instead of {copy_item(live.counts)}"
+    if plain_counts(columnar.counts) != plain_counts(live.counts):
+        return f"at the end, counts {plain_counts(columnar.counts)} instead of {plain_counts(live.counts)}"
     numbered = list(enumerate(items)) if is_can else [(item.meta.offset, item) for item in items]
     return _messages(wire, numbered, tables, raw, is_can) or _losses(
         numbered, tables, include_unknown, is_can
@@ -171,7 +173,7 @@ def _losses(
 ) -> str:
     given = [table for table in tables if not table.message]
     if not include_unknown:
-        return "has a table of losses, which nobody asked for" if given else ""
+        return "has a table of losses, without include_unknown" if given else ""
     wanted = [(row, item) for row, item in numbered if isinstance(item, Unknown)]
     got: list[ScannedItem] = []
     pieces: dict[int, bytes] = {}
@@ -228,7 +230,7 @@ def _leaves(value: Any, path: str, columns: set[str]) -> Iterator[str]:
 
 
 def _at(value: Any, path: str) -> Any:
-    """What stands at a path of a record's dictionary; None where a part of the way is not there."""
+    """The value at a path of a record's dictionary; None where a part of the way is not there."""
     for step in path.split("."):
         if value is None:
             return None

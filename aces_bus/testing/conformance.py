@@ -20,14 +20,13 @@ from typing import Any, Final
 from ..device import UNKNOWN, Device, Driver, Host, Job, Robot, Signal, Twin, load_driver
 from ..device.ticket import Awaited
 from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
-from ..hardware.simulated.bus import ListeningNode, SimulatedBus
-from ..hardware.simulated.faults import NO_FAULTS, Faults
+from ..hardware.simulated.bus import NO_FAULTS, Faults, ListeningNode, SimulatedBus
 from ..hardware.simulated.serial_line import Noise
 from ..robot.buses import VirtualRobot
 from ..robot.file import parse_robot
 from ..robot.rig import simulate
 
-#: Seconds of virtual time in which whatever is polled must have been heard.
+#: Seconds of virtual time in which whatever is polled must have been received.
 SETTLE_S = 3.0
 
 
@@ -71,7 +70,7 @@ class TestBench:
 
 
 def known_signals(device: Device) -> list[Signal]:
-    """The signals of a device that have been heard at all."""
+    """The signals of a device that have been received at all."""
     return [one for one in device.signals.values() if one.instant is not None]
 
 
@@ -81,7 +80,7 @@ def enable(robot: VirtualRobot) -> None:
     job.wait(60)
 
 
-def run(started: Any, seconds: float = 120.0) -> None:
+def finish(started: Any, seconds: float = 120.0) -> None:
     """Let a ticket or job end. A `DeviceError` is an answer too; a job that never ends is not."""
     if isinstance(started, Awaited):
         try:
@@ -112,7 +111,7 @@ def check_declared(stand: TestBench) -> None:
 
 
 def check_quiet_before(stand: TestBench) -> None:
-    """Nothing moves when a bus is opened: joints stay where they are until somebody enables and sets."""
+    """Nothing moves when a bus is opened: joints stay where they are until they are enabled and set."""
     with stand.made() as robot:
         joints = robot.simulation.world.joints
         robot.advance(0.01)
@@ -120,7 +119,7 @@ def check_quiet_before(stand: TestBench) -> None:
         robot.advance(1.0)
         for name, joint in joints.items():
             moved = joint.position(robot.clock.now()) - before[name]
-            assert abs(moved) < 1e-6, f"{name} moved by {moved} although nobody said so"
+            assert abs(moved) < 1e-6, f"{name} moved by {moved} without a command"
 
 
 def check_heard(stand: TestBench) -> None:
@@ -132,7 +131,7 @@ def check_heard(stand: TestBench) -> None:
                 if one.name not in device.readable or stand.is_excused("heard", one.name):
                     continue
                 assert one.instant is not None, (
-                    f"{one.name} was never heard: does an answer to a poll have it?"
+                    f"{one.name} was never received: does an answer to a poll have it?"
                 )
                 assert one.value is not UNKNOWN, (
                     f"{one.name} is {one.last!r} and stale: {(one.age_ns or 0) / 1e9:.3f} s old, fresh for"
@@ -166,7 +165,7 @@ def check_set(stand: TestBench) -> None:
                 if name not in device.readable:
                     continue
                 value = device.signals[name].value
-                assert value is not UNKNOWN, f"{name} is not heard"
+                assert value is not UNKNOWN, f"{name} is not received"
                 if not _is_number(goal):
                     assert value == goal, f"{name} was set from {start!r} to {goal!r} and is {value!r}"
                     continue
@@ -204,7 +203,7 @@ def _near(one: Signal, start: float) -> float:
 
 
 def check_limits(stand: TestBench) -> None:
-    """A set-point beyond a limit is limited, told by name, and never exceeded."""
+    """A set-point beyond a limit is limited, reported by name, and never exceeded."""
     with stand.made() as robot:
         robot.advance(1.0)
         enable(robot)
@@ -223,7 +222,7 @@ def check_limits(stand: TestBench) -> None:
 
 
 def check_silence(stand: TestBench) -> None:
-    """A device that says nothing is told by name, its values go stale, the others stay fresh; it comes back."""
+    """A device that says nothing is reported by name, its values go stale, the others stay fresh; it comes back."""
     with stand.made() as robot:
         robot.advance(SETTLE_S)
         for device, twin in stand.mine(robot):
@@ -233,7 +232,7 @@ def check_silence(stand: TestBench) -> None:
             robot.advance(SETTLE_S)
             if device.polls:
                 assert robot.events.count("silent", device.name) >= 1, (
-                    f"nobody noticed that {device.name} is silent"
+                    f"no event says that {device.name} is silent"
                 )
             for one in known_signals(device):
                 if one.stale_after_ns is not None and one.stale_after_ns < SETTLE_S * 1e9:
@@ -248,7 +247,7 @@ def check_silence(stand: TestBench) -> None:
             assert fresh, f"nothing of {device.name} is fresh again"
 
 
-#: Fault → what must have been told of it where there are polls; None: it need only be survived.
+#: Fault → what must have been reported of it where there are polls; None: it need only be survived.
 MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
     "late": ("silent", "late reply", "duplicate reply"),
     "loses": None,
@@ -261,7 +260,7 @@ MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
 
 
 def check_misbehaviour(stand: TestBench) -> None:
-    """Late, doubled, short, lost and wrong answers are told by name and survived; afterwards all is as before."""
+    """Late, doubled, short, lost and wrong answers are reported by name and survived; afterwards all is as before."""
     with stand.made() as robot:
         robot.advance(SETTLE_S)
         for device, twin in stand.mine(robot):
@@ -274,7 +273,7 @@ def check_misbehaviour(stand: TestBench) -> None:
                 if kinds is not None and device.polls:
                     told = _told(robot, kinds)
                     assert told & set(kinds), (
-                        f"{device.name} is {fault}, and that is told as {told or 'nothing'}"
+                        f"{device.name} is {fault}, and that is reported as {told or 'nothing'}"
                     )
                 else:
                     robot.advance(SETTLE_S)
@@ -312,7 +311,7 @@ def _until(robot: VirtualRobot, is_so: Callable[[], bool]) -> None:
 
 
 def _recover(robot: VirtualRobot, device: Device) -> None:
-    """Wait until a device is heard again, at most `SETTLE_S`."""
+    """Wait until a device answers again, at most `SETTLE_S`."""
     since = robot.clock.now()
 
     def is_back() -> bool:
@@ -336,14 +335,14 @@ def check_two_of_one(stand: TestBench) -> None:
         robot.advance(SETTLE_S)
         double.close()
         noticed = _kinds_since(robot, before) & {"duplicate reply", "malformed", "silent", "late reply"}
-        assert noticed or _bus_errors(robot) > errors, "nobody noticed the second device"
+        assert noticed or _bus_errors(robot) > errors, "no event says that there is a second device"
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
             assert not device.is_silent, f"{device.name} is silent after the second one has gone"
 
 
 def check_reboot(stand: TestBench) -> None:
-    """A device that was off and on again is heard again, and does not move by itself."""
+    """A device that was off and on again answers again, and does not move by itself."""
     with stand.made() as robot:
         robot.advance(1.0)
         enable(robot)
@@ -359,19 +358,19 @@ def check_reboot(stand: TestBench) -> None:
 
 
 def check_absent(stand: TestBench) -> None:
-    """Devices that are not there cost nothing but their values; when they come they are heard."""
+    """Devices that are not there cost nothing but their values; when they come they are received."""
     with stand.made() as robot:
         for twin in robot.twins.values():
             twin.power(False)
         robot.advance(1.0)
         for device, _ in stand.mine(robot):
-            assert not known_signals(device), f"{device.name} was heard without being there"
+            assert not known_signals(device), f"{device.name} was received without being there"
         for twin in robot.twins.values():
             twin.power(True)
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
             if device.polls:
-                assert known_signals(device), f"{device.name} came and was not heard"
+                assert known_signals(device), f"{device.name} came and was not received"
         _no_bug(robot)
 
 
@@ -400,9 +399,9 @@ def _run_actions(
             method = getattr(device, action)
             is_excused = may_excuse and stand.is_excused("actions", f"{device.name} {action}")
             if not is_excused and not _needs_arguments(method):
-                run(method())
+                finish(method())
                 robot.advance(pause_s)
-        run(device.stop_motion())
+        finish(device.stop_motion())
     _no_bug(robot)
 
 
@@ -415,7 +414,7 @@ def _needs_arguments(method: Callable[..., Any]) -> bool:
 
 
 def check_noise(stand: TestBench) -> None:
-    """On a wire with faults nothing raises, everything is counted, and what gets through is heard."""
+    """On a wire with faults nothing raises, everything is counted, and what gets through is received."""
     with stand.made(faults=Faults(seed=3, corrupt=0.05), noise=Noise(seed=3, flip=0.002)) as robot:
         robot.advance(2 * SETTLE_S)
         for device, _ in stand.mine(robot):

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from ..protocol.declare.bits import BitLayout
@@ -198,12 +198,4 @@ _WHY = (
 )
 
 
-def merge_coverage(parts: Iterable[Coverage]) -> Coverage:
-    """Several as one."""
-    whole = Coverage()
-    for part in parts:
-        whole.add(part)
-    return whole
-
-
-__all__ = ["KINDS", "Coverage", "Feature", "expected", "merge_coverage"]
+__all__ = ["KINDS", "Coverage", "Feature", "expected"]

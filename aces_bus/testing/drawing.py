@@ -16,7 +16,7 @@ from typing import Any
 from .bench import Bench
 from .scenes import Scene, Way, Wire
 from .shrinking import word_bytes
-from .trial import ScannedItem, as_heard, play, told_by
+from .trial import ScannedItem, as_items, items_by, play
 
 #: Bytes in a row.
 ROW = 16
@@ -30,11 +30,11 @@ def scene_drawing(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] 
     bench = Bench(wire, direction)
     cuts = tuple(sorted(cuts))
     lanes = [
-        ("law", _asked(lambda: told_by(bench.reference(), scene))),
-        ("gave", _asked(lambda: as_heard(play(bench.scanner(), scene), bench.is_can))),
+        ("law", _asked(lambda: items_by(bench.reference(), scene))),
+        ("gave", _asked(lambda: as_items(play(bench.scanner(), scene), bench.is_can))),
     ]
     if cuts:
-        cut_up = _asked(lambda: as_heard(play(bench.scanner(), scene, cuts), bench.is_can))
+        cut_up = _asked(lambda: as_items(play(bench.scanner(), scene, cuts), bench.is_can))
         lanes.append(("cut", cut_up))
     # What says the same as another is not drawn twice.
     kept: list[Lane] = []

@@ -4,7 +4,7 @@
    number, so that any one can be had alone: `Fuzzer.example(number)`.
 2. Examples come in blocks of `BLOCK`, all of one wire; the last of a block is the *train* of the others, end to end: long
    enough for the scanner's long strides, and judged with columns, which cost more than all the rest.
-3. A law that has failed on a protocol is not asked there again: one fault should not be told a hundred times.
+3. A law that has failed on a protocol is not asked there again: one fault should not be reported a hundred times.
 4. Nothing prints, reads a clock or writes a file here.
 
 >>> from aces_bus.testing.fuzz import Fuzzer

@@ -42,11 +42,11 @@ from .trial import (
     LawError,
     ScannedItem,
     Trial,
-    as_heard,
+    as_items,
     comparable,
-    copy_item,
     image_of,
     law,
+    plain_counts,
     play,
     reference_items,
     scanned_items,
@@ -109,14 +109,14 @@ def _asked(message: Message, values: Any) -> dict[str, Any]:
 
 @law(2, takes_cuts=True)
 def oracle(trial: Trial) -> None:
-    """Law 2: the generated scanner hears exactly what the reference tells, values and losses; and so do columns.
+    """Law 2: the generated scanner gives exactly what the reference gives, values and losses; and so do columns.
 
     Raw values against the reference; physical ones against construct, packet by packet; columns (`check_columns`)
     against the generated scanner.
     """
-    got = trial.heard
-    if got != trial.told:
-        trial.fail(2, _first_difference("the reference", trial.told, "the scanner", got))
+    got = trial.scanned
+    if got != trial.expected:
+        trial.fail(2, _first_difference("the reference", trial.expected, "the scanner", got))
     wanted = [_physically(trial, item) for item in got]
     if trial.physical != wanted:
         trial.fail(2, "physical: " + _first_difference("construct", wanted, "the scanner", trial.physical))
@@ -127,7 +127,7 @@ def oracle(trial: Trial) -> None:
 
 
 def _physically(trial: Trial, item: ScannedItem) -> ScannedItem:
-    """What was heard in raw values, in physical ones by construct."""
+    """What was given in raw values, in physical ones by construct."""
     if item.message is None:
         return item
     message = trial.bench.by_name[item.protocol or "", item.message]
@@ -172,7 +172,7 @@ def columns_law(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = 
 
 
 def _first_difference(one: str, first: Sequence[Any], other: str, second: Sequence[Any]) -> str:
-    """Where two lists of what was heard part."""
+    """Where two lists of items begin to differ."""
     for a, b in zip(first, second, strict=False):
         if a != b:
             return f"{one} says {a}; {other} says {b}"
@@ -187,17 +187,17 @@ def _first_difference(one: str, first: Sequence[Any], other: str, second: Sequen
 def chunking(trial: Trial) -> None:
     """Law 3: the same words with the same events give the same records, however they are cut."""
     given, counts, _ = trial.cut_up
-    pieces = as_heard(given, trial.bench.is_can)
+    pieces = as_items(given, trial.bench.is_can)
     how = f"cut at {trial.cuts}: "
-    if pieces != trial.heard:
-        trial.fail(3, how + _first_difference("whole", trial.heard, "in pieces", pieces))
+    if pieces != trial.scanned:
+        trial.fail(3, how + _first_difference("whole", trial.scanned, "in pieces", pieces))
     if counts != trial.counts:
         trial.fail(3, f"{how}counts {counts} instead of {trial.counts}")
     if trial.bench.is_can and trial.columns and not trial.scene.sent_at:
         scanner: Any = trial.bench.scanner()
-        table = as_heard(scanner.feed_table(FrameTable.from_frames(trial.scene.words)), is_can=True)
-        if table != trial.heard:
-            trial.fail(3, "as a table: " + _first_difference("whole", trial.heard, "the table", table))
+        table = as_items(scanner.feed_table(FrameTable.from_frames(trial.scene.words)), is_can=True)
+        if table != trial.scanned:
+            trial.fail(3, "as a table: " + _first_difference("whole", trial.scanned, "the table", table))
 
 
 # ---------------------------------------------------------------------- 4
@@ -214,7 +214,7 @@ def resynchronisation(trial: Trial) -> None:
         return
     scene = trial.scene
     covered = bytearray(len(scene))
-    for item in trial.heard:
+    for item in trial.scanned:
         if item.message or item.reason.startswith("unknown"):
             covered[item.offset : item.offset + item.size] = b"\1" * item.size
     framings = list(zip(trial.bench.framings, trial.bench.extras, strict=True))
@@ -232,7 +232,7 @@ def resynchronisation(trial: Trial) -> None:
                 name = next(
                     (m.name for m in messages if trial.bench.reads(m, packet)), "a packet without a message"
                 )
-                trial.fail(4, f"at {start} stands {variant.name} {name} {packet.hex()}, not heard")
+                trial.fail(4, f"{variant.name} {name} {packet.hex()} at {start} was not found")
         begin = end
 
 
@@ -250,11 +250,11 @@ def _candidates(framing: Framing, seen: bytes, begin: int) -> Sequence[int]:
 
 def _no_frame_overlooked(trial: Trial) -> None:
     who = cast(trial.bench.wire, trial.direction)
-    heard = trial.heard
-    if len(heard) != len(trial.scene):
-        trial.fail(4, f"of {len(trial.scene)} frames, {len(heard)} were heard")
+    scanned = trial.scanned
+    if len(scanned) != len(trial.scene):
+        trial.fail(4, f"of {len(trial.scene)} frames, {len(scanned)} came out")
     for number, frame in enumerate(trial.scene.words):
-        item = heard[number]
+        item = scanned[number]
         if frame.is_error_frame or item.message or item.reason.startswith("unknown: needs"):
             continue
         image = image_of(frame)
@@ -323,8 +323,8 @@ def accounting(trial: Trial) -> None:
         )
     less = trial.bench.scanner(include_unknown=False)
     names = [type(item).__name__ for item in play(less, scene, trial.cuts)]
-    if copy_item(less.counts) != counts:
-        trial.fail(6, f"without everything, counts are {copy_item(less.counts)}, not {counts}")
+    if plain_counts(less.counts) != counts:
+        trial.fail(6, f"without everything, counts are {plain_counts(less.counts)}, not {counts}")
     if names != [type(item).__name__ for item in given if not isinstance(item, Unknown)]:
         trial.fail(6, "without everything, other records come")
 
@@ -372,7 +372,7 @@ def _work_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int
         if framing.check is None:
             continue
         candidates = len(_candidates(framing, words, 0))
-        is_whole = framing.end and framing.stuffing is None  # what stands on the wire is what is summed
+        is_whole = framing.end and framing.stuffing is None  # the bytes on the wire are what is summed
         if framing.check.kind == "crc" or not ((framing.sync and not framing.end) or is_whole):
             limit += framing.max_size * candidates
             if len(framings) > 1:

@@ -132,9 +132,6 @@ def shrunk_report(case: LawCase, scene: Scene, cuts: tuple[int, ...], said: str,
     failure = shrink(case.law, trial, said)
     saved = save_scene(folder, case.wire, case.direction, failure.scene, failure.cuts, law=case.law.number)
     drawing = scene_drawing(case.wire, case.direction, failure.scene, failure.cuts)
-    way = {"to device": " --direction to", "from device": " --direction from", "both": " --direction both"}
-    spec = shlex.quote(case.spec)
-    decode = f"aces decode {shlex.quote(str(saved.capture))} -p {spec}{way.get(str(case.direction), '')}"
     return "\n".join(
         (
             str(failure),
@@ -142,8 +139,8 @@ def shrunk_report(case: LawCase, scene: Scene, cuts: tuple[int, ...], said: str,
             drawing,
             "",
             f"saved: {saved.capture}",
-            f"again: aces fuzz {spec} --replay {shlex.quote(str(saved.scene))}",
-            f"       {decode}",
+            f"again: aces fuzz {shlex.quote(case.spec)} --replay {shlex.quote(str(saved.scene))}",
+            f"       {saved.decode_command(case.spec, case.direction)}",
         )
     )
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -39,6 +40,15 @@ class Saved:
 
     capture: Path
     scene: Path
+
+    def decode_command(self, spec: str, direction: Way) -> str:
+        """The command that decodes the capture with a protocol as the command line names it."""
+        way = {
+            "to device": " --direction to",
+            "from device": " --direction from",
+            "both": " --direction both",
+        }
+        return f"aces decode {shlex.quote(str(self.capture))} -p {shlex.quote(spec)}{way.get(str(direction), '')}"
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """What happens on a wire, drawn: valid packets, damage, garbage, requests of ours, silence.
 
 1. A scene is data: the words, where the line fell silent, what we sent in between. Laws play it, cut as they like.
-2. Valid first, then broken: most of a scene can be read, so that what is broken stands where it hurts.
+2. Valid first, then broken: most of a scene can be read, so that what is broken is where it matters.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
 
 
 def _garbage(who: Cast, source: ChoiceSource) -> bytes:
-    """Bytes that belong to nobody: random, or made of what the framings look for."""
+    """Bytes of no packet: random, or made of what the framings look for."""
     size = source.integer(1, 24)
     how = source.integer(0, 3)
     framing = source.choice(who.framings)

@@ -1,10 +1,11 @@
-"""Where drawn numbers come from: one walk over a spec, three sources of choices.
+"""Where drawn numbers come from: one set of draw functions, three sources of choices.
 
 1. Every value that a test draws is a pure function of what its source gives.
 2. The smallest choice is the simplest: a source that has run dry gives lows, firsts and zeros, so that shrinking works.
 
 `Entropy` interprets a string of bytes, as fuzzers do: one draw of Hypothesis makes a whole wire, cheaply, and shrinks
-byte by byte. `Drawn` asks Hypothesis for each number: dearer, and shrinks best. `Dice` is for the long runs of `aces fuzz`.
+byte by byte. `Drawn` asks Hypothesis for each number: dearer, and shrinks best. `Dice` is for `aces fuzz`, which works
+without Hypothesis, and would take more than twice the time for a scene with it (1.7 ms against 0.7 ms).
 """
 
 from __future__ import annotations

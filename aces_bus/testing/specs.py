@@ -1,4 +1,4 @@
-"""Draws whole protocols: specs that nobody wrote, as Python source.
+"""Draws whole protocols, as Python source of random specs.
 
 1. What is drawn is text, run line by line: a failing one can be read, saved and fuzzed like any spec.
 2. A line that the language refuses (two messages that nothing tells apart, a field too many) is left out, and only such a

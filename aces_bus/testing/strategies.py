@@ -89,7 +89,7 @@ def arguments(
 
 
 def specs(*, link: Link | None = None) -> st.SearchStrategy[str]:
-    """Python source of protocols that nobody wrote, each named `drawn`, on CAN or on a serial line.
+    """Python source of random protocols, each named `drawn`, on CAN or on a serial line.
 
     Random identifiers with captures, layouts, numbers, enumerations, multiplexed fields; framings with length fields, end
     marks, fixed sizes, stuffing and checks.

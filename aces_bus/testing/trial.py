@@ -87,18 +87,18 @@ def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
 
 
 def scanned_items(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[ScannedItem]:
-    """What a scanner hears in a scene, in its form for comparison."""
-    return as_heard(play(scanner, scene, cuts), scanner.link == "can")
+    """What a scanner gives of a scene, in its form for comparison."""
+    return as_items(play(scanner, scene, cuts), scanner.link == "can")
 
 
-def as_heard(given: Iterable[Any], is_can: bool) -> list[ScannedItem]:
+def as_items(given: Iterable[Any], is_can: bool) -> list[ScannedItem]:
     """What a scanner gave, in its form for comparison."""
     if is_can:
-        return [_heard(item, number, 1) for number, item in enumerate(given)]
-    return join_losses(_heard(item, item.meta.offset, item.meta.size) for item in given)
+        return [_item(item, number, 1) for number, item in enumerate(given)]
+    return join_losses(_item(item, item.meta.offset, item.meta.size) for item in given)
 
 
-def _heard(item: Any, offset: int, size: int) -> ScannedItem:
+def _item(item: Any, offset: int, size: int) -> ScannedItem:
     if isinstance(item, Unknown):
         return ScannedItem(offset, size, None, None, item.reason, None)
     return ScannedItem(offset, size, type(item).__name__, comparable(as_dict(item)), "", item.meta.protocol)
@@ -106,10 +106,10 @@ def _heard(item: Any, offset: int, size: int) -> ScannedItem:
 
 def reference_items(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[ScannedItem]:
     """What the reference says of a scene."""
-    return told_by(bench_of(wire, direction).reference(raw=raw), scene)
+    return items_by(bench_of(wire, direction).reference(raw=raw), scene)
 
 
-def told_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
+def items_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
     """What this reference says of a scene."""
     if isinstance(scene.words, bytes):
         found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
@@ -170,7 +170,7 @@ def comparable(value: Any) -> Any:
     return value
 
 
-def copy_item(counts: ScanCounts) -> dict[str, Any]:
+def plain_counts(counts: ScanCounts) -> dict[str, Any]:
     """Counts as plain values."""
     bins = (
         "total",
@@ -259,7 +259,7 @@ class Trial:
     def _whole(self) -> tuple[list[Any], dict[str, Any], int]:
         scanner = self.bench.scanner()
         given = play(scanner, self.scene)
-        return given, copy_item(scanner.counts), scanner.counts.balance
+        return given, plain_counts(scanner.counts), scanner.counts.balance
 
     @property
     def given(self) -> list[Any]:
@@ -272,26 +272,26 @@ class Trial:
         return self._whole[1]
 
     @cached_property
-    def heard(self) -> list[ScannedItem]:
+    def scanned(self) -> list[ScannedItem]:
         """The same for comparison."""
-        return as_heard(self.given, self.bench.is_can)
+        return as_items(self.given, self.bench.is_can)
 
     @cached_property
     def cut_up(self) -> tuple[list[Any], dict[str, Any], int]:
         """What the scanner gives of the scene in pieces, its counts, and by how much they do not balance."""
         scanner = self.bench.scanner()
         given = play(scanner, self.scene, self.cuts)
-        return given, copy_item(scanner.counts), scanner.counts.balance
+        return given, plain_counts(scanner.counts), scanner.counts.balance
 
     @cached_property
     def physical(self) -> list[ScannedItem]:
         """What a scanner for physical values gives of the whole scene."""
-        return as_heard(play(self.bench.scanner(raw=False), self.scene), self.bench.is_can)
+        return as_items(play(self.bench.scanner(raw=False), self.scene), self.bench.is_can)
 
     @cached_property
-    def told(self) -> list[ScannedItem]:
+    def expected(self) -> list[ScannedItem]:
         """What the reference says of it."""
-        return told_by(self.bench.reference(), self.scene)
+        return items_by(self.bench.reference(), self.scene)
 
     def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, Any]]]:
         """Message, image and request's fields of each record that the scanner gave."""
@@ -343,16 +343,16 @@ __all__ = [
     "LawError",
     "ScannedItem",
     "Trial",
-    "as_heard",
+    "as_items",
     "comparable",
-    "copy_item",
     "image_of",
+    "items_by",
     "join_losses",
     "law",
+    "plain_counts",
     "play",
     "reference_items",
     "scanned_items",
     "scanner_of",
     "scene_source",
-    "told_by",
 ]

@@ -16,7 +16,7 @@ from aces_bus.hardware.can import CanGate
 from aces_bus.hardware.served import ServedChannel, remote, stream
 from aces_bus.hardware.served import channel as channel_module
 from aces_bus.hardware.served.address import parse_host
-from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.bus import Faults
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 
 from .serving import PATIENCE, Open, message, received, serve, until, with_unix_sockets

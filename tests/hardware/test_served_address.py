@@ -14,7 +14,7 @@ from aces_bus.errors import CallerError
 from aces_bus.hardware import served
 from aces_bus.hardware.served import ServedChannel
 from aces_bus.hardware.served.address import parse_address
-from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.bus import Faults
 
 from .serving import Open, message, received, serve, with_unix_sockets
 

@@ -18,11 +18,11 @@ from aces_bus.hardware.simulated.bus import (
     RECOVERY,
     Babbler,
     BusNode,
+    Faults,
     ListeningNode,
     SimulatedBus,
     SimulatedBusEvent,
 )
-from aces_bus.hardware.simulated.faults import Faults
 from aces_bus.hardware.simulated.frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, frame_bits
 from aces_bus.runtime import VirtualClock
 

@@ -20,7 +20,7 @@ import pytest
 from aces_bus.errors import AcesError
 from aces_bus.frames import Frame
 from aces_bus.hardware.served import BusServer, ServedChannel
-from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.bus import Faults
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 from aces_tools.bus import parse_faults
 

@@ -30,7 +30,7 @@ from .console import Patience, print_json, say
 from .options import FOR, JSON, SEED, Arguments, Group, argument, flag
 
 if TYPE_CHECKING:
-    from aces_bus.hardware.simulated.faults import Faults
+    from aces_bus.hardware.simulated.bus import Faults
 
 #: python-can's backends that `list` does not ask: ours is asked better, and the other is of one process.
 _NOT_ASKED = frozenset({"aces", "virtual"})
@@ -168,7 +168,7 @@ def _ratio(channel: dict[str, Any]) -> float:
 
 def parse_faults(text: str | None, seed: int) -> Faults:
     """`drop=0.01,delay=0.1,delay_us=500` as faults."""
-    from aces_bus.hardware.simulated.faults import Faults
+    from aces_bus.hardware.simulated.bus import Faults
 
     chances: dict[str, float] = {}
     for part in (text or "").split(","):

@@ -236,13 +236,10 @@ def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
     commands = [f"aces fuzz {names} --replay {shlex.quote(str(saved.scene))}"]
     if failure.example is not None:
         commands.insert(0, f"aces fuzz {names} --law {law.number} --seed {job.seed}:{failure.example}")
-    way = {"to device": " --direction to", "from device": " --direction from", "both": " --direction both"}
     name = next(
         (n for n in job.names if named_protocol(n).protocol.name == laws.wire_variants(wire)[0].name), names
     )
-    commands.append(
-        f"aces decode {shlex.quote(str(saved.capture))} -p {shlex.quote(name)}{way.get(str(direction), '')}"
-    )
+    commands.append(saved.decode_command(name, direction))
     return FoundFailure(
         law.number,
         law.name,

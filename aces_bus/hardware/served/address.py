@@ -1,6 +1,6 @@
 """Where served buses are found: `unix:/path/to.sock`, `unix:can0`, `tcp:127.0.0.1:29536/can0`.
 
-1. What is ours in the file system is for its owner alone: folder 0700, sockets 0600. A folder of somebody else is refused.
+1. What is ours in the file system is for its owner alone: folder 0700, sockets 0600. A folder of another user is refused.
 2. A socket file whose server is dead is replaced; one whose server lives never is.
 
 Servers leave a note in the user's runtime folder (`$XDG_RUNTIME_DIR/aces`, else `aces-UID` among the temporary files) that
@@ -115,7 +115,7 @@ def _unix() -> int:
 
 
 def runtime_folder(*, create: bool = False) -> Path:
-    """Where this user's sockets and notes are. Raises `CallerError` when it belongs to somebody else."""
+    """Where this user's sockets and notes are. Raises `CallerError` when it belongs to another user."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(given, "aces") if given else Path(tempfile.gettempdir(), f"aces-{user}")
@@ -134,7 +134,7 @@ def runtime_folder(*, create: bool = False) -> Path:
 
 
 def default_socket(channel: str) -> Path:
-    """Where a channel is served when nobody says otherwise."""
+    """The default socket of a channel."""
     return runtime_folder() / f"{channel}.sock"
 
 

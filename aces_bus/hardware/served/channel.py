@@ -1,12 +1,12 @@
 """One served bus: a wire in step with this machine's clock, or none, its members, and the connections that they have.
 
 1. Nothing here waits. A member that does not take its frames loses the oldest, counted; what its socket does not take at
-   once waits, bounded; nobody else waits with it.
+   once waits, bounded, and delays no other member.
 2. All of it runs on the server's one thread; there is no lock.
 3. `PacketError` or `OSError` from a link ends that link and nothing else.
 
 A member's frames wait as records (`packets`) in a queue of its own; its connection sends them when its turn comes. With
-physics a member is a node of the `SimulatedBus`. Without, a frame is everybody's as soon as it has come, whatever the rates
+physics a member is a node of the `SimulatedBus`. Without, all members get a frame as soon as it has come, whatever the rates
 say."""
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any
 from ...errors import CallerError
 from ...frames import Frame
 from ...runtime import VirtualClock
-from ..simulated.bus import BusNode, SimulatedBus, SimulatedBusEvent
-from ..simulated.faults import NO_FAULTS, Faults
+from ..simulated.bus import NO_FAULTS, BusNode, Faults, SimulatedBus, SimulatedBusEvent
 from . import packets
 from .packets import (
     BITRATE_SWITCH,
@@ -109,7 +108,7 @@ class BusClient:
 
 class ServedChannel:
     """A bus for the members of a server. Rates in bit/s; `fd`: whether members may take CAN FD. With `acknowledge` the bus
-    has a node of its own that does nothing else: a lone sender, with only listeners around it, is heard.
+    has a node that does nothing else: the frames of a lone sender, with only listeners around it, are acknowledged.
 
     Raises `CallerError` for rates that do not exist, a name that is no file's, or faults without physics.
     """
@@ -265,7 +264,7 @@ READ = 16_384
 WRITE = 2_048
 #: Packets besides frames that wait, at most; then the oldest are dropped.
 _ASIDE = 256
-#: Frames off a client's mailboxes before it is told so.
+#: Frames off a client's mailboxes before that is reported to it.
 _REPORT_EVERY = MAILBOXES // 4
 
 _ONE = HEAD.pack(CLASSIC_RECORD.size, CLASSIC)
@@ -453,7 +452,7 @@ class PacketLink(ServerLink):
             self._taken += 1
             if self._taken - self._told_taken >= _REPORT_EVERY:
                 self._report()
-        elif (event.kind, event.frame) != self._last:  # the same thing again and again is told once
+        elif (event.kind, event.frame) != self._last:  # the same event again and again is reported once
             self._last = (event.kind, event.frame)
             self.put(packets.value_packet(replace(event, instant=event.instant + self.server.epoch_ns)))
 

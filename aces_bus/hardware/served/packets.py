@@ -42,7 +42,6 @@ CLASSIC_RECORD = Struct("<qIBB2x8s")
 LONG_RECORD = Struct("<qIBB2x64s")
 #: A packet with one record: what most packets are.
 CLASSIC_PACKET = Struct("<HBxqIBB2x8s")
-LONG_PACKET = Struct("<HBxqIBB2x64s")
 
 EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, OWN = 1, 2, 4, 8, 16, 32, 64
 
@@ -95,7 +94,7 @@ def unpack_records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int,
 
 def _check(identifier: int, flags: int, length: int, most: int) -> None:
     if flags & ERROR:
-        raise PacketError("an error frame; nobody sends those")
+        raise PacketError("an error frame, which cannot be sent")
     if identifier > (0x1FFF_FFFF if flags & EXTENDED else 0x7FF):
         raise PacketError(f"identifier {identifier:#x} does not exist")
     if flags & FD:

@@ -5,8 +5,8 @@
 3. What comes from the server is checked like anything else from outside.
 
 There is no thread: whoever receives reads the socket, and keeps what it finds besides. One reader at a time; others wait for
-it. Frames under way are counted: the server says how many the bus has taken, and a client with all mailboxes full waits or
-is told so, as with a controller in hardware.
+it. Frames under way are counted: the server says how many the bus has taken, and a client with all mailboxes full waits, or
+its frame is refused, as with a controller in hardware.
 """
 
 from __future__ import annotations

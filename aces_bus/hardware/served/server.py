@@ -236,7 +236,7 @@ class BusServer:
             action()
         except EOFError:  # it has gone, and all that it said was read
             self._drop(link)
-        except OSError:  # it has gone: what it has said before, a stop perhaps, is still heard
+        except OSError:  # it has gone: what it has sent before, a stop perhaps, is still read
             link.hear_out()
             self._drop(link)
         except PacketError as error:

@@ -167,7 +167,7 @@ class SocketcandLink(ServerLink):
             return answers
         while member.queue:
             text = b"".join(map(self._frame, self._take_records()))
-            if text:  # in BCM mode a whole batch may be nobody's
+            if text:  # in BCM mode a whole batch may be unsubscribed
                 return text
         return b""
 

@@ -41,7 +41,7 @@ def wait(number: int, timeout: float | None, *, writing: bool = False) -> bool:
 class ServerConnection:
     """A connection to a server, introduced. `early` are packets that came with the answer.
 
-    Raises `OSError` when nobody answers, and `PacketError` with the server's reason when it refuses.
+    Raises `OSError` when no server answers, and `PacketError` with the server's reason when it refuses.
     """
 
     def __init__(self, address: ServedAddress, hello: packets.Hello, timeout: float = ANSWER_S) -> None:
@@ -186,7 +186,7 @@ def servers(timeout: float = ANSWER_S) -> list[dict[str, Any]]:
 
 def _lives(pid: object) -> bool:
     if not isinstance(pid, int) or pid <= 0 or os.name != "posix":
-        return True  # who knows
+        return True  # it cannot be found out
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -2,7 +2,7 @@
 
 1. All buses of one channel name in a process share one wire. Who opens it first says what it is like; who says otherwise
    later is refused.
-2. A message is copied once, when it is sent: nobody can change what another has received.
+2. A message is copied once, when it is sent: no receiver can change what another has received.
 3. No thread of its own: whoever sends or receives moves the wire on, under one lock.
 
 Three kinds of time, by `physics` and `clock`:
@@ -33,8 +33,7 @@ from ...frames import Frame, message_to_frame
 from ...runtime import VirtualClock
 from ..python_can import QUEUE, VirtualBus, copy_message, frame_to_message
 from ..served.address import is_served
-from .bus import BusNode, SimulatedBus, SimulatedBusEvent
-from .faults import NO_FAULTS, Faults
+from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus, SimulatedBusEvent
 
 
 class Medium:

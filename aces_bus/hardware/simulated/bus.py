@@ -1,23 +1,27 @@
 """A CAN bus as a simulation: bit rate, arbitration, acknowledgement, errors, load.
 
 1. Time is the clock's. All that happens is an event of it; the same clock, calls and seed give the same bus, bit for bit.
-2. Nothing is lost in silence: a frame is delivered, waits, is retransmitted, or its sender is told what became of it.
+2. Nothing is lost in silence: a frame is delivered, waits, is retransmitted, or what became of it is reported to its sender.
 3. Cost is per frame, not per bit.
 
 A frame takes its real stuffed length (`frame_time`). Whoever wants to send when the bus falls idle takes part in
-arbitration; the lowest arbitration field wins, as on the wire: identifier, then RTR, SRR and IDE. A frame that nobody
+arbitration; the lowest arbitration field wins, as on the wire: identifier, then RTR, SRR and IDE. A frame that no node
 acknowledges, that a fault destroys, or that meets another of the same identifier ends in an error frame, counts at both
 ends (ISO 11898-1:2015, 12.1.4) and is sent again, until its sender is bus-off.
 
 **Not modelled**: propagation delay, sampling and clock tolerance; receivers that disagree about a frame without a fault
 asking for it; overload frames. An error flag is taken to be answered one bit late, so an error frame is 15 bits.
+
+Faults on purpose are drawn from a seed, so that what went wrong once goes wrong again; each is drawn by its
+chance, per frame or per frame and receiver, in the order of the bus.
 """
 
 from __future__ import annotations
 
+import random
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from heapq import heapify, heappop, heappush
 from typing import Literal
@@ -25,8 +29,64 @@ from typing import Literal
 from ...errors import CallerError
 from ...frames import Frame
 from ...runtime import VirtualClock
-from .faults import NO_FAULTS, Faults
 from .frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, FrameBits, frame_bits
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Chances from 0 to 1.
+
+    `corrupt`: a frame is destroyed by a bit error and sent again. `drop`: a receiver misses a frame (an overrun).
+    `duplicate`: a receiver gets it twice (the last bit of EOF). `delay`: it comes late to a receiver, by up to `delay_ns`.
+    """
+
+    seed: int = 0
+    corrupt: float = 0.0
+    drop: float = 0.0
+    duplicate: float = 0.0
+    delay: float = 0.0
+    delay_ns: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if field.name not in ("seed", "delay_ns") and not 0 <= getattr(self, field.name) <= 1:
+                raise CallerError(
+                    f"fault {field.name}: {getattr(self, field.name)} is not a chance from 0 to 1"
+                )
+
+    def start(self) -> FaultSource:
+        """The faults, from the seed's beginning."""
+        return FaultSource(self)
+
+
+NO_FAULTS = Faults()
+
+
+class FaultSource:
+    """Draws the faults of one bus."""
+
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+        self._random = random.Random(faults.seed)
+
+    def corrupts(self, bits: int) -> int | None:
+        """The bit at which a frame of so many bits is destroyed; None: not at all."""
+        if self._faults.corrupt and self._random.random() < self._faults.corrupt:
+            return self._random.randrange(1, bits)
+        return None
+
+    def arrivals(self) -> tuple[int, ...]:
+        """The delays (ns) with which a frame comes to a receiver: none, one or two."""
+        faults, draw = self._faults, self._random.random
+        if faults.drop and draw() < faults.drop:
+            return ()
+        delay = (
+            self._random.randrange(1, faults.delay_ns + 1) if faults.delay and draw() < faults.delay else 0
+        )
+        if faults.duplicate and draw() < faults.duplicate:
+            return delay, delay
+        return (delay,)
+
 
 State = Literal["error-active", "error-passive", "bus-off"]
 #: Error counters above these make a node passive, or take it off the bus (12.1.4.3).
@@ -63,10 +123,10 @@ class Load:
 
 
 class BusNode:
-    """A controller on a wire; made by `SimulatedBus.attach`.
+    """A controller on a bus; made by `SimulatedBus.attach`.
 
-    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each `SimulatedBusEvent` of
-    its own. Both are called from within the simulation: they may send, and must not block.
+    `received` is called with each frame of others and the instant (ns) of its end; `happened` with each
+    `SimulatedBusEvent` of its own. Both are called from within the simulation: they may send, and must not block.
     """
 
     def __init__(
@@ -89,7 +149,7 @@ class BusNode:
         self.state: State = "error-active"
         self.is_connected = True
         self.quiet_until = 0
-        #: Whether `happened` is told of every frame that was sent.
+        #: Whether `happened` is called for every frame that was sent.
         self.hears_sent = happened is not None
         self._waiting: list[tuple[int, int, Frame]] = []
         #: Who wants to know what becomes of a frame, by its number.
@@ -247,7 +307,7 @@ class SimulatedBus:
         mailboxes: int = 1024,
         restart_ns: int | None = None,
     ) -> BusNode:
-        """A new node. `restart_ns` is when it comes back from bus-off by itself, None: when told to."""
+        """A new node. `restart_ns` is when it comes back from bus-off by itself, None: only by `restart`."""
         node = BusNode(
             self,
             name or f"node{len(self.nodes)}",
@@ -270,7 +330,7 @@ class SimulatedBus:
     # ------------------------------------------------------------------ the bus
 
     def wake(self) -> None:
-        """Somebody has something to send."""
+        """A node has something to send."""
         if not self._is_busy and not self._is_woken:
             self._is_woken = True
             self.clock.post(self._idle_from, self._arbitrate)  # or now, if that has passed
@@ -397,7 +457,7 @@ class SimulatedBus:
                 if node._sending is not None and node in self.nodes:
                     heappush(node._waiting, node._sending)
                 node._sending = None
-                # A passive node whose frame nobody acknowledges does not count it (12.1.4.2 c, exception 1).
+                # A passive node whose frame no node acknowledges does not count it (12.1.4.2 c, exception 1).
                 if kind != "no acknowledge" or node.state != "error-passive":
                     node.tell(kind, frame)
                     node.count_errors(8, 0, frame)

@@ -138,7 +138,7 @@ def _fd_bits(frame: Frame) -> FrameBits:
 
 # ---------------------------------------------------------------------- stuffing
 
-#: A state is 2 × (length of the run − 1) + level, for runs of one to four equal bits; this one stands before all bits.
+#: A state is 2 × (length of the run − 1) + level, for runs of one to four equal bits; this one is before all bits.
 _START = 10
 
 
@@ -211,7 +211,7 @@ _FORMATS = [f">{pairs}H" for pairs in range(40)]
 
 
 def _ends_full(word: int, width: int) -> int:
-    """1 when the last bit of the word is the fifth of a run: its stuff bit stands behind it."""
+    """1 when the last bit of the word is the fifth of a run: its stuff bit follows it."""
     return _stuff(word, width, _START)[1] - _stuff(word >> 1, width - 1, _START)[1]
 
 

@@ -45,7 +45,10 @@ class Noise:
 
 
 class SerialNode:
-    """One end of a line; made by `SimulatedSerialLine.attach`. `received` is called with bytes and the instant (ns) of their end."""
+    """One end of a line; made by `SimulatedSerialLine.attach`.
+
+    `received` is called with bytes and the instant (ns) of their end.
+    """
 
     def __init__(
         self,
@@ -70,7 +73,7 @@ class SerialNode:
 
     @is_connected.setter
     def is_connected(self, on: bool) -> None:
-        self.wire.catch_up()  # what has left, and what was heard, until now
+        self.wire.catch_up()  # what has left and what was received until now
         self._is_connected = on
 
     def send(self, data: bytes) -> int:
@@ -190,7 +193,7 @@ class SimulatedSerialLine:
                 if self.half_duplex:
                     _collide(chunk, other)
                 elif len(self.nodes) == 2:
-                    continue  # nobody hears both
+                    continue  # no node receives both
                 whole = False
                 self._split(other)
         flying.append(chunk)
@@ -210,7 +213,7 @@ class SimulatedSerialLine:
             self.clock.post(chunk.start + number * chunk.byte_ns, arrive)
 
     def catch_up(self) -> None:
-        """Let what has arrived by now be heard, of what was to be heard later, as a whole."""
+        """Hand over what has arrived by now of the chunks that would be handed over as a whole later."""
         for chunk in list(self._flying):
             self._arrive(chunk)
 
@@ -275,7 +278,7 @@ STEP_S = 0.002
 
 
 class PtyPort:
-    """One end of a `SerialWire` as a port: `path` is what programs open.
+    """One end of a `SimulatedSerialLine` as a port: `path` is what programs open.
 
     with PtyPort(wire) as port: subprocess.run(["tool", port.path])
 

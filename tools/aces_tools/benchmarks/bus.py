@@ -26,8 +26,7 @@ import can
 
 from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.backend import virtual_clock
-from aces_bus.hardware.simulated.bus import BusNode, SimulatedBus
-from aces_bus.hardware.simulated.faults import Faults
+from aces_bus.hardware.simulated.bus import BusNode, Faults, SimulatedBus
 from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.runtime import VirtualClock
 
