@@ -13,7 +13,7 @@ from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.testing import laws
 from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import spread
-from aces_bus.testing.trial import told_by
+from aces_bus.testing.trial import items_by
 from tests.laws.wires import PROTOCOLS
 
 IS_LONG = settings().max_examples > 100
@@ -23,7 +23,7 @@ BUS_SCENES, STREAM_SCENES = (15, 59) if IS_LONG else (7, 25)
 
 @pytest.mark.parametrize("name", ["hubo", "can_corners", "mit_motor"])
 @pytest.mark.parametrize("direction", [None, "from device"])
-def test_replies_are_told_by_the_rule(name: str, direction: laws.Way) -> None:
+def test_replies_follow_the_rule(name: str, direction: laws.Way) -> None:
     """Frame by frame, the scanner chooses what the reference chooses."""
     told = 0
     needing = {v: needing_context(v.messages_for(direction)) for v in PROTOCOLS[name].variants()}
@@ -32,14 +32,14 @@ def test_replies_are_told_by_the_rule(name: str, direction: laws.Way) -> None:
         for seed in range(1, BUS_SCENES + 1):
             (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed), size=700)
             scanned = laws.scanned_items(laws.scanner_of(variant, direction, raw=False), scene)
-            wanted = told_by(Reference([variant], direction=direction), scene)
+            wanted = items_by(Reference([variant], direction=direction), scene)
             assert scanned == wanted, f"{variant}, seed {seed}"
             told += sum(item.message in needing[variant] for item in scanned)
     assert told > 20
 
 
 @pytest.mark.parametrize("name", ["robotis", "dynamixel2", "modbus_like"])
-def test_replies_in_a_stream_are_told_by_the_rule(name: str) -> None:
+def test_replies_in_a_stream_follow_the_rule(name: str) -> None:
     """Packet by packet; with requests to everyone, which each device answers."""
     variant = PROTOCOLS[name].variant()
     bound = needing_context(variant.messages_for("both"))
