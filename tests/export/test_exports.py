@@ -530,9 +530,7 @@ def mcap_file(tmp_path: Path) -> Path:
     path = tmp_path / "out.mcap"
     with open_export(path, variants=[ARM]) as export:
         export.write(tables(state(1, 5, 1.5e9), state(7, 6, None), state(0, 7, 1.5e9 + 0.25)))
-        assert export.notes == [
-            "1 messages have no time; in the MCAP they have the time of the one before"
-        ]
+        assert export.notes == ["1 messages have no time; in the MCAP they have the time of the one before"]
     return path
 
 
