@@ -101,7 +101,8 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, Any, Any]
     test: Any = pyfuncitem.obj
     if not hasattr(test, "hypothesis"):
         return (yield)
-    fixtures = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
+    names = pyfuncitem._fixtureinfo.argnames  # pyright: ignore[reportPrivateUsage]  # as pytest itself calls a test
+    fixtures = {name: pyfuncitem.funcargs[name] for name in names}
     kept.replay(test, pyfuncitem.nodeid, fixtures)
     if PROFILE != "long":
         return (yield)

@@ -18,6 +18,7 @@ from ..errors import CallerError
 from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
 from ..protocol.declare.message import Message
+from ..protocol.record import protocol_name_of
 from ..runtime import EventClock
 from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
@@ -141,7 +142,8 @@ class BusEndpoint(Generic[M]):
     def _route(self, record: Any) -> _Route[M]:
         """Which members a record of this type can address."""
         kind = type(record)
-        members = [m for m in self.members.values() if m.variant.name == kind._protocol]
+        protocol = protocol_name_of(kind)
+        members = [m for m in self.members.values() if m.variant.name == protocol]
         fields = kind.__struct_fields__
         names = {name for m in members for name in m.credentials}
         # The field with the most different numbers tells devices apart best.
@@ -156,7 +158,7 @@ class BusEndpoint(Generic[M]):
         for member in members:
             if chosen in member.credentials:
                 table.setdefault(member.credentials[chosen], []).append(member)
-        return chosen, table, self.variants[kind._protocol].protocol.broadcast.get(chosen)
+        return chosen, table, self.variants[protocol].protocol.broadcast.get(chosen)
 
     def meant_by(self, record: Any) -> Collection[M]:
         """The members that a record is about."""

@@ -63,8 +63,8 @@ class Record(msgspec.Struct, frozen=True, gc=False):
     _protocol: ClassVar[str] = ""
     _direction: ClassVar[str | None] = None
     _is_stream: ClassVar[bool] = False
-    #: The message it is a record of.
-    _declared: ClassVar[Message]
+    #: The message (`declare.message`) it is a record of; Any, as signatures of records are evaluated here.
+    _declared: ClassVar[Any]
 
     if TYPE_CHECKING:
         # A checker sees what every record has; a message's own fields it knows from the types that `aces spec stubs` writes.
@@ -106,6 +106,17 @@ class Unknown(Record, frozen=True, gc=False):
 
     def __repr__(self) -> str:
         return f"Unknown(reason={self.reason!r}, raw={self.meta.raw.hex()})"
+
+
+def message_of(kind: type[Record]) -> Message:
+    """The message that a record type is generated from; not of `Unknown`, which has none."""
+    message: Message = kind._declared  # pyright: ignore[reportPrivateUsage]  # private, as a message may have a field "declared"
+    return message
+
+
+def protocol_name_of(kind: type[Record]) -> str:
+    """The name of the protocol whose records these are; empty of `Unknown`."""
+    return kind._protocol  # pyright: ignore[reportPrivateUsage]  # private, as a message may have a field "protocol"
 
 
 def field_names(kind: type[msgspec.Struct]) -> tuple[str, ...]:
@@ -199,7 +210,7 @@ def _abstract(protocol: Protocol, name: str) -> type[Record]:
         raise AttributeError(f"{protocol.name} has no message {name!r} (there are: {known})")
 
     def belongs(cls: type, kind: type) -> bool:
-        return issubclass(kind, Record) and kind.__name__ == name and kind._protocol == protocol.name
+        return issubclass(kind, Record) and kind.__name__ == name and protocol_name_of(kind) == protocol.name
 
     def refuse(cls: type, *_: Any, **__: Any) -> NoReturn:
         raise TypeError(f"records come from scanners; to make a packet: {protocol.name}.encode({name!r}, …)")

@@ -234,6 +234,18 @@ class ByteSource:
         if self._owned:
             self._file.close()
 
+    def plain_path(self) -> str | None:
+        """Where the very bytes of the source are, if that is a plain file."""
+        name = getattr(self._file, "name", None)
+        if self.live or not isinstance(self._file, io.FileIO) or not isinstance(name, str):
+            return None
+        try:
+            with open(name, "rb") as file:
+                head = self.head()
+                return os.path.abspath(name) if file.read(len(head)) == head else None
+        except OSError:
+            return None
+
 
 # ---- as a file on disk, for formats that are read from here and there and not from front to back
 
@@ -248,7 +260,7 @@ def on_disk(source: ByteSource) -> Generator[tuple[str, str]]:
     Raises `CaptureError` when the source is longer than `LIMIT` or cannot be written to disk.
     """
     with tempfile.TemporaryDirectory(prefix="aces-", ignore_cleanup_errors=True) as folder:
-        path = _path_of(source)
+        path = source.plain_path()
         if path is None:
             path = os.path.join(folder, "capture")
             size = 0
@@ -268,19 +280,6 @@ def on_disk(source: ByteSource) -> Generator[tuple[str, str]]:
                     " set TMPDIR to a folder with more room, or name a plain file"
                 ) from error
         yield path, folder
-
-
-def _path_of(source: ByteSource) -> str | None:
-    """Where the very bytes of the source are, if that is a plain file."""
-    name = getattr(source._file, "name", None)
-    if source.live or not isinstance(source._file, io.FileIO) or not isinstance(name, str):
-        return None
-    try:
-        with open(name, "rb") as file:
-            head = source.head()
-            return os.path.abspath(name) if file.read(len(head)) == head else None
-    except OSError:
-        return None
 
 
 # ---- in parts

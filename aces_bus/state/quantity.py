@@ -148,7 +148,7 @@ class TimeSeries(ABC):
         try:
             instant = origin + round(t * 1e9)
         except (OverflowError, ValueError, TypeError):
-            instant = origin + self._ns(t)  # says what is wrong with it
+            instant = origin + self.in_ns(t)  # says what is wrong with it
         return self.at(instant)
 
     def get(self, t: float, default: Any = UNKNOWN) -> Any:
@@ -159,7 +159,8 @@ class TimeSeries(ABC):
             return default
         return default if value is UNKNOWN else value
 
-    def _ns(self, t: float) -> int:
+    def in_ns(self, t: float) -> int:
+        """A time in seconds as nanoseconds; raises `StateError` where it is none."""
         try:
             return round(t * 1e9)
         except (OverflowError, ValueError, TypeError):

@@ -291,7 +291,7 @@ class State(TimeSeries):
         try:
             instant = origin + round(t * 1e9)
         except (OverflowError, ValueError, TypeError):
-            instant = origin + self._ns(t)  # says what is wrong with it
+            instant = origin + self.in_ns(t)  # says what is wrong with it
         return self.at(instant)
 
     def at(self, instant: int) -> Any:

@@ -43,8 +43,8 @@ def window_of(quantity: TimeSeries, t0: float | None, t1: float, rate_hz: float 
     if origin is None or span is None:
         empty = np.empty(0)
         return SampleWindow(np.empty(0, np.int64), empty, empty)
-    end = origin + quantity._ns(t1)
-    start = span[0] if t0 is None else origin + quantity._ns(t0)
+    end = origin + quantity.in_ns(t1)
+    start = span[0] if t0 is None else origin + quantity.in_ns(t0)
     forgotten = quantity.forgotten
     if t0 is not None and forgotten is not None and start < forgotten:
         raise StateError(

@@ -188,7 +188,7 @@ class _Remembering(Reference):
             answer = self.said.get(key)
             if answer is None:
                 answer = super()._decode(image, channel, time, framing)
-                self._keep(key, answer)
+                self.keep(key, answer)
             found: tuple[str, Message | None, Any] = answer
             return found
         finally:
@@ -209,7 +209,7 @@ class _Remembering(Reference):
         known: list[Message] | None = self.said.get((variant, identifier))
         if known is None:
             known = [m for m in messages if m.identifier.match(identifier) is not None]
-            self._keep((variant, identifier), known)
+            self.keep((variant, identifier), known)
         return known
 
     def _known(self, message: Message) -> Any:
@@ -223,7 +223,7 @@ class _Remembering(Reference):
     def _stand_ins(self) -> dict[Message, _StandIn]:
         return {}
 
-    def _keep(self, key: Any, answer: Any) -> None:
+    def keep(self, key: Any, answer: Any) -> None:
         if len(self.said) > REMEMBERED:
             self.said.clear()
         self.said[key] = answer
@@ -253,7 +253,7 @@ class _StandIn:
                 answer, error = self.message.struct.parse(image, raw=raw, request=request), None
             except (ConstructError, AcesError) as refusal:
                 answer, error = None, refusal
-            self.reference._keep(key, (answer, error))
+            self.reference.keep(key, (answer, error))
         if error is not None:
             raise error.with_traceback(None)
         return answer

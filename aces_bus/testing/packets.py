@@ -163,7 +163,7 @@ def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) 
     root = c.Container(raw=True)
     root._params = root
     around = c.Container(_=root, _params=root)
-    around.update({k: v for k, v in values.items() if k not in message._payload_names()})
+    around.update({k: v for k, v in values.items() if k not in message.payload_names})
     drawn = drawer(message)(source, around, _room(message, source))
     if message.check is not None and message.check.field is not None:
         drawn.pop(message.check.field, None)

@@ -1,3 +1,5 @@
+# Requests are answered without a socket.
+# pyright: reportPrivateUsage=false
 """The original's UDP service: what it answers, what it takes, and what it makes of everything else."""
 
 from __future__ import annotations

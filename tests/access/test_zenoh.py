@@ -1,3 +1,5 @@
+# Junk is planted where zenoh calls.
+# pyright: reportPrivateUsage=false
 """States over zenoh: a robot here, a controller there; what is lost, what is refused, what is junk."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# The log's queue is waited for.
+# pyright: reportPrivateUsage=false
 """Logs in real time: threads, slow and full disks, and writers that are killed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# A layout's columns are tested without a file.
+# pyright: reportPrivateUsage=false
 """What holds for every export: one schema, bounded memory, few open files, all or nothing, names that no system refuses."""
 
 from __future__ import annotations

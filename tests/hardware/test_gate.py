@@ -1,3 +1,5 @@
+# Failing handlers and adapters are planted in private parts.
+# pyright: reportPrivateUsage=false
 """The CAN gatekeeper: readers that fail, adapters that lie, buses that go away and come back."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Threads are waited for, and a client's end is brought about.
+# pyright: reportPrivateUsage=false
 """What is given to a gate is sent, or it is said why not: at the end, after an outage, when it is too old."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# A port's way of sending is tested without a port.
+# pyright: reportPrivateUsage=false
 """What a port does with words while its bus is lost."""
 
 from __future__ import annotations

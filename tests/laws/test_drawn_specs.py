@@ -1,3 +1,5 @@
+# A fault is planted in a private part.
+# pyright: reportPrivateUsage=false
 """Drawn specs mean what plain bit arithmetic says: live, in columns, in the reference, and built again."""
 
 from __future__ import annotations

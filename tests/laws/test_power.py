@@ -1,3 +1,5 @@
+# Faults are planted in private parts.
+# pyright: reportPrivateUsage=false
 """Each law can fail: a fault of the kind that it is about is planted, and found.
 
 A law that passes on a broken scanner proves nothing. Every fault here is one line of somebody's bad day: a check left
@@ -159,14 +161,14 @@ def a_message_is_overlooked(patch: pytest.MonkeyPatch) -> None:
 
 
 def held_bytes_are_thrown_away(patch: pytest.MonkeyPatch) -> None:
-    good = StreamScanner._advance
+    good = StreamScanner.advance
 
     def advance(self: StreamScanner, data: bytes, *args: Any, **more: Any) -> Any:
-        self._base += len(self._buffer)
-        self._buffer = b""
+        self.base += len(self.buffer)
+        self.buffer = b""
         return good(self, data, *args, **more)
 
-    patch.setattr(StreamScanner, "_advance", advance)
+    patch.setattr(StreamScanner, "advance", advance)
 
 
 def each_batch_loses_its_last_frame(patch: pytest.MonkeyPatch) -> None:

@@ -1,3 +1,5 @@
+# The judge is tested without a scanner.
+# pyright: reportPrivateUsage=false
 """What a scanner does with input made to cost it most: counted in bytes that checks and unstuffing read."""
 
 from __future__ import annotations

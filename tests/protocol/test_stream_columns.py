@@ -1,3 +1,5 @@
+# What is held in memory is counted.
+# pyright: reportPrivateUsage=false
 """Streams as columns: what the live scanner finds, all at once; and the parts that find, check and cut many packets."""
 
 from __future__ import annotations
@@ -331,7 +333,7 @@ def test_every_kind_of_framing_and_check(name: str) -> None:
 
 @pytest.mark.parametrize(
     "check",
-    [Sum(8), Sum(5, order="big"), Sum(9), InvertedSum(8, order="big"), InvertedSum(10), Xor()],
+    [Sum(8), Sum(5, order="big"), Sum(7), InvertedSum(8, order="big"), InvertedSum(6), Xor()],
     ids=lambda check: check.describe,
 )
 def test_wide_checks_are_those_of_the_reference(check: Check) -> None:

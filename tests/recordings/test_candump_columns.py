@@ -1,3 +1,5 @@
+# The line by line reader is private to its class.
+# pyright: reportPrivateUsage=false
 """candump logs as columns: the same frames, counters and problems as line by line, whatever the lines and the cuts.
 
 The line by line reader, which `test_candump` checks against the format's description, is the truth here.

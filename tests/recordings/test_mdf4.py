@@ -1,3 +1,5 @@
+# What asammdf's way gives is read by one process for many files.
+# pyright: reportPrivateUsage=false
 """Ordinary MF4 files, read without asammdf: the frames and counts that asammdf's way gives, and no worse when damaged."""
 
 from __future__ import annotations

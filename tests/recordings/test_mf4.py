@@ -1,3 +1,5 @@
+# One process that reads serves many files.
+# pyright: reportPrivateUsage=false
 """MF4 bus logs: read by another process, written by our own blocks, and the same frames either way.
 
 A process that reads takes a second to start; most tests therefore let one read many files.

@@ -1,3 +1,5 @@
+# A command is given behind the runner's back.
+# pyright: reportPrivateUsage=false
 """How runs end, whatever goes wrong: who is stopped, in which order, what is told, and that nothing hangs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# The kernel's buffer is made small.
+# pyright: reportPrivateUsage=false
 """SocketCAN with a real kernel: our gatekeeper and our commands beside `candump` and `cangen`.
 
 1. It runs where ACES_SOCKETCAN names two virtual CAN interfaces that it may take down, as in the guest of `run.py`

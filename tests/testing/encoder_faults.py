@@ -1,3 +1,5 @@
+# Faults are planted in private parts.
+# pyright: reportPrivateUsage=false
 """Faults of encoders: what goes out is not what construct would build.
 
 1. They are planted in encoders alone; construct, which judges them, stays whole.

@@ -1,3 +1,5 @@
+# Faults are planted in private parts.
+# pyright: reportPrivateUsage=false
 """Faults of scanners, each one line of somebody's bad day. To add one: a function that plants it, and its line in `FAULTS`.
 
 1. A fault is planted before its protocol is declared, in what is generated or in what runs; never in construct, in the
@@ -111,14 +113,14 @@ def an_end_mark_is_looked_for_too_late(patch: Patch) -> None:
 
 
 def a_byte_is_lost_between_chunks(patch: Patch) -> None:
-    good = StreamScanner._advance
+    good = StreamScanner.advance
 
     def advance(self: StreamScanner, data: bytes, *args: Any, **more: Any) -> Any:
-        if data and len(self._buffer) == 3:
-            self._buffer = self._buffer[:-1]
+        if data and len(self.buffer) == 3:
+            self.buffer = self.buffer[:-1]
         return good(self, data, *args, **more)
 
-    patch.setattr(StreamScanner, "_advance", advance)
+    patch.setattr(StreamScanner, "advance", advance)
 
 
 def a_false_header_costs_two_bytes(patch: Patch) -> None:
@@ -149,7 +151,7 @@ def what_is_held_is_lost_at_the_end(patch: Patch) -> None:
     good = StreamScanner.close
 
     def close(self: StreamScanner) -> Any:
-        self._buffer = b""
+        self.buffer = b""
         return good(self)
 
     patch.setattr(StreamScanner, "close", close)
@@ -271,13 +273,13 @@ def a_counter_wraps_one_late(patch: Patch) -> None:
 
 
 def a_filter_eats_a_record(patch: Patch) -> None:
-    good = StreamScanner._advance
+    good = StreamScanner.advance
 
     def advance(self: StreamScanner, *args: Any, **more: Any) -> Any:
         found = good(self, *args, **more)
         return found if self.include_unknown or len(found) < 2 else found[:-1]
 
-    patch.setattr(StreamScanner, "_advance", advance)
+    patch.setattr(StreamScanner, "advance", advance)
 
 
 def long_losses_are_counted_short(patch: Patch) -> None:

@@ -1,3 +1,5 @@
+# What is held in memory is counted.
+# pyright: reportPrivateUsage=false
 """`aces plot`: which signals a pattern means, what is kept of a long capture, what the pictures show."""
 
 from __future__ import annotations

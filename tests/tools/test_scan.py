@@ -1,3 +1,5 @@
+# Other hosts are planted.
+# pyright: reportPrivateUsage=false
 """`aces discover`: finds what answers, writes a robot file that works, says what is missing."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# An interrupt is planted in a private part.
+# pyright: reportPrivateUsage=false
 """`aces sniff`: what is heard is shown, filtered, recorded and counted; nothing is ever sent."""
 
 from __future__ import annotations

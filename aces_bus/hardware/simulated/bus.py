@@ -151,16 +151,16 @@ class BusNode:
         self.quiet_until = 0
         #: Whether `happened` is called for every frame that was sent.
         self.hears_sent = happened is not None
-        self._waiting: list[tuple[int, int, Frame]] = []
+        self.waiting: list[tuple[int, int, Frame]] = []
         #: Who wants to know what becomes of a frame, by its number.
-        self._reports: dict[int, Callable[[str, str], object]] = {}
+        self.reports: dict[int, Callable[[str, str], object]] = {}
         #: What is on the wire, not among those that wait.
-        self._sending: tuple[int, int, Frame] | None = None
+        self.sending: tuple[int, int, Frame] | None = None
 
     @property
     def pending(self) -> int:
         """How many frames are not sent yet, the one on the wire included."""
-        return len(self._waiting) + (self._sending is not None)
+        return len(self.waiting) + (self.sending is not None)
 
     def send(self, frame: Frame, report: Callable[[str, str], object] | None = None, age_ns: int = 0) -> bool:
         """Queue a frame; the most urgent identifier goes first. False when all mailboxes are full or the node is bus-off.
@@ -172,14 +172,14 @@ class BusNode:
             raise CallerError(f"{self.name} only listens")
         if frame.is_error_frame:
             raise CallerError("an error frame is not sent but made by faults")
-        if self.state == "bus-off" or len(self._waiting) >= self.mailboxes:
+        if self.state == "bus-off" or len(self.waiting) >= self.mailboxes:
             return False
         wire = self.wire
         wire.count += 1
-        heappush(self._waiting, (arbitration(frame), wire.count, frame))
+        heappush(self.waiting, (arbitration(frame), wire.count, frame))
         if report is not None:
             number = wire.count
-            self._reports[number] = report
+            self.reports[number] = report
             if age_ns:
                 wire.clock.call_in(age_ns, lambda: self._expire(number))
         wire.wake()
@@ -187,12 +187,12 @@ class BusNode:
 
     def _expire(self, number: int) -> None:
         """A frame is too old: it leaves its mailbox, unless it is on the wire."""
-        if number in self._reports:
-            left = [entry for entry in self._waiting if entry[1] != number]
-            if len(left) < len(self._waiting):
+        if number in self.reports:
+            left = [entry for entry in self.waiting if entry[1] != number]
+            if len(left) < len(self.waiting):
                 heapify(left)
-                self._waiting = left
-            self._reports.pop(number)("expired", "it was not taken; is anybody on the bus?")
+                self.waiting = left
+            self.reports.pop(number)("expired", "it was not taken; is anybody on the bus?")
 
     def disconnect(self) -> None:
         """Pull the plug: nothing arrives and nothing leaves; what waits goes on waiting."""
@@ -201,15 +201,15 @@ class BusNode:
     def connect(self) -> None:
         """Put the plug back."""
         self.is_connected = True
-        if self._waiting:
+        if self.waiting:
             self.wire.wake()
 
     def abort(self) -> int:
         """Drop what waits to be sent; how many frames that was. The one on the wire is sent."""
-        gone = self._waiting
-        self._waiting = []
-        for _, number, _ in gone if self._reports else ():
-            if (report := self._reports.pop(number, None)) is not None:
+        gone = self.waiting
+        self.waiting = []
+        for _, number, _ in gone if self.reports else ():
+            if (report := self.reports.pop(number, None)) is not None:
                 report("unsent", "the node was taken off, or its mailboxes were emptied")
         return len(gone)
 
@@ -224,7 +224,7 @@ class BusNode:
             self.transmit_errors = self.receive_errors = 0
             self.state = "error-active"
             self.tell("recovered")
-            if self._waiting:
+            if self.waiting:
                 self.wire.wake()
 
     def tell(self, kind: str, frame: Frame | None = None) -> None:
@@ -345,7 +345,7 @@ class SimulatedBus:
         senders: list[BusNode] = []
         later: int | None = None
         for node in self.nodes:
-            waiting = node._waiting
+            waiting = node.waiting
             if not waiting or not node.is_connected or node.state == "bus-off":
                 continue
             if node.quiet_until > now:
@@ -361,13 +361,13 @@ class SimulatedBus:
                 self._is_woken = True
                 self.clock.call_at(later, self._arbitrate)
             return
-        frame = senders[0]._waiting[0][2]
+        frame = senders[0].waiting[0][2]
         self._is_busy = True
         for node in senders:
-            node._sending = heappop(node._waiting)
+            node.sending = heappop(node.waiting)
         bits = frame_bits(frame)
         is_alone = len(senders) == 1
-        if not is_alone and any(node._sending and node._sending[2] != frame for node in senders):
+        if not is_alone and any(node.sending and node.sending[2] != frame for node in senders):
             self._destroy(senders, frame, bits, "bit error", min(bits.total - 1, 20))
             return
         listeners = [
@@ -403,11 +403,11 @@ class SimulatedBus:
         load.busy_ns += duration + pause
         self._idle_from = now + pause
         for node in senders:
-            if node._reports and node._sending is not None:
-                report = node._reports.pop(node._sending[1], None)
+            if node.reports and node.sending is not None:
+                report = node.reports.pop(node.sending[1], None)
                 if report is not None:
                     report("sent", "")
-            node._sending = None
+            node.sending = None
             if node.transmit_errors:
                 node.count_errors(-1, 0, frame)
             if node.state == "error-passive":
@@ -430,7 +430,7 @@ class SimulatedBus:
             if node.hears_sent:
                 node.tell("sent", frame)
         for node in self.nodes:
-            if node._waiting:
+            if node.waiting:
                 self.wake()
                 break
 
@@ -454,9 +454,9 @@ class SimulatedBus:
             self._idle_from = self.clock.now() + pause
             self._is_busy = False
             for node in senders:
-                if node._sending is not None and node in self.nodes:
-                    heappush(node._waiting, node._sending)
-                node._sending = None
+                if node.sending is not None and node in self.nodes:
+                    heappush(node.waiting, node.sending)
+                node.sending = None
                 # A passive node whose frame no node acknowledges does not count it (12.1.4.2 c, exception 1).
                 if kind != "no acknowledge" or node.state != "error-passive":
                     node.tell(kind, frame)

@@ -20,7 +20,7 @@ from ..generate.load import OnDemand
 from ..keys import key_of
 from ..live.scanner import Scanner, make_scanner
 from ..plan import nodes as p
-from ..record import Record, Unknown, getter, plain_value
+from ..record import Record, Unknown, getter, message_of, plain_value, protocol_name_of
 from .table import Array, Column, ColumnKind, MessageTable, dtype_of, kinds_of, lost_table, object_array
 
 
@@ -93,7 +93,7 @@ class RecordColumns:
         self._rows = 0
         #: By record type, made when its first record comes.
         self._gatherers: OnDemand[type[Record], Gatherer] = OnDemand(
-            lambda kind: Gatherer(kind, kind._declared.plan, raw=raw)
+            lambda kind: Gatherer(kind, message_of(kind).plan, raw=raw)
         )
 
     @property
@@ -175,12 +175,13 @@ class Gatherer:
     def table(self, records: Sequence[Any], rows: Array, channels: Channels) -> MessageTable:
         """The records, of which `rows` are the numbers in the capture; of a stream the packets' offsets."""
         n = len(records)
-        is_stream = self.record._is_stream
+        message = message_of(self.record)
+        is_stream = message.framing is not None
         fillers = self._fillers
         return MessageTable(
-            protocol=self.record._protocol,
+            protocol=protocol_name_of(self.record),
             message=self.record.__name__,
-            direction=self.record._direction,
+            direction=message.direction,
             is_stream=is_stream,
             time=np.fromiter((to_ns(r._time) for r in records), np.int64, n),
             channel=np.fromiter((channels.number(r._channel) for r in records), np.uint16, n),

@@ -60,9 +60,9 @@ class StreamColumns:
         self._survey: Survey | None = None
         if len(scanner.framings) == 1:
             framing = scanner.framings[0]
-            decider = next(d for d in scanner._deciders if any(m.framing is framing for m in d.messages))
+            decider = next(d for d in scanner.deciders if any(m.framing is framing for m in d.messages))
             messages = [message for message in decider.messages if message.framing is framing]
-            extras = framing.extras_of(m for d in scanner._deciders for m in d.messages)
+            extras = framing.extras_of(m for d in scanner.deciders for m in d.messages)
             self.reason = Survey.why_not(framing, extras)
             if not self.reason:
                 self._survey = Survey(framing, extras)
@@ -85,7 +85,7 @@ class StreamColumns:
         if self._survey is None:
             return self._records.tables(scanner.feed(data, time), None)
         if time is None:
-            time = self._marks[-1][1] if self._marks else scanner._time
+            time = self._marks[-1][1] if self._marks else scanner.time
         tables: list[MessageTable] = []
         if self.include_unknown and self._marks and self._marks[-1][1] != time:
             tables = self.flush()
@@ -100,7 +100,7 @@ class StreamColumns:
         if data or self._marks:
             self._marks.append((counts.total, time))
         else:
-            scanner._time = time
+            scanner.time = time
         if self._size >= GATHER:
             tables = _merged([*tables, *self.flush()])
         return tables
@@ -115,12 +115,12 @@ class StreamColumns:
         scanner = self.scanner
         time = marks[-1][1]
         if len(marks) == 1 and len(data) < WORTH:
-            return self._records.tables(scanner._advance(data, time, silent=False), None)
+            return self._records.tables(scanner.advance(data, time, silent=False), None)
         tables: list[MessageTable] = []
         for at in range(0, len(data), PIECE):
             tables += self._decide(data[at : at + PIECE] if len(data) > PIECE else data, marks)
         # The last few bytes, which may be the beginning of sync bytes, are the live scanner's.
-        tables += self._records.tables(scanner._advance(b"", time, silent=False), None)
+        tables += self._records.tables(scanner.advance(b"", time, silent=False), None)
         return _merged(tables)
 
     def idle(self, time: float | None = None) -> list[MessageTable]:
@@ -151,13 +151,13 @@ class StreamColumns:
         assert self._survey is not None
         scanner = self.scanner
         counts = scanner.counts
-        size = len(scanner._buffer) + len(data)
-        buffer = b"".join((scanner._buffer, data, AIR))
-        base = scanner._base
+        size = len(scanner.buffer) + len(data)
+        buffer = b"".join((scanner.buffer, data, AIR))
+        base = scanner.base
         decided = self._survey.decide(buffer, size)
         sizes = decided.sizes
         times, when = _instants(decided, base, marks)
-        scanner._time = times[-1] if when is None else marks[-1][1]
+        scanner.time = times[-1] if when is None else marks[-1][1]
         batch = Batch(buffer, base, decided.starts, sizes, times, when, decided.rows)
         tables, unknown, reasons = self._tables.tables(batch)
         accepted = int(sizes.sum())
@@ -168,15 +168,15 @@ class StreamColumns:
         else:
             for reason, number in totals_of(decided, unknown, reasons).items():
                 counts.lose(number, reason)
-        scanner._base += decided.stop
-        scanner._buffer = buffer[decided.stop : size]
+        scanner.base += decided.stop
+        scanner.buffer = buffer[decided.stop : size]
         return tables
 
     def _lost(self, losses: LossRuns, buffer: bytes, base: int, stop: int) -> list[MessageTable]:
         """Tables of what was lost. A run that may go on is left with the live scanner, which knows how to end it."""
         scanner, records = self.scanner, self._records
         first, last = 0, len(losses)
-        if last and scanner._run is not None:
+        if last and scanner.run is not None:
             first = 1
         if last > first and int(losses.starts[-1] + losses.sizes[-1]) == stop:
             last -= 1
@@ -188,21 +188,21 @@ class StreamColumns:
             found: list[Any] = []
             for index in indices:
                 loss = losses.item(index, base, buffer)
-                if scanner._run is not None and loss[0] != scanner._run[0] + len(scanner._run[2]):
-                    scanner._end_run(found)
-                scanner._lost(loss, found)
+                if scanner.run is not None and loss[0] != scanner.run[0] + len(scanner.run[2]):
+                    scanner.end_run(found)
+                scanner.add_loss(loss, found)
             at = base + int(losses.starts[indices.stop]) if indices.stop < len(losses) else base + stop
-            if scanner._run is not None and at != scanner._run[0] + len(scanner._run[2]):
-                scanner._end_run(found)
+            if scanner.run is not None and at != scanner.run[0] + len(scanner.run[2]):
+                scanner.end_run(found)
             tables.extend(records.tables(found, None))
 
         one_by_one(range(first))
         if last > first:
             found: list[Any] = []
-            scanner._end_run(found)
+            scanner.end_run(found)
             tables += records.tables(found, None)
             some = slice(first, last)
-            tables.append(losses.table(some, base, buffer, scanner._time, records.channels))
+            tables.append(losses.table(some, base, buffer, scanner.time, records.channels))
             for reason, number in losses.by_reason(some).items():
                 scanner.counts.lose(number, reason)
         if last < len(losses):

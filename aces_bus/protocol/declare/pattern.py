@@ -24,23 +24,24 @@ from .place import caller
 class Arithmetic:
     """The operators that make a `IdPattern` out of captures and constants."""
 
-    def _pattern(self) -> IdPattern:
+    def as_pattern(self) -> IdPattern:
+        """The pattern that this is by itself."""
         raise NotImplementedError
 
     def __add__(self, other: int | Arithmetic) -> IdPattern:
-        return self._pattern().joined(other)
+        return self.as_pattern().joined(other)
 
     def __radd__(self, other: int) -> IdPattern:
-        return self._pattern().joined(other)
+        return self.as_pattern().joined(other)
 
     def __or__(self, other: int | Arithmetic) -> IdPattern:
-        return self._pattern().united(other)
+        return self.as_pattern().united(other)
 
     def __ror__(self, other: int) -> IdPattern:
-        return self._pattern().united(other)
+        return self.as_pattern().united(other)
 
     def __lshift__(self, bits: int) -> IdPattern:
-        return self._pattern().shifted(bits)
+        return self.as_pattern().shifted(bits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ class IdField(Arithmetic):
             return replace(self, values=range(kept[0], kept[-1] + 1))
         return replace(self, values=tuple(kept))
 
-    def _pattern(self) -> IdPattern:
+    def as_pattern(self) -> IdPattern:
         return IdPattern(0, (self,))
 
     def to_physical(self, raw: int) -> Any:
@@ -112,13 +113,13 @@ class IdPattern(Arithmetic):
     constant: int
     captures: tuple[IdField, ...] = ()
 
-    def _pattern(self) -> IdPattern:
+    def as_pattern(self) -> IdPattern:
         return self
 
     def joined(self, other: int | Arithmetic) -> IdPattern:
         if isinstance(other, int):
             return replace(self, constant=self.constant + other)
-        more = other._pattern()
+        more = other.as_pattern()
         captures = self.captures + more.captures
         names = [c.name for c in captures]
         for name in names:
@@ -128,10 +129,10 @@ class IdPattern(Arithmetic):
 
     def united(self, other: int | Arithmetic) -> IdPattern:
         """The parts side by side, as `|` says: raises `SpecError` where they share bits, which adding would carry."""
-        shared = self.bits & (other if isinstance(other, int) else other._pattern().bits)
+        shared = self.bits & (other if isinstance(other, int) else other.as_pattern().bits)
         if shared:
             named = [str(bit) for bit in range(shared.bit_length()) if shared >> bit & 1]
-            shown = other if isinstance(other, int) else other._pattern()
+            shown = other if isinstance(other, int) else other.as_pattern()
             text = f"{shown:#x}" if isinstance(shown, int) else shown.describe()
             raise SpecError(
                 f"{caller()}: {self.describe()} | {text} share bit{'s' if len(named) > 1 else ''} {', '.join(named)};"
@@ -249,7 +250,7 @@ def as_pattern(value: int | IdField | IdPattern | Collection[int], name: str = "
             )
         return IdPattern(value)
     if isinstance(value, Arithmetic):
-        pattern = value._pattern()
+        pattern = value.as_pattern()
         pattern.check()
         return pattern
     if not isinstance(value, Collection) or not value or not all(isinstance(one, int) for one in value):  # pyright: ignore[reportUnnecessaryIsInstance]

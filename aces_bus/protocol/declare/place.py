@@ -60,7 +60,7 @@ class SourceLine:
 
 def caller() -> SourceLine:
     """The innermost line outside the protocol core and construct: the spec's own line."""
-    frame = sys._getframe(1)
+    frame = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]  # `inspect` reads files
     while frame.f_back is not None:
         name = frame.f_code.co_filename
         inside = name.startswith(_CORE) or f"{os.sep}construct{os.sep}" in name

@@ -48,12 +48,12 @@ class Decider:
         #: The key of the last packet that is recognised only with its request, and why; asked by `need_of`.
         self._need: tuple[int, str] = (-1, "")
         #: By message: the last value of each rolling counter of each device, whichever function decodes it.
-        self._counters: dict[str, dict[Any, int]] = {}
+        self.last_counts: dict[str, dict[Any, int]] = {}
 
     def reset(self) -> None:
         """Forget requests and rolling counters."""
         self.context.reset()
-        for last in self._counters.values():
+        for last in self.last_counts.values():
             last.clear()
         self.missed, self._need = 0, (-1, "")
 
@@ -184,7 +184,7 @@ _names: WeakKeyDictionary[type, tuple[str, ...]] = WeakKeyDictionary()
 
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
     """Watches a message's rolling counters and counts what they say was missed."""
-    last = decider._counters.setdefault(message.name, {})
+    last = decider.last_counts.setdefault(message.name, {})
     raw = decider.raw_decoders[message.name]
     captures = [c.name for c in message.identifier.captures]
 

@@ -56,7 +56,7 @@ class StreamScanner:
         self.direction = direction
         self.include_unknown = include_unknown
         self.max_size = 0
-        self._deciders = [Decider(variant, direction, raw=raw) for variant in variants]
+        self.deciders = [Decider(variant, direction, raw=raw) for variant in variants]
         framings: list[tuple[Framing, str]] = []
         names: dict[str, Any] = {"from_bytes": int.from_bytes, "xor": xor_of, "fletcher": fletcher_of}
         self._sums: list[Sums] = []
@@ -65,7 +65,7 @@ class StreamScanner:
         #: By the number of the framing: its checks, where they are sums.
         self._overlaps: dict[int, Overlaps] = {}
         self.reset()
-        for decider in self._deciders:
+        for decider in self.deciders:
             for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
                 number = len(framings)
                 decode = f"packet_{number}"
@@ -106,19 +106,21 @@ class StreamScanner:
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""
         self._counts = ScanCounts()
-        self._buffer = b""
-        self._base = 0
-        self._time: float | None = None
+        #: What is not decided yet, its offset in the stream, and the instant (s) of what was fed last.
+        self.buffer = b""
+        self.base = 0
+        self.time: float | None = None
         #: Bytes at the end of a closed stream that began a packet.
         self._cut_off = 0
         self._losses: list[tuple[int, int, str, bytes]] = []
-        self._run: tuple[int, str, bytearray] | None = None
+        #: The run of lost bytes that may go on: offset, reason, data.
+        self.run: tuple[int, str, bytearray] | None = None
         self._state = _State()
         for sums in self._sums:
             sums.reset()
         for segments in self._segments:
             segments.reset()
-        for decider in self._deciders:
+        for decider in self.deciders:
             decider.reset()
 
     def _bind(
@@ -150,7 +152,7 @@ class StreamScanner:
     @property
     def counts(self) -> ScanCounts:
         """Where every byte went so far."""
-        self._counts.missed = sum(decider.missed for decider in self._deciders)
+        self._counts.missed = sum(decider.missed for decider in self.deciders)
         return self._counts
 
     # ------------------------------------------------------------------ feeding
@@ -161,7 +163,7 @@ class StreamScanner:
         `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
         """
         self._counts.total += len(data)
-        return self._advance(bytes(data), time if time is not None else self._time, silent=False)
+        return self.advance(bytes(data), time if time is not None else self.time, silent=False)
 
     def idle(self, time: float | None = None) -> list[Record]:
         """The line is silent: what is incomplete never will be.
@@ -169,25 +171,26 @@ class StreamScanner:
         With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since the last bytes
         that came with a time.
         """
-        if time is not None and self._time is not None and time - self._time <= self.gap:
+        if time is not None and self.time is not None and time - self.time <= self.gap:
             return []
-        return self._advance(b"", time if time is not None else self._time, silent=True)
+        return self.advance(b"", time if time is not None else self.time, silent=True)
 
     def datagram(self, data: bytes, time: float | None = None) -> list[Record]:
         """Records of one datagram: what it leaves incomplete, the next one does not continue."""
-        return [*self.feed(data, time), *self._advance(b"", self._time, silent=True)]
+        return [*self.feed(data, time), *self.advance(b"", self.time, silent=True)]
 
     def close(self) -> list[Record]:
         """The stream has ended. A packet cut off by the end stays pending; what follows a false one is found."""
-        return self._advance(b"", self._time, silent=True, closing=True)
+        return self.advance(b"", self.time, silent=True, closing=True)
 
-    def _advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
-        self._time = time
-        buffer = self._buffer + data if self._buffer else data
+    def advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
+        """What `data` completes, or with `silent` the silence behind it; the total is counted by who calls."""
+        self.time = time
+        buffer = self.buffer + data if self.buffer else data
         found: list[Any] = []
         losses = self._losses
-        base = self._base
-        deciders = self._deciders
+        base = self.base
+        deciders = self.deciders
 
         lost = 0
         reasons = self._counts.reasons
@@ -217,20 +220,20 @@ class StreamScanner:
             reached = self._scan(
                 buffer, base, reached, len(buffer), silent, time, found.append, lose, self._state
             )
-        self._base += reached
-        self._buffer = buffer[reached:]
+        self.base += reached
+        self.buffer = buffer[reached:]
         self._counts.decoded += reached - lost
         self._counts.records += len(found)
         if closing:
             self._leave_pending(found, buffer, base)
-        self._counts.pending = len(self._buffer) + self._cut_off
+        self._counts.pending = len(self.buffer) + self._cut_off
         if closing and not self.include_unknown:
             for _, size, reason, _ in losses:
                 if reason != "pending":
                     self._counts.lose(size, reason)
             losses.clear()
             return found
-        if losses or self._run is not None:
+        if losses or self.run is not None:
             return self._settle(found, silent)
         return found
 
@@ -322,53 +325,55 @@ class StreamScanner:
         for record in found:
             offset = record._key
             while at < len(losses) and losses[at][0] < offset:
-                self._lost(losses[at], out)
+                self.add_loss(losses[at], out)
                 at += 1
-            self._end_run(out)
+            self.end_run(out)
             out.append(record)
         for loss in losses[at:]:
-            self._lost(loss, out)
+            self.add_loss(loss, out)
         losses.clear()
         if silent:
-            self._end_run(out)
+            self.end_run(out)
         return out
 
-    def _lost(self, loss: tuple[int, int, str, bytes], out: list[Any]) -> None:
+    def add_loss(self, loss: tuple[int, int, str, bytes], out: list[Any]) -> None:
+        """Count a loss (offset, bytes, reason, data) and put it into the run that it goes on with."""
         offset, size, reason, data = loss
         if reason != "pending":
             self._counts.lose(size, reason)
         whole = not reason.startswith(("skipped", "malformed"))
-        if self._run is not None and (whole or self._run[1] != reason):
-            self._end_run(out)
+        if self.run is not None and (whole or self.run[1] != reason):
+            self.end_run(out)
         if whole:
             out.append(self._unknown(offset, reason, data))
             return
-        if self._run is None:
-            self._run = (offset, reason, bytearray())
-        run = self._run[2]
+        if self.run is None:
+            self.run = (offset, reason, bytearray())
+        run = self.run[2]
         run += data
         while len(run) >= RUN:
-            out.append(self._unknown(self._run[0], reason, bytes(run[:RUN])))
-            self._run = (self._run[0] + RUN, reason, run)
+            out.append(self._unknown(self.run[0], reason, bytes(run[:RUN])))
+            self.run = (self.run[0] + RUN, reason, run)
             del run[:RUN]
 
-    def _end_run(self, out: list[Any]) -> None:
-        if self._run is not None:
-            if self._run[2]:
-                out.append(self._unknown(self._run[0], self._run[1], bytes(self._run[2])))
-            self._run = None
+    def end_run(self, out: list[Any]) -> None:
+        """Report the run of equal losses, if there is one."""
+        if self.run is not None:
+            if self.run[2]:
+                out.append(self._unknown(self.run[0], self.run[1], bytes(self.run[2])))
+            self.run = None
 
     def _unknown(self, offset: int, reason: str, data: bytes) -> Unknown:
         direction = self.direction if self.direction != "both" else None
         return Unknown(
-            reason, Meta(None, None, self._time, None, direction, data, offset=offset, size=len(data))
+            reason, Meta(None, None, self.time, None, direction, data, offset=offset, size=len(data))
         )
 
     # ------------------------------------------------------------------ requests, and what tests look at
 
     def sent(self, data: bytes, time: float | None = None) -> None:
         """Our own transmission, one packet: a request that replies may hang on. It is not counted and gives no record."""
-        for decider in self._deciders:
+        for decider in self.deciders:
             for message in decider.asked:
                 framing = message.framing
                 assert framing is not None
@@ -381,7 +386,7 @@ class StreamScanner:
     @property
     def buffered(self) -> int:
         """Bytes held back."""
-        return len(self._buffer)
+        return len(self.buffer)
 
     @property
     def check_work(self) -> int:

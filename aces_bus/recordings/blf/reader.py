@@ -121,7 +121,7 @@ class BlfCapture(CanRecording):
                 yield file.first(size)
             if not whole:
                 yield None
-                self._damaged(f"the file ends within the object at offset {file.offset:,}", b"")
+                self.damaged(f"the file ends within the object at offset {file.offset:,}", b"")
             file.drop(size)
 
     def _header(self, file: _File) -> int:
@@ -132,7 +132,7 @@ class BlfCapture(CanRecording):
         size = size if _HEADER // 2 <= size <= _LARGEST_HEADER else _HEADER
         if not file.want(size):
             self._stated = 0
-            self._damaged(f"the file ends within its header of {size} bytes", file.first(24))
+            self.damaged(f"the file ends within its header of {size} bytes", file.first(24))
         file.drop(size)
         return start
 
@@ -140,7 +140,7 @@ class BlfCapture(CanRecording):
         """Count what the header states and is not there."""
         if self._objects < self._stated:
             missing = self._stated - self._objects
-            self._damaged(
+            self.damaged(
                 f"the header states {self._stated:,} objects, {self._objects:,} are there: {missing:,} are missing",
                 b"",
             )
@@ -152,7 +152,7 @@ class BlfCapture(CanRecording):
             return
         if method != 2:
             yield None
-            self._damaged(f"container at offset {offset:,}: packing method {method} is not known", container)
+            self.damaged(f"container at offset {offset:,}: packing method {method} is not known", container)
             return
         claimed = int.from_bytes(container[24:28], "little")
         if (
@@ -185,7 +185,7 @@ class BlfCapture(CanRecording):
                 yield piece
         if damage:
             yield None
-            self._damaged(
+            self.damaged(
                 f"container at offset {offset:,} is damaged after {total:,} bytes: {damage}", container
             )
 
@@ -215,7 +215,7 @@ class BlfCapture(CanRecording):
                 file.drop(len(file.data))
                 break
         if not is_blank or file.data.startswith(_OBJECT):
-            self._damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
+            self.damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
 
     def _can_begin(self, data: bytearray, place: int) -> bool:
         signature, _, _, long, kind = _BASE.unpack_from(data, place)
@@ -223,11 +223,12 @@ class BlfCapture(CanRecording):
             return _HEADER // 2 <= int.from_bytes(data[place + 4 : place + 8], "little") <= _LARGEST_HEADER
         return self._can_be(long, kind)
 
-    def _damaged(self, reason: str, excerpt: bytes) -> None:
+    def damaged(self, reason: str, excerpt: bytes) -> None:
+        """Count bytes that are no object, of which `excerpt` are the first."""
         self.lines += 1
         self._unreadable(self.lines, reason, excerpt[:24].hex(" ").encode())
 
-    def _decoded(
+    def decoded(
         self, data: Ints, begins: Ints, sizes: Ints, damages: list[tuple[int, str]], start_ns: int
     ) -> FrameTable:
         """The frames of these objects; counts everything. Each of `damages` is before one of the objects."""
@@ -321,16 +322,14 @@ class _Stream:
             self._offset += len(left)
             self.end_lost()
         elif left.strip(b"\0"):
-            self._capture._damaged(
-                f"the log ends within the object at unpacked offset {self._offset:,}", left
-            )
+            self._capture.damaged(f"the log ends within the object at unpacked offset {self._offset:,}", left)
         self._waiting, self._size = [], 0
         return tables
 
     def end_lost(self) -> None:
         """Count the bytes at the end that are no object, unless they are padding."""
         if self._lost is not None and not self._is_blank:
-            self._capture._damaged(self._found(self._offset), b"")
+            self._capture.damaged(self._found(self._offset), b"")
         self._lost = None
 
     def _lose(self, offset: int, is_blank: bool = True) -> None:
@@ -394,7 +393,7 @@ class _Stream:
                 steps = _STEPS if len(begin) < _FEW else 0
         begins.append(np.array(one, np.int64))
         sizes.append(np.array(each, np.int64))
-        table = self._capture._decoded(
+        table = self._capture.decoded(
             view, np.concatenate(begins), np.concatenate(sizes), damages, self.start_ns
         )
         if len(table):

@@ -20,6 +20,7 @@ from msgspec import UNSET, UnsetType
 from aces_bus.protocol import Record, Unknown
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.protocol.plan.nodes import MessagePlan
+from aces_bus.protocol.record import message_of, protocol_name_of
 
 from .shape import OfKind, Plans, is_single_value, json_value
 
@@ -88,9 +89,9 @@ class JsonLines:
         names = tuple(field.name for field in plan.fields)
         special = tuple(field.name for field in plan.fields if not is_single_value(field.node))
         protocol, message, direction = (
-            kind._protocol,
+            protocol_name_of(kind),
             kind.__name__,
-            kind._direction or (None if is_can else self._direction),
+            message_of(kind).direction or (None if is_can else self._direction),
         )
         get = attrgetter("_time", "_channel", "_key", "_raw", "_rx", *names)
 

@@ -16,6 +16,7 @@ from aces_bus.protocol import FlagSet, Record, Variant
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import getter as getter
+from aces_bus.protocol.record import message_of
 
 Convert = Callable[[Any], Any]
 T = TypeVar("T")
@@ -29,7 +30,7 @@ class Plans(Mapping[type[Record], p.MessagePlan]):
         self._records = [records_of(variant) for variant in variants]
 
     def __getitem__(self, kind: type[Record]) -> p.MessagePlan:
-        return kind._declared.plan
+        return message_of(kind).plan
 
     def __iter__(self) -> Iterator[type[Record]]:
         for records in self._records:

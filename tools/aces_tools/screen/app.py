@@ -153,12 +153,12 @@ class Table(ScrollView, can_focus=True):
         self.is_marking = True
         self._instant = 0
         self._selected: Place | None = None
-        self._at = 0
+        self.row_number = 0
 
     @property
     def selected(self) -> RepeatedFrame | None:
         """The row under the cursor."""
-        return self.rows[self._at] if self.rows else None
+        return self.rows[self.row_number] if self.rows else None
 
     def show(self, rows: list[RepeatedFrame], found: list[TableColumn]) -> None:
         """Show these rows, in these columns."""
@@ -167,11 +167,11 @@ class Table(ScrollView, can_focus=True):
         if rows is not self.rows:
             self.rows = rows
             if self._selected is not None and not (
-                self._at < len(rows) and rows[self._at].place == self._selected
+                self.row_number < len(rows) and rows[self.row_number].place == self._selected
             ):
                 at = next((i for i, row in enumerate(rows) if row.place == self._selected), None)
-                self._at = min(self._at, max(0, len(rows) - 1)) if at is None else at
-            self._at = min(self._at, max(0, len(rows) - 1))
+                self.row_number = min(self.row_number, max(0, len(rows) - 1)) if at is None else at
+            self.row_number = min(self.row_number, max(0, len(rows) - 1))
             self.virtual_size = Size(self.size.width, len(rows))
         self.refresh()
 
@@ -183,27 +183,27 @@ class Table(ScrollView, can_focus=True):
         spans = line(
             self.rows[number], self._model, self.layout_columns, self._instant, is_marking=self.is_marking
         )
-        is_selected = number == self._at and self._selected is not None
+        is_selected = number == self.row_number and self._selected is not None
         return (self._paint_selected if is_selected else self._paint)(spans, width)
 
     def select(self, number: int) -> None:
         """Put the cursor on a row."""
         if not self.rows:
             return
-        self._at = max(0, min(number, len(self.rows) - 1))
-        self._selected = self.rows[self._at].place
+        self.row_number = max(0, min(number, len(self.rows) - 1))
+        self._selected = self.rows[self.row_number].place
         top, height = self.scroll_offset.y, max(1, self.size.height)
-        if self._at < top:
-            self.scroll_to(y=self._at, animate=False)
-        elif self._at >= top + height:
-            self.scroll_to(y=self._at - height + 1, animate=False)
+        if self.row_number < top:
+            self.scroll_to(y=self.row_number, animate=False)
+        elif self.row_number >= top + height:
+            self.scroll_to(y=self.row_number - height + 1, animate=False)
         self.refresh()
 
     def action_move(self, step: int) -> None:
-        self.select(self._at + step if self._selected is not None else max(0, step - 1))
+        self.select(self.row_number + step if self._selected is not None else max(0, step - 1))
 
     def action_page(self, step: int) -> None:
-        self.select(self._at + step * max(1, self.size.height - 1))
+        self.select(self.row_number + step * max(1, self.size.height - 1))
 
     def action_end(self, number: int) -> None:
         self.select(number if number >= 0 else len(self.rows) - 1)
@@ -449,7 +449,7 @@ class LiveScreen(App[None]):
     def action_details(self) -> None:
         self.toggle_class("detailed")
         if self.has_class("detailed"):
-            self.table.select(self.table._at)
+            self.table.select(self.table.row_number)
             self.call_after_refresh(lambda: self._details(self._now()))
         self._again()
 
