@@ -189,10 +189,7 @@ BACK: dict[tuple[str, str], str] = {
         "aces_bus.protocol.declare.protocol",
         "aces_bus.protocol",
     ): "a variant makes its own scanner, encoder and tables",
-    (
-        "aces_bus.protocol.declare.ambiguity",
-        "aces_bus.protocol.plan",
-    ): "messages are compared by their plans",
+    ("aces_bus.protocol.declare.message", "aces_bus.protocol.plan"): "a message has its plan",
 }
 
 

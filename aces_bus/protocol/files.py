@@ -57,7 +57,7 @@ def load_file(path: str) -> ModuleType:
         except SyntaxError as error:
             raise CallerError(f"{error.filename or path}:{error.lineno}: {error.msg}") from error
         except Exception as error:  # whatever the user's own program may raise
-            raise CallerError(f"{_where(error, path)}: {error_text(error)}") from error
+            raise CallerError(f"{_where(error, path)}: {exception_text(error)}") from error
     return loaded[file]
 
 
@@ -97,9 +97,9 @@ def _where(error: Exception, path: str) -> str:
     return f"{path}:{lines[-1]}" if lines else path
 
 
-def error_text(error: Exception) -> str:
+def exception_text(error: Exception) -> str:
     """What an exception says, in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-__all__ = ["error_text", "load_file", "protocol_of_file"]
+__all__ = ["exception_text", "load_file", "protocol_of_file"]

@@ -34,7 +34,8 @@ from aces_bus.frame_table import (
 )
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import formats, open_recording
-from aces_bus.recordings.write import FORMATS, ChannelNumbers, WrittenChannels, open_writer
+from aces_bus.recordings.write import FORMATS, open_writer
+from aces_bus.recordings.write._base import ChannelNumbers, WrittenChannels
 
 CAN_FORMATS = [form.name for form in FORMATS.values() if form.link == "can"]
 #: Time in ns, channel, identifier, flags, length, data.

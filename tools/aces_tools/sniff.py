@@ -187,9 +187,7 @@ class Sniffing(LiveDecoding):
 
     def run(self) -> int:
         if self.arguments.screen:
-            from .screen import run_on_screen
-
-            return run_on_screen(self)
+            return _run_on_screen(self)
         gate = self.bus.gate(listen_only=True)
         events, inbox = BusEventLines(gate), gate.subscribe()
         recorder = self.recorder()
@@ -395,3 +393,55 @@ class Nameless:
 
     def reset(self) -> None:
         self.counts = ScanCounts()
+
+
+# ---------------------------------------------------------------------- aces sniff --screen
+
+#: Options that say something about lines.
+_OF_LINES = ("where", "unknown", "count", "format", "output", "quiet")
+
+
+def _run_on_screen(sniffing: Sniffing) -> int:
+    """One run; the exit status. Raises `CallerError` for a wrong call, a missing terminal, a bus that does not open."""
+    from .screen import check_screen, make_screen
+
+    arguments, bus = sniffing.arguments, sniffing.bus
+    for option in _OF_LINES:
+        if getattr(arguments, option):
+            raise CallerError(f"--{option} is about lines, and --screen prints none; press / there to filter")
+    if len(sniffing.messages) > 1:
+        raise CallerError("--screen takes one --message; press / there to filter")
+    if bus.kind != "can" and not arguments.protocol:
+        raise CallerError("--screen shows the packets of a protocol, and no bare bytes; name one: -p NAME")
+    check_screen()
+    gate = bus.gate(listen_only=True)
+    events, recorder = BusEventLines(gate), sniffing.recorder()
+    until = None if sniffing.duration is None else time.monotonic_ns() + sniffing.duration
+    with LivePatience() as patience:
+
+        def is_over() -> bool:
+            is_late = until is not None and time.monotonic_ns() >= until
+            return patience.is_over or is_late or (recorder is not None and recorder.failure is not None)
+
+        screen = make_screen(
+            gate,
+            sniffing.scanner,
+            filter=sniffing.filter,
+            title=" ".join(arguments.protocol),
+            record=None if recorder is None else lambda: f"{recorder.path} {recorder.recorded:,}",
+            bitrate=bus.options.get("bitrate"),
+            data_bitrate=bus.options.get("data_bitrate"),
+            show=sorted(sniffing.messages),
+            end=is_over,
+            colour=arguments.color,
+        )
+        try:
+            sniffing.open(gate, recorder)
+            screen.run()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            gate.stop()
+        dropped = gate.counters.dropped - (recorder.dropped if recorder is not None else 0)
+        sniffing.end(gate, events, recorder, dropped)
+    return sniffing.status or int(screen.return_code or 0)

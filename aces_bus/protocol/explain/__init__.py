@@ -12,10 +12,7 @@
 
 from __future__ import annotations
 
-from .attempt import Attempt as Attempt
-from .attempt import Death as Death
-from .attempt import FieldRead as FieldRead
-from .attempt import Step as Step
-from .attempt import TemplateTrace as TemplateTrace
-from .attempt import candump_text as candump_text
-from .tracer import Tracer as Tracer
+from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace, candump_text
+from .tracer import Tracer
+
+__all__ = ["Attempt", "Death", "FieldRead", "Step", "TemplateTrace", "Tracer", "candump_text"]

@@ -31,13 +31,9 @@ from collections.abc import Iterator
 from ..declare.protocol import Protocol
 from .examples import check_examples
 from .fields import check_fields
-from .finding import LEVELS as LEVELS
-from .finding import Finding as Finding
-from .finding import Level as Level
-from .finding import sort_key as sort_key
+from .finding import LEVELS, Finding, Level, sort_key
 from .framings import check_framings
-from .templates import check_templates
-from .templates import check_wire as check_wire
+from .templates import check_templates, check_wire
 
 
 def check_protocol(protocol: Protocol) -> list[Finding]:
@@ -54,3 +50,6 @@ def every_finding(protocol: Protocol) -> Iterator[Finding]:
             if key not in seen:
                 seen.add(key)
                 yield one
+
+
+__all__ = ["LEVELS", "Finding", "Level", "check_protocol", "check_wire", "every_finding", "sort_key"]

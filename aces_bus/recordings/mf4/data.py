@@ -52,7 +52,7 @@ class Bytes:
             else:
                 if not self._at:
                     try:
-                        self._unpacked = unpacked(self._file, segment)
+                        self._unpacked = unpack_segment(self._file, segment)
                     except ValueError as error:
                         self._unpacked, self.fault = b"", str(error)
                 size = min(size, len(self._unpacked) - self._at)
@@ -79,7 +79,7 @@ class Bytes:
         return done
 
 
-def unpacked(file: BinaryIO, segment: Segment) -> bytes:
+def unpack_segment(file: BinaryIO, segment: Segment) -> bytes:
     """The bytes of a packed segment; raises `ValueError` when it is damaged."""
     file.seek(segment.at)
     size, columns = segment.size, segment.packing
@@ -129,7 +129,7 @@ class Variable:
             else:
                 if number != self._number:
                     self._left -= segment.size
-                    self._number, self._unpacked = number, unpacked(self._file, segment)
+                    self._number, self._unpacked = number, unpack_segment(self._file, segment)
                 parts.append(self._unpacked[at : at + size])
             start, number = start + size, number + 1
         return b"".join(parts)

@@ -33,16 +33,14 @@ from typing import Any, BinaryIO, Self, cast
 from ...errors import CallerError, UnknownNameError
 from ...frame_table import FrameTable
 from ..base import Chunk, Link
-from ._base import ChannelNumbers, RecordingWriter, WrittenChannels
+from ._base import RecordingWriter
 from ._file import OutFile
 
 __all__ = [
     "FORMATS",
-    "ChannelNumbers",
     "FormatOut",
     "OpenWriter",
     "RecordingWriter",
-    "WrittenChannels",
     "open_writer",
     "writer_format",
 ]

@@ -1,3 +1,5 @@
 """Hubo's force/torque boards: feet (with tilt) and hands."""
 
-from .driver import driver as driver
+from .driver import driver
+
+__all__ = ["driver"]

@@ -1,3 +1,5 @@
 """Hubo's inertial boards: roll, pitch and their rates."""
 
-from .driver import driver as driver
+from .driver import driver
+
+__all__ = ["driver"]

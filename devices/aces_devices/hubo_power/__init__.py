@@ -1,3 +1,5 @@
 """Hubo's smart power controller."""
 
-from .driver import driver as driver
+from .driver import driver
+
+__all__ = ["driver"]

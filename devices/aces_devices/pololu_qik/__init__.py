@@ -1,3 +1,5 @@
 """Pololu qik dual motor drivers, as on Omnibot."""
 
-from .driver import driver as driver
+from .driver import driver
+
+__all__ = ["driver"]

@@ -45,3 +45,6 @@ def optional(module: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         return None
+
+
+__all__ = ["BenchRow", "fastest", "optional"]

@@ -93,3 +93,6 @@ def _said(path: str | None) -> str | None:
 
 def _suffix(path: str | None) -> str:
     return os.path.splitext(path or "")[1].lower()
+
+
+__all__ = ["Writer", "line_format", "table_format"]

@@ -13,21 +13,17 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 
-from ..live import BusEventLines, LivePatience
 from .model import Model
 
 if TYPE_CHECKING:
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
     from aces_bus.protocol import Scanner
     from aces_bus.recordings import CanFilter
-
-    from ..sniff import Sniffing
 
 
 def check_screen() -> None:
@@ -140,54 +136,4 @@ class ModelFeed:
             self._model.feed_records(self._scanner.idle(now_ns / 1e9), now_ns)
 
 
-# ---------------------------------------------------------------------- aces sniff --screen
-
-#: Options that say something about lines.
-OF_LINES = ("where", "unknown", "count", "format", "output", "quiet")
-
-
-def run_on_screen(sniffing: Sniffing) -> int:
-    """One run; the exit status. Raises `CallerError` for a wrong call, a missing terminal, a bus that does not open."""
-    arguments, bus = sniffing.arguments, sniffing.bus
-    for option in OF_LINES:
-        if getattr(arguments, option):
-            raise CallerError(f"--{option} is about lines, and --screen prints none; press / there to filter")
-    if len(sniffing.messages) > 1:
-        raise CallerError("--screen takes one --message; press / there to filter")
-    if bus.kind != "can" and not arguments.protocol:
-        raise CallerError("--screen shows the packets of a protocol, and no bare bytes; name one: -p NAME")
-    check_screen()
-    gate = bus.gate(listen_only=True)
-    events, recorder = BusEventLines(gate), sniffing.recorder()
-    until = None if sniffing.duration is None else time.monotonic_ns() + sniffing.duration
-    with LivePatience() as patience:
-
-        def is_over() -> bool:
-            is_late = until is not None and time.monotonic_ns() >= until
-            return patience.is_over or is_late or (recorder is not None and recorder.failure is not None)
-
-        screen = make_screen(
-            gate,
-            sniffing.scanner,
-            filter=sniffing.filter,
-            title=" ".join(arguments.protocol),
-            record=None if recorder is None else lambda: f"{recorder.path} {recorder.recorded:,}",
-            bitrate=bus.options.get("bitrate"),
-            data_bitrate=bus.options.get("data_bitrate"),
-            show=sorted(sniffing.messages),
-            end=is_over,
-            colour=arguments.color,
-        )
-        try:
-            sniffing.open(gate, recorder)
-            screen.run()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            gate.stop()
-        dropped = gate.counters.dropped - (recorder.dropped if recorder is not None else 0)
-        sniffing.end(gate, events, recorder, dropped)
-    return sniffing.status or int(screen.return_code or 0)
-
-
-__all__ = ["check_screen", "make_screen", "run_on_screen"]
+__all__ = ["check_screen", "make_screen"]
