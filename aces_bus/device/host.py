@@ -425,10 +425,7 @@ class Host(BusEndpoint[Device]):
             if ticket.deadline <= now and ticket in device.awaiting:
                 device.awaiting.remove(ticket)
                 self._missed(ticket, now)
-        if deadlines:
-            self._deadline_timer = self.clock.call_at(deadlines[0][0], self._expire)
-        else:
-            self._deadline_timer = None
+        self._deadline_timer = self.clock.call_at(deadlines[0][0], self._expire) if deadlines else None
 
     def _missed(self, ticket: Ticket, now: int) -> None:
         device: Device = ticket.device

@@ -233,9 +233,7 @@ class _Reader:
         values: dict[str, Any] = dict(given)
         for field in infos:
             values |= self._field(field, path, content)
-        if any(field.required and field.name not in values for field in infos):
-            return None
-        return kind(**values)
+        return None if any(field.required and field.name not in values for field in infos) else kind(**values)
 
     def _field(self, field: FieldInfo, path: tuple[str, ...], content: Mapping[str, Any]) -> dict[str, Any]:
         """The value of a key, as keywords for the struct: none where it is absent or wrong."""
@@ -377,21 +375,22 @@ def _stated(struct: msgspec.Struct) -> dict[str, Any]:
 
 
 def _toml(value: Any, without: tuple[str, ...] = ()) -> str:
-    if isinstance(value, msgspec.Struct):
-        value = {name: one for name, one in _stated(value).items() if name not in without}
-        return _toml_table(
-            {name: _hex(one) if name == "credentials" else _toml(one) for name, one in value.items()}
-        )
-    if isinstance(value, Mapping):
-        return _toml_table({name: _toml(one) for name, one in value.items()})
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return _toml_text(value)
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
-        return str(int(value))
+    match value:
+        case msgspec.Struct():
+            value = {name: one for name, one in _stated(value).items() if name not in without}
+            return _toml_table(
+                {name: _hex(one) if name == "credentials" else _toml(one) for name, one in value.items()}
+            )
+        case Mapping():
+            return _toml_table({name: _toml(one) for name, one in value.items()})
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return _toml_text(value)
+        case list() | tuple():
+            return f"[{', '.join(map(_toml, value))}]"
+        case float() if value.is_integer() and abs(value) < 1e15:
+            return str(int(value))
     return value.isoformat() if isinstance(value, (date, time)) else repr(value)
 
 

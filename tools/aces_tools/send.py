@@ -447,12 +447,11 @@ class Replies:
         return found
 
     def _unnamed(self, item: Any) -> None:
-        if self._link == "can":
-            data = self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
-        else:
-            data = self._lines.chunks(
-                [Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name
-            )
+        data = (
+            self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
+            if self._link == "can"
+            else self._lines.chunks([Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name)
+        )
         self._print(data, 1)
 
     def _print(self, data: bytes, count: int) -> None:

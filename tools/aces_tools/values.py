@@ -98,14 +98,15 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
         return _unquoted(text)
     if text == "none":
         return None
-    if isinstance(node, p.Many):
-        return _list(text, list(node.items), name, depth)
-    if isinstance(node, p.NestedRecord):
-        return _record(text, {field.name: field.node for field in node.fields}, name, depth)
-    if isinstance(node, p.Scalar) and node.kind == "bytes":
-        return _bytes(text.removeprefix("hex:"), name)
-    if isinstance(node, (p.Scalar, p.FromIdentifier, p.DelimitedField)):
-        return _of_number(text, node, name)
+    match node:
+        case p.Many():
+            return _list(text, list(node.items), name, depth)
+        case p.NestedRecord():
+            return _record(text, {field.name: field.node for field in node.fields}, name, depth)
+        case p.Scalar() if node.kind == "bytes":
+            return _bytes(text.removeprefix("hex:"), name)
+        case p.Scalar() | p.FromIdentifier() | p.DelimitedField():
+            return _of_number(text, node, name)
     return _open(text, name, depth)
 
 

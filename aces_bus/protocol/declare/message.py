@@ -511,9 +511,7 @@ class Message:
 
     @property
     def describe_lengths(self) -> str:
-        if self.lengths is None:
-            return ""
-        return f"{describe_values(self.lengths)} bytes"
+        return "" if self.lengths is None else f"{describe_values(self.lengths)} bytes"
 
     @property
     def outer_names(self) -> frozenset[str]:

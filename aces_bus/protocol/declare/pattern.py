@@ -81,9 +81,7 @@ class IdField(Arithmetic):
     @property
     def bits(self) -> int:
         """The bits that are set in some of its values, as a mask."""
-        if len(self.values) > 4096:
-            return (1 << self.width) - 1
-        return reduce(or_, self.values)
+        return (1 << self.width) - 1 if len(self.values) > 4096 else reduce(or_, self.values)
 
     def only(self, values: Collection[int]) -> IdField:
         """The same capture over fewer values."""

@@ -459,6 +459,6 @@ def share_dialect(one: Message, other: Message) -> bool:
 
 def may_coexist(one: Message, other: Message) -> bool:
     """Whether some dialect and configuration has both messages for one device."""
-    if not share_dialect(one, other):
-        return False
-    return not any(a.excludes(b) for a in one.when for b in other.when)
+    return (
+        not any(a.excludes(b) for a in one.when for b in other.when) if share_dialect(one, other) else False
+    )

@@ -283,30 +283,34 @@ class _Printer:
     def _leaf(self, leaf: p.NodePath, message: Message, plan: p.MessagePlan, abbr: str) -> dict[str, Any]:
         node, table = leaf.node, {"path": leaf.path}
         more: dict[str, Any] = {}
-        if isinstance(node, p.FromIdentifier):
-            if node.number is None:
-                more = {"kind": "identifier"}
-            else:
-                bits = node.number.place
-                part: dict[str, Any] = {"constant": node.constant, "shift": node.shift}
-                # Alone in its number it is (number − constant) ÷ 2^shift, which the program takes where there is no width.
-                part["width"] = None if node.is_alone else node.width
-                more = {"kind": "uint", "pattern": part, **_placed(bits)}
-            width = node.width
-            more["width"] = width
-            more |= self._number(leaf, node, abbr, f"uint{_size(width)}", width)
-        elif isinstance(node, p.FromRequest):
-            more = {"kind": "request", "field": self._field(abbr, leaf.path, "uint32", "DEC", None, leaf.doc)}
-        elif isinstance(node, p.Rest):
-            more = self._rest(leaf, node, message, abbr)
-        elif isinstance(node, (p.DelimitedField, p.MoreCells)):
-            index = node.index if isinstance(node, p.DelimitedField) else node.start
-            kind = "cell" if isinstance(node, p.DelimitedField) else "cells"
-            number = self._field(abbr, leaf.path, "string", None, None, leaf.doc)
-            more = {"kind": kind, "index": index + 1, "field": number}
-        else:
-            assert isinstance(node, p.Scalar)
-            more = self._scalar(leaf, node, plan, message, abbr)
+        match node:
+            case p.FromIdentifier():
+                if node.number is None:
+                    more = {"kind": "identifier"}
+                else:
+                    bits = node.number.place
+                    part: dict[str, Any] = {"constant": node.constant, "shift": node.shift}
+                    # Alone in its number it is (number − constant) ÷ 2^shift: what the program takes without a width.
+                    part["width"] = None if node.is_alone else node.width
+                    more = {"kind": "uint", "pattern": part, **_placed(bits)}
+                width = node.width
+                more["width"] = width
+                more |= self._number(leaf, node, abbr, f"uint{_size(width)}", width)
+            case p.FromRequest():
+                more = {
+                    "kind": "request",
+                    "field": self._field(abbr, leaf.path, "uint32", "DEC", None, leaf.doc),
+                }
+            case p.Rest():
+                more = self._rest(leaf, node, message, abbr)
+            case p.DelimitedField() | p.MoreCells():
+                index = node.index if isinstance(node, p.DelimitedField) else node.start
+                kind = "cell" if isinstance(node, p.DelimitedField) else "cells"
+                number = self._field(abbr, leaf.path, "string", None, None, leaf.doc)
+                more = {"kind": kind, "index": index + 1, "field": number}
+            case _:
+                assert isinstance(node, p.Scalar)
+                more = self._scalar(leaf, node, plan, message, abbr)
         return {**table, **more}
 
     def _rest(self, leaf: p.NodePath, node: p.Rest, message: Message, abbr: str) -> dict[str, Any]:
@@ -502,16 +506,17 @@ def lua_literal(value: Any, indent: int = 0) -> str:
 
 
 def _flat(value: Any) -> str:
-    if value is None:
-        return "nil"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return repr(value)
-    if isinstance(value, (str, bytes)):
-        return lua_string(value)
+    match value:
+        case None:
+            return "nil"
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            return repr(value)
+        case str() | bytes():
+            return lua_string(value)
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
     else:

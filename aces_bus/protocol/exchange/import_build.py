@@ -487,10 +487,11 @@ def _range(signal: Any) -> tuple[float, float] | None:
     low, high = signal.minimum, signal.maximum
     if low is None and high is None:
         return None
-    if signal.conversion.is_float:
-        ends = [-float_info.max, float_info.max]
-    else:
-        ends = sorted(raw * signal.conversion.scale + signal.conversion.offset for raw in _limits(signal))
+    ends = (
+        [-float_info.max, float_info.max]
+        if signal.conversion.is_float
+        else sorted(raw * signal.conversion.scale + signal.conversion.offset for raw in _limits(signal))
+    )
     low = ends[0] if low is None else _plain(low)
     high = ends[1] if high is None else _plain(high)
     is_span = math.isfinite(low) and math.isfinite(high) and low <= high and not low == high == 0

@@ -326,10 +326,11 @@ class _Builder:
         if getattr(parent, "subindices", None) is not None:
             text = f"{clean_text(parent.name)} {text}"
         place: c.Construct
-        if _FLOATS.get(one.data_type) == width:
-            place = float_bits(width, at)
-        else:
-            place = bits(width, at, signed=one.data_type in _SIGNED)
+        place = (
+            float_bits(width, at)
+            if _FLOATS.get(one.data_type) == width
+            else bits(width, at, signed=one.data_type in _SIGNED)
+        )
         names = {plain: number for number, plain in getattr(one, "value_descriptions", {}).items()}
         factor = getattr(one, "factor", 1)
         scale = int(factor) if float(factor).is_integer() else float(factor)

@@ -321,17 +321,18 @@ def words_of(frame: Any, data: bytes) -> list[Word]:
 def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tuple[str, str] | None:
     message = template.message
     place, _, offset = word
-    if place == "id":
-        if message.identifier.match(frame.arbitration_id) is None:
-            return "identifier", message.identifier.describe(8 if message.extended else 3)
-        is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)
-        return ("kind of frame", _kind(message)) if is_plain and not _is_kind(message, frame) else None
-    if place == "kind":
-        return None if _is_kind(message, frame) else ("kind of frame", _kind(message))
-    if place == "length":
-        if message.lengths is not None and len(data) not in message.lengths:
-            return "length", message.describe_lengths
-        return None
+    match place:
+        case "id":
+            if message.identifier.match(frame.arbitration_id) is None:
+                return "identifier", message.identifier.describe(8 if message.extended else 3)
+            is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)
+            return ("kind of frame", _kind(message)) if is_plain and not _is_kind(message, frame) else None
+        case "kind":
+            return None if _is_kind(message, frame) else ("kind of frame", _kind(message))
+        case "length":
+            if message.lengths is not None and len(data) not in message.lengths:
+                return "length", message.describe_lengths
+            return None
     assert offset is not None
     return template.death(data[: offset + 1], None, None)
 
@@ -372,11 +373,12 @@ def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Fi
 def frame_cell(template: Template, word: Word) -> str:
     place, _, offset = word
     message = template.message
-    if place == "id":
-        return message.identifier.describe(8 if message.extended else 3)
-    if place == "kind":
-        return _kind(message)
-    if place == "length":
-        return message.describe_lengths.removesuffix(" bytes")
+    match place:
+        case "id":
+            return message.identifier.describe(8 if message.extended else 3)
+        case "kind":
+            return _kind(message)
+        case "length":
+            return message.describe_lengths.removesuffix(" bytes")
     assert offset is not None
     return template.cell(offset, None)

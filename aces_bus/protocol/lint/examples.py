@@ -215,14 +215,15 @@ def agree(found: Any, wanted: Any) -> bool:
 
 def show_value(value: Any) -> str:
     """A value in a sentence: bytes as hexadecimal, floats short."""
-    if isinstance(value, bytes):
-        return value.hex(" ").upper() or "no bytes"
-    if isinstance(value, FlagSet):
-        return repr(value)
-    if isinstance(value, float):
-        return f"{value:.9g}"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{name}: {show_value(item)}" for name, item in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(show_value, value)) + "]"
+    match value:
+        case bytes():
+            return value.hex(" ").upper() or "no bytes"
+        case FlagSet():
+            return repr(value)
+        case float():
+            return f"{value:.9g}"
+        case Mapping():
+            return "{" + ", ".join(f"{name}: {show_value(item)}" for name, item in value.items()) + "}"
+        case list() | tuple():
+            return "[" + ", ".join(map(show_value, value)) + "]"
     return repr(value) if isinstance(value, str) else str(value)

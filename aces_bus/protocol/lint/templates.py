@@ -279,9 +279,9 @@ def _implied(wanted: Demands, given: Demands) -> bool:
 
 
 def _number(bits: tuple[int, ...], fixed: Mapping[int, int]) -> int | None:
-    if any(bit not in fixed for bit in bits):
-        return None
-    return sum(fixed[bit] << i for i, bit in enumerate(bits))
+    return (
+        None if any(bit not in fixed for bit in bits) else sum(fixed[bit] << i for i, bit in enumerate(bits))
+    )
 
 
 # ---------------------------------------------------------------------- direction

@@ -111,12 +111,13 @@ def _written(value: Any) -> str:
 
 def cell(value: Any) -> Any:
     """A value as one cell."""
-    if value is None or isinstance(value, (str, float)):
-        return value
-    if isinstance(value, FlagSet):
-        return "|".join(flag_names(value))
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, (int, bool)):
-        return value
+    match value:
+        case None | str() | float():
+            return value
+        case FlagSet():
+            return "|".join(flag_names(value))
+        case bytes():
+            return value.hex()
+        case int() | bool():
+            return value
     return json.dumps(json_value(value), ensure_ascii=False)

@@ -47,10 +47,11 @@ def thin(x: Array, y: Array, buckets: int) -> tuple[Array, Array]:
     if len(x) <= 5 * buckets:
         return x, y
     span = x[-1] - x[0]
-    if not span > 0:
-        number = np.zeros(len(x), np.int64)
-    else:
-        number = np.minimum(((x - x[0]) * (buckets / span)).astype(np.int64), buckets - 1)
+    number = (
+        np.minimum(((x - x[0]) * (buckets / span)).astype(np.int64), buckets - 1)
+        if span > 0
+        else np.zeros(len(x), np.int64)
+    )
     starts = np.flatnonzero(np.concatenate(([True], number[1:] != number[:-1])))
     ends = np.append(starts[1:], len(x)) - 1
     gone = np.isnan(y)

@@ -252,10 +252,11 @@ class _Drawing:
     # ------------------------------------------------------------------ panels
 
     def _panel(self, panel: PlotPanel, place: int, rows: int, labels: dict[int, str]) -> list[str]:
-        if panel.sort == "flags":
-            bodies = [self._lane(line, number) for number, line in enumerate(panel.lines)]
-        else:
-            bodies = self._canvas(panel, place, rows)
+        bodies = (
+            [self._lane(line, number) for number, line in enumerate(panel.lines)]
+            if panel.sort == "flags"
+            else self._canvas(panel, place, rows)
+        )
         out: list[str] = []
         for row, body in enumerate(bodies):
             label = labels.get(row)
@@ -290,10 +291,11 @@ class _Drawing:
     def _canvas(self, panel: PlotPanel, place: int, rows: int) -> list[str]:
         """Lines as braille."""
         lines = panel.axes[place]
-        if panel.sort == "names":
-            low, high = -0.5, len(panel.categories) - 0.5
-        else:
-            low, high = values_range(lines, panel.limits[place])
+        low, high = (
+            (-0.5, len(panel.categories) - 0.5)
+            if panel.sort == "names"
+            else values_range(lines, panel.limits[place])
+        )
         wide, tall = 2 * self.columns, 4 * rows
         cells = np.zeros((rows, self.columns), np.uint8)
         owner = np.full((rows, self.columns), -1, np.int64)

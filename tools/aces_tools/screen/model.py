@@ -304,10 +304,7 @@ class Model:
         rows, pages, scanner = self.rows, self._pages, self.scanner
         frames = [item.content for item in items]
         records: Sequence[Any]
-        if scanner is None:
-            records = [None] * len(frames)
-        else:
-            records = scanner.feed(frames)
+        records = [None] * len(frames) if scanner is None else scanner.feed(frames)
         record: Any
         for item, frame, record in zip(items, frames, records, strict=True):
             kind: Any = type(record)
@@ -399,10 +396,11 @@ class Model:
         fields = self.fields[type(record)]
         shown = channel or self.name
         is_lost = type(record) is Unknown
-        if is_lost:
-            name = record.kind if record.kind != "errors" else "error frame"
-        else:
-            name = fields.name if fields is not None else ""
+        name = (
+            (record.kind if record.kind != "errors" else "error frame")
+            if is_lost
+            else (fields.name if fields is not None else "")
+        )
         row = self.rows[place] = RepeatedFrame(place, self._numbers, shown, name, host_ns)
         row.is_lost = is_lost
         words = [shown, name]
