@@ -601,9 +601,7 @@ class Host(BusEndpoint[Device]):
             return self._speaking.device if self._speaking is not None else None
         for variant in self.variants.values():
             for message in variant.messages_for("from device"):
-                captures = message.identifier.match(identifier)
-                if not captures:
-                    continue
+                captures = message.identifier.match(identifier) or {}
                 for device in self.members.values():
                     if device.variant is variant and any(
                         device.credentials.get(name) == value for name, value in captures.items()

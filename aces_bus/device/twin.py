@@ -168,11 +168,10 @@ class Twin(EndpointMember):
         if "loses" in faults and self.replies % max(1, round(faults["loses"])) == 0:
             self.replies += 1
             return
-        word = (
-            self._misnumbered(message, fields, int(faults["wrong_number"]))
-            if "wrong_number" in faults
-            else self.twins.word(self, message, fields)
-        )
+        if "wrong_number" in faults:
+            word = self._misnumbered(message, fields, int(faults["wrong_number"]))
+        else:
+            word = self.twins.word(self, message, fields)
         if "wrong_check" in faults:
             word = with_data(word, lambda data: data[:-1] + bytes((data[-1] ^ 0x55,)) if data else data)
         if "short" in faults:

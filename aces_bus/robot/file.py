@@ -17,6 +17,7 @@ import reprlib
 import tomllib
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import date, time
 from functools import cache
 from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
@@ -107,10 +108,8 @@ def make_robot(
     """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
     reader = _Reader(place)
     robot: Robot | None = None
-    try:
+    with suppress(_Enough):
         robot = reader.read(content)
-    except _Enough:
-        pass
     problems = sorted(set(reader.problems))
     if is_strict:
         problems = [msgspec.structs.replace(problem, is_warning=False) for problem in problems]
@@ -330,10 +329,9 @@ def _expected(annotation: Any) -> str:
 
 
 def _struct_in(annotation: Any) -> type[msgspec.Struct] | None:
-    for part in _parts(annotation):
-        if isinstance(part, type) and issubclass(part, msgspec.Struct):
-            return part
-    return None
+    return next(
+        (p for p in _parts(annotation) if isinstance(p, type) and issubclass(p, msgspec.Struct)), None
+    )
 
 
 # ---------------------------------------------------------------------- writing
@@ -365,13 +363,14 @@ def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
 
 def _stated(struct: msgspec.Struct) -> dict[str, Any]:
     """The fields of a struct that are known and not what they are by default; a joint's channel always."""
-    stated: dict[str, Any] = {}
-    for field in fields(type(struct)):
-        value = getattr(struct, field.name)
-        if field.required or field.name == "channel" or value != field.default:
-            if value is not None and value != {}:
-                stated[field.name] = value
-    return stated
+    values = [(field, getattr(struct, field.name)) for field in fields(type(struct))]
+    return {
+        field.name: value
+        for field, value in values
+        if (field.required or field.name == "channel" or value != field.default)
+        and value is not None
+        and value != {}
+    }
 
 
 def _toml(value: Any, without: tuple[str, ...] = ()) -> str:

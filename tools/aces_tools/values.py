@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
@@ -92,9 +93,8 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
     """A value from its text; `node` says what is expected, None leaves it to the text."""
     if depth > DEEPEST:
         raise CallerError(f"{name}: lists in lists deeper than {DEEPEST}")
-    if isinstance(node, p.Scalar) and node.kind == "text":
-        return _unquoted(text)
-    if isinstance(node, p.DelimitedField) and node.conversion == "text":
+    is_scalar_text = isinstance(node, p.Scalar) and node.kind == "text"
+    if is_scalar_text or (isinstance(node, p.DelimitedField) and node.conversion == "text"):
         return _unquoted(text)
     if text == "none":
         return None
@@ -142,10 +142,8 @@ def _open(text: str, name: str, depth: int) -> Any:
 
 def parse_number(text: str) -> int | float | None:
     """A number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
-    try:
+    with suppress(ValueError):
         return int(text, 0)
-    except ValueError:
-        pass
     try:
         return int(text) if text.lstrip("+-").isdecimal() else float(text)
     except ValueError:

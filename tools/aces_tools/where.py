@@ -338,18 +338,16 @@ def _numbers(condition: WhereCondition, values: Any) -> Rows:
     found: Rows
     if condition.sign in _ORDER:
         found = _ORDER[condition.sign](values, number)
-        return found
-    if values.dtype.kind != "f" and isinstance(number, int):
+    elif values.dtype.kind != "f" and isinstance(number, int):
         found = values == number
-        return found
-    if number != number:
+    elif number != number:
         found = np.isnan(values)
-        return found
-    with np.errstate(invalid="ignore"):  # math.isclose
-        near = np.maximum(1e-9 * np.maximum(np.abs(values), abs(number)), 1e-12)
-        found = (values == number) | (
-            np.isfinite(values) & (abs(number) != np.inf) & (np.abs(values - number) <= near)
-        )
+    else:
+        with np.errstate(invalid="ignore"):  # math.isclose
+            near = np.maximum(1e-9 * np.maximum(np.abs(values), abs(number)), 1e-12)
+            found = (values == number) | (
+                np.isfinite(values) & (abs(number) != np.inf) & (np.abs(values - number) <= near)
+            )
     return found
 
 

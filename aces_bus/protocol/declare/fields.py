@@ -409,9 +409,7 @@ class FlagSet(int):
     @property
     def unknown(self) -> int:
         """The set bits that have no name."""
-        named = 0
-        for bit in self.bits.values():
-            named |= 1 << bit
+        named = sum(1 << bit for bit in set(self.bits.values()))
         return int(self) & ~named
 
     def __repr__(self) -> str:
@@ -524,9 +522,10 @@ def number_runs(values: Collection[int]) -> str:
             runs[-1][1] = value
         else:
             runs.append([value, value])
-    texts = []
-    for low, high in runs[:12]:
-        texts += [f"{low}…{high}"] if high - low > 1 else [str(low)] if low == high else [f"{low}, {high}"]
+    texts = [
+        f"{low}…{high}" if high - low > 1 else str(low) if low == high else f"{low}, {high}"
+        for low, high in runs[:12]
+    ]
     return ", ".join(texts) + (f", … ({len(values)} values)" if len(runs) > 12 else "")
 
 

@@ -184,9 +184,7 @@ class IdPattern(Arithmetic):
     @cached_property
     def fixed(self) -> int:
         """The bits that are those of `constant` in every number that matches, as a mask (negative: all higher ones)."""
-        varying = 0
-        for capture in self.captures:
-            varying |= ((1 << capture.width) - 1) << capture.shift
+        varying = reduce(or_, (((1 << one.width) - 1) << one.shift for one in self.captures), 0)
         if varying & self.constant:  # adding may carry
             return (1 << min(capture.shift for capture in self.captures)) - 1
         return ~varying

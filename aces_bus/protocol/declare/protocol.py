@@ -459,6 +459,4 @@ def share_dialect(one: Message, other: Message) -> bool:
 
 def may_coexist(one: Message, other: Message) -> bool:
     """Whether some dialect and configuration has both messages for one device."""
-    return (
-        not any(a.excludes(b) for a in one.when for b in other.when) if share_dialect(one, other) else False
-    )
+    return share_dialect(one, other) and not any(a.excludes(b) for a in one.when for b in other.when)

@@ -238,11 +238,10 @@ def _all_rows(cells: _Cells, plan: p.MessagePlan | None, tail: Sequence[Mark]) -
         plan.lengths[0] if plan is not None and plan.lengths is not None and len(plan.lengths) == 1 else None
     )
     for mark in tail:
-        place = (
-            range_text(fixed + mark.offset, mark.size)
-            if fixed is not None
-            else (f"{mark.offset}" if mark.size == 1 else f"{mark.offset}…")
-        )
+        if fixed is not None:
+            place = range_text(fixed + mark.offset, mark.size)
+        else:
+            place = f"{mark.offset}" if mark.size == 1 else f"{mark.offset}…"
         rows.append((place, [(ROW, mark.label)]))
     return rows
 

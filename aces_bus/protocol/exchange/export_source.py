@@ -58,9 +58,11 @@ class _Printer:
 
     def module(self, problems: Sequence[ImportProblem], origin: str) -> str:
         own = unused(self.protocol.name, self.taken)
-        body: list[str] = []
-        for message in self.protocol.declared:
-            body += ["", *expression_lines(self._message(message, own))]
+        body = [
+            line
+            for message in self.protocol.declared
+            for line in ("", *expression_lines(self._message(message, own)))
+        ]
         head = [f'"""Made by `aces spec import` from {origin}: yours to edit from here on."""', ""]
         if problems:
             head += ["# What is not in it, or differently:"]
@@ -226,9 +228,7 @@ class _Printer:
             return Call(self._word("Quantity"), (place,), tuple(keywords))
         if isinstance(field, Enumeration):
             return self._documented(self._enumeration(field, place), doc)
-        if isinstance(field, Bits):
-            return self._documented(place, doc)
-        if id(field) in _PLAIN:
+        if isinstance(field, Bits) or id(field) in _PLAIN:
             return self._documented(place, doc)
         raise CallerError(f"a field of {type(field).__name__} cannot be printed as source")
 

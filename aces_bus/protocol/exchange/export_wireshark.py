@@ -482,10 +482,7 @@ _NAMES = frozenset((
 def lua_string(text: str | bytes) -> str:
     """A string literal; characters beyond ASCII as their UTF-8 bytes."""
     data = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
-    out = []
-    for byte in data:
-        plain = 0x20 <= byte < 0x7F and byte not in b'"\\'
-        out.append(chr(byte) if plain else f"\\{byte:03d}")
+    out = [chr(byte) if 0x20 <= byte < 0x7F and byte not in b'"\\' else f"\\{byte:03d}" for byte in data]
     return '"' + "".join(out) + '"'
 
 
@@ -495,13 +492,11 @@ def lua_literal(value: Any, indent: int = 0) -> str:
     if len(flat) + indent <= WIDTH or not isinstance(value, (Mapping, Sequence)) or isinstance(value, str):
         return flat
     pad = "  " * (indent // 2 + 1)
-    lines = []
     if isinstance(value, Mapping):
-        for key, one in value.items():
-            if one is not None:
-                lines.append(f"{pad}{_key(key)} = {lua_literal(one, indent + 2)},")
+        items = [(f"{_key(key)} = ", one) for key, one in value.items() if one is not None]
     else:
-        lines = [f"{pad}{lua_literal(one, indent + 2)}," for one in value]
+        items = [("", one) for one in value]
+    lines = [f"{pad}{start}{lua_literal(one, indent + 2)}," for start, one in items]
     return "\n".join(["{", *lines, "  " * (indent // 2) + "}"])
 
 
@@ -517,10 +512,10 @@ def _flat(value: Any) -> str:
             return repr(value)
         case str() | bytes():
             return lua_string(value)
-    if isinstance(value, Mapping):
-        inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
-    else:
-        inner = ", ".join(_flat(one) for one in value)
+        case Mapping():
+            inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
+        case _:
+            inner = ", ".join(map(_flat, value))
     return f"{{ {inner} }}" if inner else "{}"
 
 

@@ -419,10 +419,7 @@ def _mask(signal: Any, at: int) -> int:
     """The bits of a signal in the little-endian word of its message."""
     if signal.byte_order != "big_endian":
         return ((1 << int(signal.length)) - 1) << at
-    mask = 0
-    for position in range(at, at + signal.length):
-        mask |= 1 << (position ^ 7)
-    return mask
+    return sum(1 << (position ^ 7) for position in range(at, at + signal.length))
 
 
 def _value(signal: Any, at: int) -> c.Construct:

@@ -277,10 +277,8 @@ class _Builder:
     def _number(self, index: int, sub: int) -> int | None:
         """The value of an object: of a DCF what is set, of an EDS the default."""
         one = self._object(index, sub)
-        for value in (getattr(one, "value", None), getattr(one, "default", None)):
-            if isinstance(value, int):
-                return value
-        return None
+        numbers = (getattr(one, "value", None), getattr(one, "default", None))
+        return next((number for number in numbers if isinstance(number, int)), None)
 
     def _cob_id(self, parameters: int, usual: Sequence[int]) -> tuple[int, bool]:
         """The identifier's word, and whether the node's number is part of it."""

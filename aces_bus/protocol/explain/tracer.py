@@ -43,9 +43,11 @@ class Tracer(Reference):
     @property
     def interesting(self) -> frozenset[str]:
         """Messages that later ones may hang on, or that hang on earlier ones."""
-        found: set[str] = set()
-        for _, _, contextual, context in self.sides:
-            found |= set(contextual) | set(context.requests) | set(context.answers)
+        found = {
+            name
+            for _, _, contextual, context in self.sides
+            for name in (*contextual, *context.requests, *context.answers)
+        }
         return frozenset(found)
 
     # ------------------------------------------------------------------ streams
@@ -214,9 +216,9 @@ class _Contest:
     def lead(self, found: ReferenceItem) -> Template:
         """The template whose words are named: the one that was accepted, else one that lived longest."""
         for template in self.templates:
-            if found.message is not None and template.message.name == found.message:
-                if found.protocol in (None, template.message.protocol.name):
-                    return template
+            message = template.message
+            if message.name == found.message and found.protocol in (None, message.protocol.name):
+                return template
         for died, living in reversed(self.words):
             if living:
                 return living[0]

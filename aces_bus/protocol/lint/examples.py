@@ -141,9 +141,8 @@ def _unrecognised(message: Message, example: Example) -> str | None:
         if here is None or here.place != message.place:
             continue
         found = read_example(variant, message, example)
-        if found.message == message.name:
-            return None
-        if found.reason.startswith("unknown: needs request") and example.request is None:
+        needs_request = found.reason.startswith("unknown: needs request")
+        if found.message == message.name or (needs_request and example.request is None):
             return None
         others.setdefault(found.message or found.reason, variant.label)
     if not others:

@@ -41,10 +41,10 @@ class CsvOutput:
         self._direction = direction
         self._leaves = OfKind(lambda kind: record_leaves(plans[kind]))
         self._is_wide = only is not None
-        columns: dict[str, None] = {}
-        for kind in plans.named(only) if only is not None else ():
-            columns.update(dict.fromkeys(leaf.path for leaf in self._leaves[kind]))
-        self._columns = list(columns)
+        kinds = plans.named(only) if only is not None else ()
+        columns = self._columns = list(
+            dict.fromkeys(leaf.path for kind in kinds for leaf in self._leaves[kind])
+        )
         taken = {"source", "time", "channel", "direction", "id", "offset", "size", "protocol", "message"}
         self._titles = [f"{only}.{name}" if name in taken else name for name in columns]
         self._has_can = "can" in links

@@ -274,13 +274,11 @@ def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> li
         pieces = np.split(order, bounds)
         firsts = [int(piece[0]) for piece in pieces]
         parts = [piece if rows is None else rows[piece] for piece in pieces]
-    out: list[tuple[Key, Any]] = []
-    for first, part in zip(firsts, parts, strict=True):
-        key = tuple(
-            (name, show(some[first].item())) for (name, _, show), some in zip(columns, values, strict=True)
-        )
-        out.append((key, part))
-    return out
+    keyed = [(name, show, some) for (name, _, show), some in zip(columns, values, strict=True)]
+    return [
+        (tuple((name, show(some[first].item())) for name, show, some in keyed), part)
+        for first, part in zip(firsts, parts, strict=True)
+    ]
 
 
 def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from math import exp, sqrt
 from operator import attrgetter
@@ -193,14 +194,9 @@ class RepeatedFrame:
 
     def frozen(self) -> RepeatedFrame:
         """A copy that stays as it is."""
-        copy = RepeatedFrame.__new__(RepeatedFrame)
-        for name in RepeatedFrame.__slots__:
-            setattr(copy, name, getattr(self, name))
-        copy.changes, copy.history = self.changes.copy(), self.history.copy()
-        copy._meter = Meter.__new__(Meter)
-        for name in Meter.__slots__:
-            setattr(copy._meter, name, getattr(self._meter, name))
-        return copy
+        one = copy(self)
+        one.changes, one.history, one._meter = copy(self.changes), copy(self.history), copy(self._meter)
+        return one
 
 
 def changed_bits(before: bytes, after: bytes) -> int:
