@@ -371,8 +371,7 @@ class Device(EndpointMember):
                 continue
             self._held.pop(message, None)
             self._dirty.discard(message)
-            for path, value in given.items():
-                out.append(Setpoint(self, message, path, value))
+            out += [Setpoint(self, message, path, value) for path, value in given.items()]
         return out
 
     def gathered(self, message: str, wants: Sequence[Setpoint]) -> dict[str, Any] | None:

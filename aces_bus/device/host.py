@@ -425,10 +425,7 @@ class Host(BusEndpoint[Device]):
             if ticket.deadline <= now and ticket in device.awaiting:
                 device.awaiting.remove(ticket)
                 self._missed(ticket, now)
-        if deadlines:
-            self._deadline_timer = self.clock.call_at(deadlines[0][0], self._expire)
-        else:
-            self._deadline_timer = None
+        self._deadline_timer = self.clock.call_at(deadlines[0][0], self._expire) if deadlines else None
 
     def _missed(self, ticket: Ticket, now: int) -> None:
         device: Device = ticket.device
@@ -604,9 +601,7 @@ class Host(BusEndpoint[Device]):
             return self._speaking.device if self._speaking is not None else None
         for variant in self.variants.values():
             for message in variant.messages_for("from device"):
-                captures = message.identifier.match(identifier)
-                if not captures:
-                    continue
+                captures = message.identifier.match(identifier) or {}
                 for device in self.members.values():
                     if device.variant is variant and any(
                         device.credentials.get(name) == value for name, value in captures.items()

@@ -328,9 +328,9 @@ def _check_numbers(path: tuple[str, ...], joint: Joint, complain: Complain) -> N
         one, other = getattr(joint, low), getattr(joint, high)
         if one is not None and other is not None and (one > other or (low == "lower" and one == other)):
             complain((*path, low), f"{one:g} is not below {high} = {other:g}")
-    if joint.home is not None and joint.home.lower is not None and joint.home.upper is not None:
-        if joint.home.lower >= joint.home.upper:
-            complain((*path, "home", "lower"), f"{joint.home.lower} is not below upper = {joint.home.upper}")
+    home = joint.home
+    if home is not None and home.lower is not None and home.upper is not None and home.lower >= home.upper:
+        complain((*path, "home", "lower"), f"{home.lower} is not below upper = {home.upper}")
     for key in ("lower", "upper"):
         if joint.type == "continuous" and getattr(joint, key) is not None:
             complain((*path, key), "a continuous joint turns without end, and has no limits")

@@ -17,6 +17,7 @@ import reprlib
 import tomllib
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import date, time
 from functools import cache
 from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
@@ -107,10 +108,8 @@ def make_robot(
     """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
     reader = _Reader(place)
     robot: Robot | None = None
-    try:
+    with suppress(_Enough):
         robot = reader.read(content)
-    except _Enough:
-        pass
     problems = sorted(set(reader.problems))
     if is_strict:
         problems = [msgspec.structs.replace(problem, is_warning=False) for problem in problems]
@@ -233,9 +232,7 @@ class _Reader:
         values: dict[str, Any] = dict(given)
         for field in infos:
             values |= self._field(field, path, content)
-        if any(field.required and field.name not in values for field in infos):
-            return None
-        return kind(**values)
+        return None if any(field.required and field.name not in values for field in infos) else kind(**values)
 
     def _field(self, field: FieldInfo, path: tuple[str, ...], content: Mapping[str, Any]) -> dict[str, Any]:
         """The value of a key, as keywords for the struct: none where it is absent or wrong."""
@@ -332,10 +329,9 @@ def _expected(annotation: Any) -> str:
 
 
 def _struct_in(annotation: Any) -> type[msgspec.Struct] | None:
-    for part in _parts(annotation):
-        if isinstance(part, type) and issubclass(part, msgspec.Struct):
-            return part
-    return None
+    return next(
+        (p for p in _parts(annotation) if isinstance(p, type) and issubclass(p, msgspec.Struct)), None
+    )
 
 
 # ---------------------------------------------------------------------- writing
@@ -367,31 +363,33 @@ def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
 
 def _stated(struct: msgspec.Struct) -> dict[str, Any]:
     """The fields of a struct that are known and not what they are by default; a joint's channel always."""
-    stated: dict[str, Any] = {}
-    for field in fields(type(struct)):
-        value = getattr(struct, field.name)
-        if field.required or field.name == "channel" or value != field.default:
-            if value is not None and value != {}:
-                stated[field.name] = value
-    return stated
+    values = [(field, getattr(struct, field.name)) for field in fields(type(struct))]
+    return {
+        field.name: value
+        for field, value in values
+        if (field.required or field.name == "channel" or value != field.default)
+        and value is not None
+        and value != {}
+    }
 
 
 def _toml(value: Any, without: tuple[str, ...] = ()) -> str:
-    if isinstance(value, msgspec.Struct):
-        value = {name: one for name, one in _stated(value).items() if name not in without}
-        return _toml_table(
-            {name: _hex(one) if name == "credentials" else _toml(one) for name, one in value.items()}
-        )
-    if isinstance(value, Mapping):
-        return _toml_table({name: _toml(one) for name, one in value.items()})
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return _toml_text(value)
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
-        return str(int(value))
+    match value:
+        case msgspec.Struct():
+            value = {name: one for name, one in _stated(value).items() if name not in without}
+            return _toml_table(
+                {name: _hex(one) if name == "credentials" else _toml(one) for name, one in value.items()}
+            )
+        case Mapping():
+            return _toml_table({name: _toml(one) for name, one in value.items()})
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return _toml_text(value)
+        case list() | tuple():
+            return f"[{', '.join(map(_toml, value))}]"
+        case float() if value.is_integer() and abs(value) < 1e15:
+            return str(int(value))
     return value.isoformat() if isinstance(value, (date, time)) else repr(value)
 
 

@@ -153,11 +153,12 @@ def connect(
     bus without a port, `UnknownNameError` for a driver or protocol that is not installed.
     """
     events = EventLog()
-    hosts: dict[str, Host] = {}
-    for name, variants in _variants(robot, ports, load).items():
-        hosts[name] = Host(
+    hosts = {
+        name: Host(
             ports[name], variants, rate_hz=rate_hz, budget=budget, rules=rules, events=events, name=name
         )
+        for name, variants in _variants(robot, ports, load).items()
+    }
     if not hosts:
         raise CallerError(f"robot {robot.name} has no active device")
     rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Final
 
 KeyPath = tuple[str, ...]
@@ -80,9 +81,7 @@ class KeyLines:
 def _plain(key: str) -> str:
     """A key without its quotes."""
     if key[0] == '"' and "\\" in key:
-        try:
+        with suppress(ValueError):  # an escape that no key may have: tomllib says so of the file
             (key,) = tomllib.loads(f"{key} = 0")
-        except ValueError:  # an escape that no key may have: tomllib says so of the file
-            pass
         return key
     return key.strip(key[0]) if key[0] in "\"'" else key

@@ -131,9 +131,9 @@ def _serve(arguments: argparse.Namespace) -> int:
     server = BusServer(
         channels, unix=unix, tcp=tcp, socketcand=socketcand, bind_anywhere=arguments.bind_anywhere, said=say
     )
-    before = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, lambda *_: server.stop())
+    before = {
+        number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         for name in names:
             for address in server.addresses[name]:

@@ -108,9 +108,7 @@ class ChosenBus:
     @property
     def described(self) -> str:
         """How messages call it."""
-        if self.kind == "can":
-            return f"{self.name} (interface {self.options.get('interface')})"
-        return self.name
+        return f"{self.name} (interface {self.options.get('interface')})" if self.kind == "can" else self.name
 
     def on(self, channel: str) -> ChosenBus:
         """The same kind of CAN bus, another channel of it."""

@@ -25,20 +25,16 @@ SHOWN = 3
 
 def say(message: str, *, who: str = "aces: ") -> None:
     """One message on stderr, safe for a terminal whatever file its words came from. Losing it must not lose the work."""
-    try:
+    with suppress(OSError):
         print(printable_lines(f"{who}{message}"), file=sys.stderr, flush=True)
-    except OSError:
-        pass
 
 
 def abandon_stdout() -> None:
     """Discard what is still buffered for a reader that has gone, or it raises once again when Python ends."""
-    try:
+    with suppress(OSError, ValueError, AttributeError):  # not a file of the system (a test's)
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
-    except (OSError, ValueError, AttributeError):
-        pass  # not a file of the system (a test's)
 
 
 def print_json(value: Any, indent: int | None = 2) -> None:
@@ -339,10 +335,8 @@ class Progress:
         if now < self._next:
             return
         self._next = now + STEP_S
-        try:
+        with suppress(AttributeError, OSError, ValueError):  # no place to tell, or closed at its end
             self._place = int(self._file.tell())
-        except (AttributeError, OSError, ValueError):
-            pass  # no place to tell, or closed at its end
         done, passed = self._before + self._place, max(now - self._began, 1e-3)
         rate = f"{done / passed / 1e6:.0f} MB/s"
         if self._frames:

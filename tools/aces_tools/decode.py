@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from itertools import repeat
 from typing import Any
 
@@ -234,10 +235,8 @@ class LiveDecoding(Decoding):
             self._complain(f"{self.output.path or 'standard output'}: interrupted before all was written")
 
     def _flush(self) -> None:
-        try:
+        with suppress(CallerError, BrokenPipeError):  # met again by the next write
             self.output.flush()
-        except (CallerError, BrokenPipeError):
-            pass  # met again by the next write
 
     def _scanner(self, link: Link, direction: Direction | None) -> Scanner:
         if (link, direction) not in self.scanners:

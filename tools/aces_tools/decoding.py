@@ -289,9 +289,7 @@ class Decoding(ABC):
             finally:
                 self._clean_up()
             self._summarise()
-        if patience.is_over and not was_live and not self.status:
-            return 130
-        return self.status
+        return 130 if patience.is_over and not was_live and not self.status else self.status
 
     def _complain(self, message: str) -> None:
         self.status, self.complaint = 2, message

@@ -101,12 +101,13 @@ def run(arguments: argparse.Namespace) -> int:
         events = DeviceEventLines(live.rig, robot)
         doing = Doing(live, live.rig.devices[config.name], part, arguments, patience, events)
         try:
-            if action == "get":
-                return doing.get()
-            if action == "watch":
-                return doing.watch(every, duration)
-            if action == "set":
-                return doing.set(values, duration)
+            match action:
+                case "get":
+                    return doing.get()
+                case "watch":
+                    return doing.watch(every, duration)
+                case "set":
+                    return doing.set(values, duration)
             return doing.act(action, values)
         except NotStoppedError as error:
             events.report(last=True)

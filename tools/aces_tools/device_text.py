@@ -28,16 +28,17 @@ _DEGREES = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?:deg|°)(/s)?")
 
 def shown_value(value: Any) -> str:
     """A plain value for people, in one line."""
-    if value is None:
-        return "unknown"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value + 0.0:.6g}"
-    if isinstance(value, list):
-        return ", ".join(shown_value(item) for item in value) or "none"
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {shown_value(item)}" for key, item in value.items())
+    match value:
+        case None:
+            return "unknown"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value + 0.0:.6g}"
+        case list():
+            return ", ".join(shown_value(item) for item in value) or "none"
+        case dict():
+            return ", ".join(f"{key} {shown_value(item)}" for key, item in value.items())
     return str(value)
 
 

@@ -258,11 +258,8 @@ def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
 
 def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
     """The numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
-    found: list[int] = []
-    for text in texts:
-        for one in text.split(","):
-            found.append(_law(one.strip()).number)
-    return tuple(sorted(set(found))) or tuple(law.number for law in laws.LAWS)
+    found = {_law(one.strip()).number for text in texts for one in text.split(",")}
+    return tuple(sorted(found)) or tuple(law.number for law in laws.LAWS)
 
 
 def _law(text: str) -> Law:

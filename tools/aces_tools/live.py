@@ -237,24 +237,25 @@ class DeviceEventLines:
 
     def _sort(self, event: DeviceEvent) -> None:
         who = event.device
-        if event.kind == "silent":
-            self._silent[who] = event
-        elif event.kind == "answers":
-            if self._silent.pop(who, None) is None and who in self._said_silent:
-                self._said_silent.discard(who)
-                say(f"{who}: answers again")
-        elif event.kind == "late reply":
-            pass  # counted by the rig; see `_tell_late`
-        elif event.kind == "lost":
-            self._lost.add(event.bus)
-            say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
-        elif event.kind == "not sent" and event.bus in self._lost:
-            pass  # of course
-        elif not (event.kind == "unknown device" and self._is_known(event.detail)):
-            self._lost -= {event.bus} if event.kind == "reopened" else set()
-            hint = HINTS.get(event.kind)
-            detail = f": {event.detail}" if event.detail else ""
-            say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")
+        match event.kind:
+            case "silent":
+                self._silent[who] = event
+            case "answers":
+                if self._silent.pop(who, None) is None and who in self._said_silent:
+                    self._said_silent.discard(who)
+                    say(f"{who}: answers again")
+            case "late reply":
+                pass  # counted by the rig; see `_tell_late`
+            case "lost":
+                self._lost.add(event.bus)
+                say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
+            case "not sent" if event.bus in self._lost:
+                pass  # of course
+            case _ if not (event.kind == "unknown device" and self._is_known(event.detail)):
+                self._lost -= {event.bus} if event.kind == "reopened" else set()
+                hint = HINTS.get(event.kind)
+                detail = f": {event.detail}" if event.detail else ""
+                say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")
 
     def _is_known(self, detail: str) -> bool:
         """Whether an unknown device ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""

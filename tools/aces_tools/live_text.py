@@ -96,10 +96,11 @@ class CandumpLines:
         if time is None:
             return ""
         number = self._times.number(time)
-        if number is None:
-            text = self._times.date(time)
-        else:
-            text = f"{number:0{17 if self._times.mode == 'absolute' else 10}.6f}"
+        text = (
+            self._times.date(time)
+            if number is None
+            else f"{number:0{17 if self._times.mode == 'absolute' else 10}.6f}"
+        )
         return self._paint("place", f" ({text})")
 
     def _frame(self, frame: Frame) -> str:

@@ -174,19 +174,13 @@ class Sending:
         """Print what would be sent, and send nothing."""
         writer = self.writer()
         self.output.write(writer.begin(self._where, self.link))
-        lines: list[str] = []
+        is_json = self.arguments.format == "jsonl"
         for word in self.first:
-            items = self._decoded(word)
-            if self.arguments.format == "jsonl":
-                self.output.write(writer.items(items))
-                continue
-            lines.append(
-                f"{self._where}  {notation(word) if isinstance(word, Frame) else word.hex(' ').upper()}"
-            )
-            self.output.write("".join(f"{line}\n" for line in lines).encode())
-            lines.clear()
-            if self.plans:
-                self.output.write(writer.items(items))
+            if not is_json:
+                shown = notation(word) if isinstance(word, Frame) else word.hex(" ").upper()
+                self.output.write(f"{self._where}  {shown}\n".encode())
+            if is_json or self.plans:
+                self.output.write(writer.items(self._decoded(word)))
         if self.arguments.bits and self.message is not None:
             self.output.write("".join(f"{line}\n" for line in ["", *picture(self.message)]).encode())
         self.output.close()
@@ -447,12 +441,11 @@ class Replies:
         return found
 
     def _unnamed(self, item: Any) -> None:
-        if self._link == "can":
-            data = self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
-        else:
-            data = self._lines.chunks(
-                [Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name
-            )
+        data = (
+            self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
+            if self._link == "can"
+            else self._lines.chunks([Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name)
+        )
         self._print(data, 1)
 
     def _print(self, data: bytes, count: int) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
@@ -92,20 +93,20 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
     """A value from its text; `node` says what is expected, None leaves it to the text."""
     if depth > DEEPEST:
         raise CallerError(f"{name}: lists in lists deeper than {DEEPEST}")
-    if isinstance(node, p.Scalar) and node.kind == "text":
-        return _unquoted(text)
-    if isinstance(node, p.DelimitedField) and node.conversion == "text":
+    is_scalar_text = isinstance(node, p.Scalar) and node.kind == "text"
+    if is_scalar_text or (isinstance(node, p.DelimitedField) and node.conversion == "text"):
         return _unquoted(text)
     if text == "none":
         return None
-    if isinstance(node, p.Many):
-        return _list(text, list(node.items), name, depth)
-    if isinstance(node, p.NestedRecord):
-        return _record(text, {field.name: field.node for field in node.fields}, name, depth)
-    if isinstance(node, p.Scalar) and node.kind == "bytes":
-        return _bytes(text.removeprefix("hex:"), name)
-    if isinstance(node, (p.Scalar, p.FromIdentifier, p.DelimitedField)):
-        return _of_number(text, node, name)
+    match node:
+        case p.Many():
+            return _list(text, list(node.items), name, depth)
+        case p.NestedRecord():
+            return _record(text, {field.name: field.node for field in node.fields}, name, depth)
+        case p.Scalar() if node.kind == "bytes":
+            return _bytes(text.removeprefix("hex:"), name)
+        case p.Scalar() | p.FromIdentifier() | p.DelimitedField():
+            return _of_number(text, node, name)
     return _open(text, name, depth)
 
 
@@ -141,10 +142,8 @@ def _open(text: str, name: str, depth: int) -> Any:
 
 def parse_number(text: str) -> int | float | None:
     """A number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
-    try:
+    with suppress(ValueError):
         return int(text, 0)
-    except ValueError:
-        pass
     try:
         return int(text) if text.lstrip("+-").isdecimal() else float(text)
     except ValueError:

@@ -197,20 +197,21 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
 
 def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
     """What a path may mean in a record: several values when it does not say which item of a tuple."""
-    if isinstance(value, (tuple, list)):
-        if path and isinstance(path[0], int):
-            if path[0] < len(value):
+    match value:
+        case tuple() | list():
+            if path and isinstance(path[0], int):
+                if path[0] < len(value):
+                    yield from values_of(value[path[0]], path[1:])
+            else:
+                for item in value:
+                    yield from values_of(item, path)
+        case _ if not path:
+            yield value
+        case Mapping():
+            if path[0] in value:
                 yield from values_of(value[path[0]], path[1:])
-        else:
-            for item in value:
-                yield from values_of(item, path)
-    elif not path:
-        yield value
-    elif isinstance(value, Mapping):
-        if path[0] in value:
-            yield from values_of(value[path[0]], path[1:])
-    elif isinstance(value, msgspec.Struct) and str(path[0]) in value.__struct_fields__:
-        yield from values_of(getattr(value, str(path[0])), path[1:])
+        case msgspec.Struct() if str(path[0]) in value.__struct_fields__:
+            yield from values_of(getattr(value, str(path[0])), path[1:])
 
 
 def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
@@ -223,16 +224,17 @@ def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
         wanted = {"to": "to device", "from": "from device"}.get(wanted, wanted)
 
     def equal(value: Any) -> bool:
-        if value is None:
-            return wanted in ("none", "")
-        if isinstance(value, FlagSet):
-            return value == number if number is not None else wanted in value
-        if isinstance(value, str):
-            return value == wanted or (number is not None and numbers.get(value) == number)
-        if isinstance(value, bytes):
-            return value == data
-        if isinstance(value, bool):
-            return wanted == str(value).lower()
+        match value:
+            case None:
+                return wanted in ("none", "")
+            case FlagSet():
+                return value == number if number is not None else wanted in value
+            case str():
+                return value == wanted or (number is not None and numbers.get(value) == number)
+            case bytes():
+                return value == data
+            case bool():
+                return wanted == str(value).lower()
         if number is None:
             return False
         if isinstance(value, float) or isinstance(number, float):
@@ -336,18 +338,16 @@ def _numbers(condition: WhereCondition, values: Any) -> Rows:
     found: Rows
     if condition.sign in _ORDER:
         found = _ORDER[condition.sign](values, number)
-        return found
-    if values.dtype.kind != "f" and isinstance(number, int):
+    elif values.dtype.kind != "f" and isinstance(number, int):
         found = values == number
-        return found
-    if number != number:
+    elif number != number:
         found = np.isnan(values)
-        return found
-    with np.errstate(invalid="ignore"):  # math.isclose
-        near = np.maximum(1e-9 * np.maximum(np.abs(values), abs(number)), 1e-12)
-        found = (values == number) | (
-            np.isfinite(values) & (abs(number) != np.inf) & (np.abs(values - number) <= near)
-        )
+    else:
+        with np.errstate(invalid="ignore"):  # math.isclose
+            near = np.maximum(1e-9 * np.maximum(np.abs(values), abs(number)), 1e-12)
+            found = (values == number) | (
+                np.isfinite(values) & (abs(number) != np.inf) & (np.abs(values - number) <= near)
+            )
     return found
 
 
@@ -356,32 +356,35 @@ def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
     n, one = len(table), comparison(condition, {})
     name = str(condition.path[1])
     found: Rows
-    if name == "time":
-        known = table.time != NO_TIME
-        if condition.number is None:
-            found = np.zeros(n, bool)
-        elif condition.sign in _ORDER:
-            found = _ORDER[condition.sign](table.time, to_ns(float(condition.number)))
-        else:
-            found = _numbers(condition, table.seconds)
-        found = np.where(known, found, one(None))
-    elif name == "channel":
-        names = table.channels.names
-        found = np.fromiter((one(channel) for channel in names), bool, len(names))[table.channel]
-    elif name in ("identifier", "offset", "size"):
-        if (name == "identifier") is table.is_stream:
-            found = np.full(n, one(None))
-        elif name == "identifier":
-            found = _numbers(condition, table.key & np.uint32(0x1FFF_FFFF))
-        else:
-            found = _numbers(condition, table.key if name == "offset" or table.size is None else table.size)
-    elif name == "is_rx":
-        found = np.array([one(False), one(True), one(None)])[table.rx]
-    elif name == "direction":
-        found = np.full(n, one(table.direction))
-    else:
-        flag = {"extended": KEY_EXTENDED, "fd": KEY_FD, "remote": KEY_REMOTE}[name]
-        is_set = np.zeros(n, bool) if table.is_stream else (table.key & np.uint32(flag)) != 0
-        found = np.where(is_set, one(True), one(False))
+    match name:
+        case "time":
+            known = table.time != NO_TIME
+            if condition.number is None:
+                found = np.zeros(n, bool)
+            elif condition.sign in _ORDER:
+                found = _ORDER[condition.sign](table.time, to_ns(float(condition.number)))
+            else:
+                found = _numbers(condition, table.seconds)
+            found = np.where(known, found, one(None))
+        case "channel":
+            names = table.channels.names
+            found = np.fromiter((one(channel) for channel in names), bool, len(names))[table.channel]
+        case "identifier" | "offset" | "size":
+            if (name == "identifier") is table.is_stream:
+                found = np.full(n, one(None))
+            elif name == "identifier":
+                found = _numbers(condition, table.key & np.uint32(0x1FFF_FFFF))
+            else:
+                found = _numbers(
+                    condition, table.key if name == "offset" or table.size is None else table.size
+                )
+        case "is_rx":
+            found = np.array([one(False), one(True), one(None)])[table.rx]
+        case "direction":
+            found = np.full(n, one(table.direction))
+        case _:
+            flag = {"extended": KEY_EXTENDED, "fd": KEY_FD, "remote": KEY_REMOTE}[name]
+            is_set = np.zeros(n, bool) if table.is_stream else (table.key & np.uint32(flag)) != 0
+            found = np.where(is_set, one(True), one(False))
     kept: Rows = found != (condition.sign == "!=")
     return kept

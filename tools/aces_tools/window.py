@@ -76,9 +76,7 @@ class TimeWindow:
             self._first = time
 
     def _bound(self, given: int | None) -> int | None:
-        if given is None or _is_absolute(given) or self._first is None:
-            return given
-        return self._first + given
+        return given if given is None or _is_absolute(given) or self._first is None else self._first + given
 
 
 def _is_absolute(ns: int) -> bool:

@@ -138,15 +138,15 @@ def opposite_conflict(messages: Iterable[Message]) -> tuple[Message, Message] | 
 def needing_context(messages: Sequence[Message]) -> frozenset[str]:
     """Names of the messages that can only be recognised with their request: bytes alone leave a choice, or the record
     holds fields of the request."""
-    found = set()
-    for message in messages:
-        if not message.reply_to and not message.after:
-            continue
-        if message.request_fields or any(
-            conflict(message, other) for other in messages if other is not message
-        ):
-            found.add(message.name)
-    return frozenset(found)
+    return frozenset(
+        message.name
+        for message in messages
+        if (message.reply_to or message.after)
+        and (
+            message.request_fields
+            or any(conflict(message, other) for other in messages if other is not message)
+        )
+    )
 
 
 def request_names(
@@ -204,12 +204,9 @@ def demands(message: Message, length: int | None) -> Demands | None:
         selector, table, other = plan.lengths_by
         bits = selector.number.bits
         known = {value & ((1 << len(bits)) - 1): size for value, size in table}
-        if other == length:
-            choices.append(
-                _Choice(bits, frozenset(v for v, size in known.items() if size != length), excluded=True)
-            )
-        else:
-            choices.append(_Choice(bits, frozenset(v for v, size in known.items() if size == length)))
+        excluded = other == length
+        values = frozenset(v for v, size in known.items() if (size == length) is not excluded)
+        choices.append(_Choice(bits, values, excluded=excluded))
     return Demands(fixed, choices)
 
 
@@ -219,9 +216,7 @@ def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] |
     `length` is that of a frame's data; None leaves it open.
     """
     mine, theirs = demands(one, length), demands(other, length)
-    if mine is None or theirs is None:
-        return None
-    if any(theirs[0].get(bit, value) != value for bit, value in mine[0].items()):
+    if mine is None or theirs is None or any(theirs[0].get(b, v) != v for b, v in mine[0].items()):
         return None
     choices = sorted([*mine[1], *theirs[1]], key=lambda c: (c.excluded, len(c.values)))
     bits = solved({**mine[0], **theirs[0]}, choices)
@@ -267,11 +262,11 @@ def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
 
 
 def _can_conflict(one: Message, other: Message) -> Conflict | None:
-    if (one.extended, one.remote) != (other.extended, other.remote):
-        return None
-    if not set(one.formats) & set(other.formats):
-        return None
-    if one.identifier.is_apart(other.identifier):
+    if (
+        (one.extended, one.remote) != (other.extended, other.remote)
+        or set(one.formats).isdisjoint(other.formats)
+        or one.identifier.is_apart(other.identifier)
+    ):
         return None
     lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()), reverse=True)
     identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None

@@ -13,7 +13,10 @@ from __future__ import annotations
 
 import io
 import struct
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import or_
 from typing import Any
 
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
@@ -151,9 +154,7 @@ class LayoutSlot:
     ) -> None:
         self.name, self.field, self.positions, self.mux = name, field, positions, mux
         self.inner, self.doc = inner, doc
-        self.mask = 0
-        for position in positions:
-            self.mask |= 1 << position
+        self.mask = reduce(or_, (1 << position for position in positions), 0)
 
     def is_present(self, raws: Mapping[str, int | None]) -> bool:
         """Whether the field is there, by the raw numbers of the selectors before it."""
@@ -161,16 +162,12 @@ class LayoutSlot:
 
     def read(self, word: int) -> int:
         """The field's bits in the little-endian word of the layout, as an unsigned number."""
-        number = 0
-        for index, position in enumerate(self.positions):
-            number |= (word >> position & 1) << index
+        number = sum((word >> position & 1) << index for index, position in enumerate(self.positions))
         return number
 
     def write(self, number: int) -> int:
         """The word in which the field has this unsigned number, and all other bits are 0."""
-        word = 0
-        for index, position in enumerate(self.positions):
-            word |= (number >> index & 1) << position
+        word = sum((number >> index & 1) << position for index, position in enumerate(self.positions))
         return word
 
 
@@ -212,17 +209,13 @@ class BitLayout(Construct):
         self._cursor = 0
         for field in fields:
             self._add(field)
-        counts: dict[str, int] = {}
-        for slot in self.slots:
-            counts[slot.name] = counts.get(slot.name, 0) + 1
+        counts = Counter(slot.name for slot in self.slots)
         #: Names of several values, with their number.
         self.many = {name: count for name, count in counts.items() if count > 1}
         self.selectors = frozenset(s.mux.selector for s in self.slots if s.mux is not None)
         if not overlapping:
             self._check_overlap()
-        always = 0
-        for slot in self.slots:
-            always |= slot.mask if slot.mux is None else 0
+        always = reduce(or_, (slot.mask for slot in self.slots if slot.mux is None), 0)
         self.has_reserved = always != (1 << 8 * size) - 1
 
     def _add(self, field: Construct) -> None:

@@ -149,14 +149,15 @@ class Check:
             return packet[start:end]
         parts: list[bytes] = []
         for part in self.over:
-            if isinstance(part, slice):
-                parts.append(packet[part])
-            elif isinstance(part, IdBytes):
-                parts.append(part.bytes(identifier))
-            elif isinstance(part, Extra):
-                parts.append(extra)
-            else:
-                parts.append(part)
+            match part:
+                case slice():
+                    parts.append(packet[part])
+                case IdBytes():
+                    parts.append(part.bytes(identifier))
+                case Extra():
+                    parts.append(extra)
+                case _:
+                    parts.append(part)
         return b"".join(parts)
 
     @property

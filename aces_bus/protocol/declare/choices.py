@@ -30,9 +30,7 @@ class _Asked(dict[str, Any]):
     def __getitem__(self, name: str) -> Any:
         path = (*self._path, name)
         inner = _Asked(self._known, self._found, path)
-        if path in self._known:
-            return self._found.setdefault(path, inner)
-        return inner
+        return self._found.setdefault(path, inner) if path in self._known else inner
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -46,9 +44,7 @@ class _Both(int):
     names: Enumeration
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, str):
-            return self.names.names.get(other) == int(self)
-        return int(self) == other
+        return self.names.names.get(other) == int(self) if isinstance(other, str) else int(self) == other
 
     __hash__ = int.__hash__
 
@@ -81,9 +77,7 @@ def switch_by_both(switch: c.Switch, known: Known) -> c.Switch:
 def equal_in_both(expression: Any, known: Known) -> Any:
     """An expression that gives the same answer in both modes: enumerations are numbers to it that equal their names."""
     found, _ = enumerations_asked(expression, known)
-    if not found:
-        return expression
-    return _Expression(expression, {path: known[path] for path in found})
+    return _Expression(expression, {path: known[path] for path in found}) if found else expression
 
 
 class _Expression:

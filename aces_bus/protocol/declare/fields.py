@@ -315,12 +315,13 @@ def wire_number(inner: Any) -> WireNumber | None:
 
 def inner_constructs(con: Any) -> list[Any]:
     """The constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
-    if isinstance(con, Multiplexed):
-        return [con.body]
-    if isinstance(con, IfThenElse):
-        return [con.thensubcon, con.elsesubcon]
-    if isinstance(con, Switch):
-        return [*con.cases.values(), con.default]
+    match con:
+        case Multiplexed():
+            return [con.body]
+        case IfThenElse():
+            return [con.thensubcon, con.elsesubcon]
+        case Switch():
+            return [*con.cases.values(), con.default]
     return list(con.subcons) if hasattr(con, "subcons") else [con.subcon] if hasattr(con, "subcon") else []
 
 
@@ -367,9 +368,7 @@ def integer_width(subcon: Construct) -> int:
     """Width in bits of an integer construct."""
     inner = innermost(subcon)
     width = getattr(inner, "width", None)
-    if isinstance(width, int):
-        return width
-    return int(inner.sizeof()) * 8
+    return width if isinstance(width, int) else int(inner.sizeof()) * 8
 
 
 class Enumeration(Field):
@@ -410,9 +409,7 @@ class FlagSet(int):
     @property
     def unknown(self) -> int:
         """The set bits that have no name."""
-        named = 0
-        for bit in self.bits.values():
-            named |= 1 << bit
+        named = sum(1 << bit for bit in set(self.bits.values()))
         return int(self) & ~named
 
     def __repr__(self) -> str:
@@ -525,9 +522,10 @@ def number_runs(values: Collection[int]) -> str:
             runs[-1][1] = value
         else:
             runs.append([value, value])
-    texts = []
-    for low, high in runs[:12]:
-        texts += [f"{low}…{high}"] if high - low > 1 else [str(low)] if low == high else [f"{low}, {high}"]
+    texts = [
+        f"{low}…{high}" if high - low > 1 else str(low) if low == high else f"{low}, {high}"
+        for low, high in runs[:12]
+    ]
     return ", ".join(texts) + (f", … ({len(values)} values)" if len(runs) > 12 else "")
 
 

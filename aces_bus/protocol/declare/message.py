@@ -172,11 +172,12 @@ class Message:
 
     def _enumerations(self) -> dict[tuple[str, ...], Enumeration]:
         """The enumerations outside the payload that it may choose by, as `this._.name`."""
-        found: dict[str, Any] = {}
-        for request in (*self.reply_to, *self.after):
-            for name, _ in request.values:
-                for field in request.message._field_constructs(name):
-                    found[name] = enumeration_of(field)
+        found: dict[str, Any] = {
+            name: enumeration_of(field)
+            for request in (*self.reply_to, *self.after)
+            for name, _ in request.values
+            for field in request.message._field_constructs(name)
+        }
         for head in self.heads_written:
             if head.name is not None:
                 found[head.name] = enumeration_of(head.field)
@@ -511,9 +512,7 @@ class Message:
 
     @property
     def describe_lengths(self) -> str:
-        if self.lengths is None:
-            return ""
-        return f"{describe_values(self.lengths)} bytes"
+        return "" if self.lengths is None else f"{describe_values(self.lengths)} bytes"
 
     @property
     def outer_names(self) -> frozenset[str]:

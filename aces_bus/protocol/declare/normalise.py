@@ -82,22 +82,23 @@ class _Walk:
     def of(self, con: c.Construct, path: str, known: Known) -> Any:
         """What replaces `con`; raises `SpecError` for what cannot be in a payload."""
         place = self.place
-        if isinstance(con, c.Renamed):
-            if con.name is None:
-                return self.of(con.subcon, path, known)
-            check_name(con.name, place)
-            inner = self.of(con.subcon, f"{path}.{con.name}", known)
-            return c.Renamed(inner, newname=con.name, newdocs=con.docs)
-        if isinstance(con, c.Enum):
-            names = {str(k): int(v) for k, v in con.encmapping.items()}
-            return Enumeration(self.of(con.subcon, path, known), names)
-        if isinstance(con, c.FlagsEnum):
-            masks = {str(k): int(v) for k, v in con.flags.items()}
-            wide = [k for k, v in masks.items() if v.bit_count() != 1]
-            if wide:
-                raise SpecError(f"{place}: {path}: flag {wide[0]!r} is not a single bit")
-            inner = self.of(con.subcon, path, known)
-            return Flags(inner, {k: v.bit_length() - 1 for k, v in masks.items()})
+        match con:
+            case c.Renamed():
+                if con.name is None:
+                    return self.of(con.subcon, path, known)
+                check_name(con.name, place)
+                inner = self.of(con.subcon, f"{path}.{con.name}", known)
+                return c.Renamed(inner, newname=con.name, newdocs=con.docs)
+            case c.Enum():
+                names = {str(k): int(v) for k, v in con.encmapping.items()}
+                return Enumeration(self.of(con.subcon, path, known), names)
+            case c.FlagsEnum():
+                masks = {str(k): int(v) for k, v in con.flags.items()}
+                wide = [k for k, v in masks.items() if v.bit_count() != 1]
+                if wide:
+                    raise SpecError(f"{place}: {path}: flag {wide[0]!r} is not a single bit")
+                inner = self.of(con.subcon, path, known)
+                return Flags(inner, {k: v.bit_length() - 1 for k, v in masks.items()})
         if con is c.Flag and not self.in_bits:
             raise SpecError(
                 f"{place}: {path}: Flag loses bits 1…7; use BitLayout(1, … bits(1)) or Enumeration(Byte, off=0, on=1)"
@@ -107,51 +108,52 @@ class _Walk:
             reason = "BitsInteger reads bits, which are in BitStruct and Bitwise alone; use BytesInteger, or a BitLayout"
         if reason:
             raise SpecError(f"{place}: {path}: {reason}")
-        if isinstance(con, c.Struct):
-            return self._struct(con, path, known)
-        if isinstance(con, (c.Sequence, c.FocusedSeq)):
-            return self._sequence(con, path, known)
-        if isinstance(con, BitLayout):
-            self._layout(con)
-            return con
-        if isinstance(con, Multiplexed):
-            made = Multiplexed(con.selector, con.when, self.of(con.body, path, known))
-            made.place = con.place
-            return made
-        if isinstance(con, (c.Array, c.GreedyRange, c.RepeatUntil)):
-            return self._repeated(con, path, known)
-        if isinstance(con, c.Prefixed):
-            return Prefixed(con.lengthfield, self.of(con.subcon, path, known), con.includelength)
-        if isinstance(con, c.FixedSized):
-            self.may_strip = _strips(con.subcon)
-            return FixedSized(equal_in_both(con.length, known), self.of(con.subcon, path, known))
-        if isinstance(con, c.NullTerminated):
-            return NullTerminated(self.of(con.subcon, path, known), con.term)
-        if isinstance(con, c.NullStripped):
-            if self.may_strip:
-                self.may_strip = False
+        match con:
+            case c.Struct():
+                return self._struct(con, path, known)
+            case c.Sequence() | c.FocusedSeq():
+                return self._sequence(con, path, known)
+            case BitLayout():
+                self._layout(con)
                 return con
-            raise SpecError(
-                f"{place}: {path}: NullStripped loses what it strips; put it in a FixedSized, or use Text(n)"
-            )
-        if isinstance(con, c.Transformed):
-            return self._transformed(con, path)
-        if isinstance(con, c.LazyBound):
-            return self._late(con, path, known)
-        if isinstance(con, c.IfThenElse):
-            then, otherwise = (self.of(one, path, known) for one in (con.thensubcon, con.elsesubcon))
-            return c.IfThenElse(equal_in_both(con.condfunc, known), then, otherwise)
-        if isinstance(con, c.Switch):
-            con = switch_by_both(con, known)
-            walked: dict[int, Any] = {}  # a case under several keys stays one
-            for case in (*con.cases.values(), con.default):
-                walked.setdefault(id(case), self.of(case, path, known))
-            cases = {key: walked[id(case)] for key, case in con.cases.items()}
-            return c.Switch(con.keyfunc, cases, walked[id(con.default)])
-        if isinstance(con, (c.Bytes, c.BytesInteger)):
-            if isinstance(con.length, int) and con.length < 0:
-                raise SpecError(f"{place}: {path}: {con.length} bytes")
-            return _changed(con, "length", equal_in_both(con.length, known))
+            case Multiplexed():
+                made = Multiplexed(con.selector, con.when, self.of(con.body, path, known))
+                made.place = con.place
+                return made
+            case c.Array() | c.GreedyRange() | c.RepeatUntil():
+                return self._repeated(con, path, known)
+            case c.Prefixed():
+                return Prefixed(con.lengthfield, self.of(con.subcon, path, known), con.includelength)
+            case c.FixedSized():
+                self.may_strip = _strips(con.subcon)
+                return FixedSized(equal_in_both(con.length, known), self.of(con.subcon, path, known))
+            case c.NullTerminated():
+                return NullTerminated(self.of(con.subcon, path, known), con.term)
+            case c.NullStripped():
+                if self.may_strip:
+                    self.may_strip = False
+                    return con
+                raise SpecError(
+                    f"{place}: {path}: NullStripped loses what it strips; put it in a FixedSized, or use Text(n)"
+                )
+            case c.Transformed():
+                return self._transformed(con, path)
+            case c.LazyBound():
+                return self._late(con, path, known)
+            case c.IfThenElse():
+                then, otherwise = (self.of(one, path, known) for one in (con.thensubcon, con.elsesubcon))
+                return c.IfThenElse(equal_in_both(con.condfunc, known), then, otherwise)
+            case c.Switch():
+                con = switch_by_both(con, known)
+                walked: dict[int, Any] = {}  # a case under several keys stays one
+                for case in (*con.cases.values(), con.default):
+                    walked.setdefault(id(case), self.of(case, path, known))
+                cases = {key: walked[id(case)] for key, case in con.cases.items()}
+                return c.Switch(con.keyfunc, cases, walked[id(con.default)])
+            case c.Bytes() | c.BytesInteger():
+                if isinstance(con.length, int) and con.length < 0:
+                    raise SpecError(f"{place}: {path}: {con.length} bytes")
+                return _changed(con, "length", equal_in_both(con.length, known))
         for name in ("condfunc", "func"):  # of StopIf, Check and Rebuild
             if name in vars(con) and isinstance(con, (c.StopIf, c.Check, c.Rebuild)):
                 con = _changed(con, name, equal_in_both(getattr(con, name), known))
@@ -369,40 +371,41 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
     """The least and the greatest number of bytes of a construct; None for no bound."""
     while isinstance(con, c.Renamed):
         con = con.subcon
-    if isinstance(con, (c.Struct, c.Sequence, c.FocusedSeq)):
-        low = 0
-        high: int | None = 0
-        stops = False
-        for item in con.subcons:
-            one, most = sizes(item)
-            stops = stops or isinstance(item.subcon if isinstance(item, c.Renamed) else item, c.StopIf)
-            low += 0 if stops else one
-            high = None if high is None or most is None else high + most
-        # Fields that exclude each other overlay; what the selector allows is decided when parsing.
-        return low, high
-    if isinstance(con, Multiplexed):
-        return 0, sizes(con.body)[1]
-    if isinstance(con, c.Array):
-        low, most = sizes(con.subcon)
-        if isinstance(con.count, int):
-            return low * con.count, None if most is None else most * con.count
-        return 0, None
-    if isinstance(con, c.IfThenElse):
-        return _either([con.thensubcon, con.elsesubcon])
-    if isinstance(con, c.Switch):
-        return _either([*con.cases.values(), con.default])
-    if isinstance(con, BitLayout):
-        return con.size, None if con.trailing else con.size
-    if isinstance(con, Delimited):
-        return con.least_size, None
-    if isinstance(con, (c.Default, c.Rebuild, c.Adapter, _Moving)):
-        return sizes(con.subcon)
-    if isinstance(con, c.Prefixed):
-        return sizes(con.lengthfield)[0], None
-    if isinstance(con, c.NullTerminated):
-        return len(con.term), None
-    if isinstance(con, c.RepeatUntil):
-        return sizes(con.subcon)[0], None
+    match con:
+        case c.Struct() | c.Sequence() | c.FocusedSeq():
+            low = 0
+            high: int | None = 0
+            stops = False
+            for item in con.subcons:
+                one, most = sizes(item)
+                stops = stops or isinstance(item.subcon if isinstance(item, c.Renamed) else item, c.StopIf)
+                low += 0 if stops else one
+                high = None if high is None or most is None else high + most
+            # Fields that exclude each other overlay; what the selector allows is decided when parsing.
+            return low, high
+        case Multiplexed():
+            return 0, sizes(con.body)[1]
+        case c.Array():
+            low, most = sizes(con.subcon)
+            if isinstance(con.count, int):
+                return low * con.count, None if most is None else most * con.count
+            return 0, None
+        case c.IfThenElse():
+            return _either([con.thensubcon, con.elsesubcon])
+        case c.Switch():
+            return _either([*con.cases.values(), con.default])
+        case BitLayout():
+            return con.size, None if con.trailing else con.size
+        case Delimited():
+            return con.least_size, None
+        case c.Default() | c.Rebuild() | c.Adapter() | _Moving():
+            return sizes(con.subcon)
+        case c.Prefixed():
+            return sizes(con.lengthfield)[0], None
+        case c.NullTerminated():
+            return len(con.term), None
+        case c.RepeatUntil():
+            return sizes(con.subcon)[0], None
     if con is c.VarInt or con is c.ZigZag:
         return 1, None
     try:

@@ -82,9 +82,7 @@ class IdField(Arithmetic):
     @property
     def bits(self) -> int:
         """The bits that are set in some of its values, as a mask."""
-        if len(self.values) > 4096:
-            return (1 << self.width) - 1
-        return reduce(or_, self.values)
+        return (1 << self.width) - 1 if len(self.values) > 4096 else reduce(or_, self.values)
 
     def only(self, values: Collection[int]) -> IdField:
         """The same capture over fewer values."""
@@ -187,9 +185,7 @@ class IdPattern(Arithmetic):
     @cached_property
     def fixed(self) -> int:
         """The bits that are those of `constant` in every number that matches, as a mask (negative: all higher ones)."""
-        varying = 0
-        for capture in self.captures:
-            varying |= ((1 << capture.width) - 1) << capture.shift
+        varying = reduce(or_, (((1 << one.width) - 1) << one.shift for one in self.captures), 0)
         if varying & self.constant:  # adding may carry
             return (1 << min(capture.shift for capture in self.captures)) - 1
         return ~varying

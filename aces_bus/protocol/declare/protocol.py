@@ -459,6 +459,4 @@ def share_dialect(one: Message, other: Message) -> bool:
 
 def may_coexist(one: Message, other: Message) -> bool:
     """Whether some dialect and configuration has both messages for one device."""
-    if not share_dialect(one, other):
-        return False
-    return not any(a.excludes(b) for a in one.when for b in other.when)
+    return share_dialect(one, other) and not any(a.excludes(b) for a in one.when for b in other.when)

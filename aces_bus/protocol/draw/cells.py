@@ -171,21 +171,22 @@ def span_of(node: p.Node) -> tuple[int, int] | None:
 
 
 def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
-    if isinstance(node, p.Scalar):
-        _claim_scalar(cells, label, node, is_brief=is_brief)
-    elif isinstance(node, p.Many):
-        span = span_of(node)
-        assert span is not None
-        cells.blocks[span[0]] = _Block(*span, f"{label}.0…{len(node.items) - 1}")
-    elif isinstance(node, p.FromIdentifier) and node.number is not None:
-        text = label
-        if node.is_alone and (node.constant or node.shift):
-            text = f"{node.constant:#04x} + {label}" + (f" << {node.shift}" if node.shift else "")
-        cells.claim(text, node.place)
-    elif isinstance(node, p.DelimitedField):
-        cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
-    elif isinstance(node, p.MoreCells):
-        cells.lines.append((f"#{node.start}…", label))
+    match node:
+        case p.Scalar():
+            _claim_scalar(cells, label, node, is_brief=is_brief)
+        case p.Many():
+            span = span_of(node)
+            assert span is not None
+            cells.blocks[span[0]] = _Block(*span, f"{label}.0…{len(node.items) - 1}")
+        case p.FromIdentifier() if node.number is not None:
+            text = label
+            if node.is_alone and (node.constant or node.shift):
+                text = f"{node.constant:#04x} + {label}" + (f" << {node.shift}" if node.shift else "")
+            cells.claim(text, node.place)
+        case p.DelimitedField():
+            cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
+        case p.MoreCells():
+            cells.lines.append((f"#{node.start}…", label))
 
 
 def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) -> None:

@@ -55,35 +55,36 @@ def captured_values(message: Message) -> dict[str, str]:
 
 
 def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -> FieldRow:
-    if isinstance(node, p.Many):
-        span = span_of(node)
-        inner = _field_row("", node.items[0], "", captured) if node.items else FieldRow("", "", "")
-        place = "byte " + range_text(*span) if span is not None else ""
-        kind = f"{len(node.items)} × {inner.type or 'record'}"
-        return FieldRow(
-            name, place, kind, inner.unit, inner.scale, inner.offset, inner.range, inner.names, doc
-        )
-    if isinstance(node, p.Scalar):
-        return _scalar_row(name, node, doc)
-    if isinstance(node, p.FromIdentifier):
-        place = bits_place(node.place)
-        if node.number is None:
-            last = node.shift + node.width - 1
-            place = "identifier" if node.is_alone else f"identifier {last}…{node.shift}"
-        kind = f"uint{node.width}"
-        return FieldRow(
-            name, place, kind, node.unit, *_scaling(node)[:2], captured.get(name, ""), _names(node), doc
-        )
-    if isinstance(node, p.FromRequest):
-        return FieldRow(name, "request", "as there", doc=doc)
-    if isinstance(node, p.Rest):
-        return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
-    if isinstance(node, p.DelimitedField):
-        kind = {"names": "enumeration"}.get(node.conversion, node.conversion)
-        note = "may be left out" if node.optional else ""
-        return FieldRow(name, f"field {node.index}", kind, node.unit, names=_names(node), doc=doc or note)
-    if isinstance(node, p.MoreCells):
-        return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
+    match node:
+        case p.Many():
+            span = span_of(node)
+            inner = _field_row("", node.items[0], "", captured) if node.items else FieldRow("", "", "")
+            place = "byte " + range_text(*span) if span is not None else ""
+            kind = f"{len(node.items)} × {inner.type or 'record'}"
+            return FieldRow(
+                name, place, kind, inner.unit, inner.scale, inner.offset, inner.range, inner.names, doc
+            )
+        case p.Scalar():
+            return _scalar_row(name, node, doc)
+        case p.FromIdentifier():
+            place = bits_place(node.place)
+            if node.number is None:
+                last = node.shift + node.width - 1
+                place = "identifier" if node.is_alone else f"identifier {last}…{node.shift}"
+            kind = f"uint{node.width}"
+            return FieldRow(
+                name, place, kind, node.unit, *_scaling(node)[:2], captured.get(name, ""), _names(node), doc
+            )
+        case p.FromRequest():
+            return FieldRow(name, "request", "as there", doc=doc)
+        case p.Rest():
+            return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
+        case p.DelimitedField():
+            kind = {"names": "enumeration"}.get(node.conversion, node.conversion)
+            note = "may be left out" if node.optional else ""
+            return FieldRow(name, f"field {node.index}", kind, node.unit, names=_names(node), doc=doc or note)
+        case p.MoreCells():
+            return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
     reason = node.reason if isinstance(node, p.Opaque) else ""
     return FieldRow(name, "", "by construct", doc=doc or reason)
 
@@ -179,6 +180,4 @@ def _names(node: p.Node) -> str:
 
 
 def _short(number: float) -> str:
-    if float(number).is_integer() and abs(number) < 1e12:
-        return str(int(number))
-    return f"{number:.6g}"
+    return str(int(number)) if float(number).is_integer() and abs(number) < 1e12 else f"{number:.6g}"

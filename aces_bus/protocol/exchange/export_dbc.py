@@ -132,10 +132,11 @@ class _Decider:
     ) -> Identified:
         first = messages[0]
         captures = {} if _j1939(first.identifier) is not None else first.identifier.match(identifier) or {}
-        if len(messages) == 1:
-            name = "_".join([first.name, *map(str, captures.values())])
-        else:
-            name = f"{self.variant.name}_{identifier:0{8 if first.extended else 3}X}"
+        name = (
+            "_".join([first.name, *map(str, captures.values())])
+            if len(messages) == 1
+            else f"{self.variant.name}_{identifier:0{8 if first.extended else 3}X}"
+        )
         ways = {message.direction for message in messages}
         sender = (
             {"to device": "Host", "from device": "Device"}.get(str(ways.pop()), "") if len(ways) == 1 else ""
@@ -367,18 +368,19 @@ class _Group:
             owner.is_selector, when = True, (selector, values)
         base = DbcSignal("", 0, 0, comment=clean_text(leaf.doc), when=when)
         before = len(self.found)
-        if isinstance(node, p.Scalar):
-            self._scalar(leaf, node, base, name, len(names) > 1)
-        elif isinstance(node, p.FromIdentifier):
-            if node.number is None:
-                return  # each identifier is a message
-            self._captured(leaf, node, base, name)
-        elif isinstance(node, p.Rest):
-            return  # bits without a signal
-        elif isinstance(node, p.FromRequest):
-            self._lose(name, leaf.path, "a field of the request: left out")
-        else:
-            self._lose(name, leaf.path, "no fixed place: left out")
+        match node:
+            case p.Scalar():
+                self._scalar(leaf, node, base, name, len(names) > 1)
+            case p.FromIdentifier():
+                if node.number is None:
+                    return  # each identifier is a message
+                self._captured(leaf, node, base, name)
+            case p.Rest():
+                return  # bits without a signal
+            case p.FromRequest():
+                self._lose(name, leaf.path, "a field of the request: left out")
+            case _:
+                self._lose(name, leaf.path, "no fixed place: left out")
         if len(self.found) > before:
             for one in names:
                 self.named[one, leaf.path] = self.found[before].name

@@ -58,9 +58,11 @@ class _Printer:
 
     def module(self, problems: Sequence[ImportProblem], origin: str) -> str:
         own = unused(self.protocol.name, self.taken)
-        body: list[str] = []
-        for message in self.protocol.declared:
-            body += ["", *expression_lines(self._message(message, own))]
+        body = [
+            line
+            for message in self.protocol.declared
+            for line in ("", *expression_lines(self._message(message, own)))
+        ]
         head = [f'"""Made by `aces spec import` from {origin}: yours to edit from here on."""', ""]
         if problems:
             head += ["# What is not in it, or differently:"]
@@ -226,9 +228,7 @@ class _Printer:
             return Call(self._word("Quantity"), (place,), tuple(keywords))
         if isinstance(field, Enumeration):
             return self._documented(self._enumeration(field, place), doc)
-        if isinstance(field, Bits):
-            return self._documented(place, doc)
-        if id(field) in _PLAIN:
+        if isinstance(field, Bits) or id(field) in _PLAIN:
             return self._documented(place, doc)
         raise CallerError(f"a field of {type(field).__name__} cannot be printed as source")
 
@@ -342,19 +342,22 @@ Expression = Code | Call | Sequenced | Operation
 
 def python_literal(value: Any) -> Expression:
     """A value of Python's own kinds as an expression."""
-    if isinstance(value, str):
-        return Code(python_string(value))
-    if isinstance(value, range):
-        first = (value.start,) if value.start or value.step != 1 else ()
-        step = (value.step,) if value.step != 1 else ()
-        return Call("range", tuple(Code(str(one)) for one in (*first, value.stop, *step)))
-    if isinstance(value, Mapping):
-        return Sequenced(tuple(map(python_literal, value.values())), "{}", tuple(map(python_literal, value)))
-    if isinstance(value, (list, tuple, set, frozenset)):
-        is_set = isinstance(value, (set, frozenset))
-        items: Iterable[Any] = sorted(value) if is_set else value
-        brackets = "{}" if is_set else "[]" if isinstance(value, list) else "()"
-        return Sequenced(tuple(map(python_literal, items)), brackets)
+    match value:
+        case str():
+            return Code(python_string(value))
+        case range():
+            first = (value.start,) if value.start or value.step != 1 else ()
+            step = (value.step,) if value.step != 1 else ()
+            return Call("range", tuple(Code(str(one)) for one in (*first, value.stop, *step)))
+        case Mapping():
+            return Sequenced(
+                tuple(map(python_literal, value.values())), "{}", tuple(map(python_literal, value))
+            )
+        case list() | tuple() | set() | frozenset():
+            is_set = isinstance(value, (set, frozenset))
+            items: Iterable[Any] = sorted(value) if is_set else value
+            brackets = "{}" if is_set else "[]" if isinstance(value, list) else "()"
+            return Sequenced(tuple(map(python_literal, items)), brackets)
     return Code(repr(value))
 
 
@@ -374,14 +377,15 @@ def python_string(text: str) -> str:
 
 def flat(one: Expression) -> str:
     """An expression on one line."""
-    if isinstance(one, Code):
-        return one.text
-    if isinstance(one, Operation):
-        return flat(one.first) + "".join(f" {operator} {flat(part)}" for operator, part in one.rest)
-    if isinstance(one, Call):
-        parts = [flat(part) for part in one.arguments]
-        parts += [f"{name}={flat(part)}" for name, part in one.keywords]
-        return f"{one.function}({', '.join(parts)})"
+    match one:
+        case Code():
+            return one.text
+        case Operation():
+            return flat(one.first) + "".join(f" {operator} {flat(part)}" for operator, part in one.rest)
+        case Call():
+            parts = [flat(part) for part in one.arguments]
+            parts += [f"{name}={flat(part)}" for name, part in one.keywords]
+            return f"{one.function}({', '.join(parts)})"
     if one.keys:
         inner = ", ".join(f"{flat(k)}: {flat(v)}" for k, v in zip(one.keys, one.items, strict=True))
     else:

@@ -283,30 +283,34 @@ class _Printer:
     def _leaf(self, leaf: p.NodePath, message: Message, plan: p.MessagePlan, abbr: str) -> dict[str, Any]:
         node, table = leaf.node, {"path": leaf.path}
         more: dict[str, Any] = {}
-        if isinstance(node, p.FromIdentifier):
-            if node.number is None:
-                more = {"kind": "identifier"}
-            else:
-                bits = node.number.place
-                part: dict[str, Any] = {"constant": node.constant, "shift": node.shift}
-                # Alone in its number it is (number − constant) ÷ 2^shift, which the program takes where there is no width.
-                part["width"] = None if node.is_alone else node.width
-                more = {"kind": "uint", "pattern": part, **_placed(bits)}
-            width = node.width
-            more["width"] = width
-            more |= self._number(leaf, node, abbr, f"uint{_size(width)}", width)
-        elif isinstance(node, p.FromRequest):
-            more = {"kind": "request", "field": self._field(abbr, leaf.path, "uint32", "DEC", None, leaf.doc)}
-        elif isinstance(node, p.Rest):
-            more = self._rest(leaf, node, message, abbr)
-        elif isinstance(node, (p.DelimitedField, p.MoreCells)):
-            index = node.index if isinstance(node, p.DelimitedField) else node.start
-            kind = "cell" if isinstance(node, p.DelimitedField) else "cells"
-            number = self._field(abbr, leaf.path, "string", None, None, leaf.doc)
-            more = {"kind": kind, "index": index + 1, "field": number}
-        else:
-            assert isinstance(node, p.Scalar)
-            more = self._scalar(leaf, node, plan, message, abbr)
+        match node:
+            case p.FromIdentifier():
+                if node.number is None:
+                    more = {"kind": "identifier"}
+                else:
+                    bits = node.number.place
+                    part: dict[str, Any] = {"constant": node.constant, "shift": node.shift}
+                    # Alone in its number it is (number − constant) ÷ 2^shift: what the program takes without a width.
+                    part["width"] = None if node.is_alone else node.width
+                    more = {"kind": "uint", "pattern": part, **_placed(bits)}
+                width = node.width
+                more["width"] = width
+                more |= self._number(leaf, node, abbr, f"uint{_size(width)}", width)
+            case p.FromRequest():
+                more = {
+                    "kind": "request",
+                    "field": self._field(abbr, leaf.path, "uint32", "DEC", None, leaf.doc),
+                }
+            case p.Rest():
+                more = self._rest(leaf, node, message, abbr)
+            case p.DelimitedField() | p.MoreCells():
+                index = node.index if isinstance(node, p.DelimitedField) else node.start
+                kind = "cell" if isinstance(node, p.DelimitedField) else "cells"
+                number = self._field(abbr, leaf.path, "string", None, None, leaf.doc)
+                more = {"kind": kind, "index": index + 1, "field": number}
+            case _:
+                assert isinstance(node, p.Scalar)
+                more = self._scalar(leaf, node, plan, message, abbr)
         return {**table, **more}
 
     def _rest(self, leaf: p.NodePath, node: p.Rest, message: Message, abbr: str) -> dict[str, Any]:
@@ -478,10 +482,7 @@ _NAMES = frozenset((
 def lua_string(text: str | bytes) -> str:
     """A string literal; characters beyond ASCII as their UTF-8 bytes."""
     data = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
-    out = []
-    for byte in data:
-        plain = 0x20 <= byte < 0x7F and byte not in b'"\\'
-        out.append(chr(byte) if plain else f"\\{byte:03d}")
+    out = [chr(byte) if 0x20 <= byte < 0x7F and byte not in b'"\\' else f"\\{byte:03d}" for byte in data]
     return '"' + "".join(out) + '"'
 
 
@@ -491,31 +492,30 @@ def lua_literal(value: Any, indent: int = 0) -> str:
     if len(flat) + indent <= WIDTH or not isinstance(value, (Mapping, Sequence)) or isinstance(value, str):
         return flat
     pad = "  " * (indent // 2 + 1)
-    lines = []
     if isinstance(value, Mapping):
-        for key, one in value.items():
-            if one is not None:
-                lines.append(f"{pad}{_key(key)} = {lua_literal(one, indent + 2)},")
+        items = [(f"{_key(key)} = ", one) for key, one in value.items() if one is not None]
     else:
-        lines = [f"{pad}{lua_literal(one, indent + 2)}," for one in value]
+        items = [("", one) for one in value]
+    lines = [f"{pad}{start}{lua_literal(one, indent + 2)}," for start, one in items]
     return "\n".join(["{", *lines, "  " * (indent // 2) + "}"])
 
 
 def _flat(value: Any) -> str:
-    if value is None:
-        return "nil"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return repr(value)
-    if isinstance(value, (str, bytes)):
-        return lua_string(value)
-    if isinstance(value, Mapping):
-        inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
-    else:
-        inner = ", ".join(_flat(one) for one in value)
+    match value:
+        case None:
+            return "nil"
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            return repr(value)
+        case str() | bytes():
+            return lua_string(value)
+        case Mapping():
+            inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
+        case _:
+            inner = ", ".join(map(_flat, value))
     return f"{{ {inner} }}" if inner else "{}"
 
 

@@ -419,10 +419,7 @@ def _mask(signal: Any, at: int) -> int:
     """The bits of a signal in the little-endian word of its message."""
     if signal.byte_order != "big_endian":
         return ((1 << int(signal.length)) - 1) << at
-    mask = 0
-    for position in range(at, at + signal.length):
-        mask |= 1 << (position ^ 7)
-    return mask
+    return sum(1 << (position ^ 7) for position in range(at, at + signal.length))
 
 
 def _value(signal: Any, at: int) -> c.Construct:
@@ -487,10 +484,11 @@ def _range(signal: Any) -> tuple[float, float] | None:
     low, high = signal.minimum, signal.maximum
     if low is None and high is None:
         return None
-    if signal.conversion.is_float:
-        ends = [-float_info.max, float_info.max]
-    else:
-        ends = sorted(raw * signal.conversion.scale + signal.conversion.offset for raw in _limits(signal))
+    ends = (
+        [-float_info.max, float_info.max]
+        if signal.conversion.is_float
+        else sorted(raw * signal.conversion.scale + signal.conversion.offset for raw in _limits(signal))
+    )
     low = ends[0] if low is None else _plain(low)
     high = ends[1] if high is None else _plain(high)
     is_span = math.isfinite(low) and math.isfinite(high) and low <= high and not low == high == 0

@@ -366,10 +366,9 @@ class _Declared:
                 if found is not None:
                     places.setdefault((int(found[2]), int(found[3])), []).append((found[1], one.line))
             self._signals = block, places
-        for name, line in self._signals[1].get((signal.start, signal.length), ()):
-            if name == signal.name or len(name) >= _SHORTENED:
-                return line
-        return block.line
+        at_its_place = self._signals[1].get((signal.start, signal.length), ())
+        lines = (line for name, line in at_its_place if name == signal.name or len(name) >= _SHORTENED)
+        return next(lines, block.line)
 
 
 class _Search:

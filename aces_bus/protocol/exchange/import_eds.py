@@ -277,10 +277,8 @@ class _Builder:
     def _number(self, index: int, sub: int) -> int | None:
         """The value of an object: of a DCF what is set, of an EDS the default."""
         one = self._object(index, sub)
-        for value in (getattr(one, "value", None), getattr(one, "default", None)):
-            if isinstance(value, int):
-                return value
-        return None
+        numbers = (getattr(one, "value", None), getattr(one, "default", None))
+        return next((number for number in numbers if isinstance(number, int)), None)
 
     def _cob_id(self, parameters: int, usual: Sequence[int]) -> tuple[int, bool]:
         """The identifier's word, and whether the node's number is part of it."""
@@ -326,10 +324,11 @@ class _Builder:
         if getattr(parent, "subindices", None) is not None:
             text = f"{clean_text(parent.name)} {text}"
         place: c.Construct
-        if _FLOATS.get(one.data_type) == width:
-            place = float_bits(width, at)
-        else:
-            place = bits(width, at, signed=one.data_type in _SIGNED)
+        place = (
+            float_bits(width, at)
+            if _FLOATS.get(one.data_type) == width
+            else bits(width, at, signed=one.data_type in _SIGNED)
+        )
         names = {plain: number for number, plain in getattr(one, "value_descriptions", {}).items()}
         factor = getattr(one, "factor", 1)
         scale = int(factor) if float(factor).is_integer() else float(factor)

@@ -261,9 +261,10 @@ def _crowded(statements: list[Statement]) -> dict[str, int]:
         found = _MUX.match(statement.text) if statement.word == "SG_MUL_VAL_" else None
         if found is None:
             continue
-        count = 0
-        for low, high in _RANGE.findall(found[4]):
-            count += max(0, int(high) - int(low) + 1) if len(high) < 12 else 1 << 40
+        count = sum(
+            max(0, int(high) - int(low) + 1) if len(high) < 12 else 1 << 40
+            for low, high in _RANGE.findall(found[4])
+        )
         children.setdefault(str(int(found[1])), {}).setdefault(found[3], {})[found[2]] = count
     crowded: dict[str, int] = {}
     for number, by_parent in children.items():

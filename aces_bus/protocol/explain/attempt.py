@@ -84,9 +84,7 @@ class Attempt:
     def verdict(self) -> str:
         """One line: the message, or why there is none."""
         found = self.found
-        if found.message is not None:
-            return found.message
-        return found.reason
+        return found.message if found.message is not None else found.reason
 
     @property
     def label(self) -> str:

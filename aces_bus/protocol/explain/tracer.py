@@ -43,9 +43,11 @@ class Tracer(Reference):
     @property
     def interesting(self) -> frozenset[str]:
         """Messages that later ones may hang on, or that hang on earlier ones."""
-        found: set[str] = set()
-        for _, _, contextual, context in self.sides:
-            found |= set(contextual) | set(context.requests) | set(context.answers)
+        found = {
+            name
+            for _, _, contextual, context in self.sides
+            for name in (*contextual, *context.requests, *context.answers)
+        }
         return frozenset(found)
 
     # ------------------------------------------------------------------ streams
@@ -214,9 +216,9 @@ class _Contest:
     def lead(self, found: ReferenceItem) -> Template:
         """The template whose words are named: the one that was accepted, else one that lived longest."""
         for template in self.templates:
-            if found.message is not None and template.message.name == found.message:
-                if found.protocol in (None, template.message.protocol.name):
-                    return template
+            message = template.message
+            if message.name == found.message and found.protocol in (None, message.protocol.name):
+                return template
         for died, living in reversed(self.words):
             if living:
                 return living[0]
@@ -321,17 +323,18 @@ def words_of(frame: Any, data: bytes) -> list[Word]:
 def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tuple[str, str] | None:
     message = template.message
     place, _, offset = word
-    if place == "id":
-        if message.identifier.match(frame.arbitration_id) is None:
-            return "identifier", message.identifier.describe(8 if message.extended else 3)
-        is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)
-        return ("kind of frame", _kind(message)) if is_plain and not _is_kind(message, frame) else None
-    if place == "kind":
-        return None if _is_kind(message, frame) else ("kind of frame", _kind(message))
-    if place == "length":
-        if message.lengths is not None and len(data) not in message.lengths:
-            return "length", message.describe_lengths
-        return None
+    match place:
+        case "id":
+            if message.identifier.match(frame.arbitration_id) is None:
+                return "identifier", message.identifier.describe(8 if message.extended else 3)
+            is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)
+            return ("kind of frame", _kind(message)) if is_plain and not _is_kind(message, frame) else None
+        case "kind":
+            return None if _is_kind(message, frame) else ("kind of frame", _kind(message))
+        case "length":
+            if message.lengths is not None and len(data) not in message.lengths:
+                return "length", message.describe_lengths
+            return None
     assert offset is not None
     return template.death(data[: offset + 1], None, None)
 
@@ -372,11 +375,12 @@ def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Fi
 def frame_cell(template: Template, word: Word) -> str:
     place, _, offset = word
     message = template.message
-    if place == "id":
-        return message.identifier.describe(8 if message.extended else 3)
-    if place == "kind":
-        return _kind(message)
-    if place == "length":
-        return message.describe_lengths.removesuffix(" bytes")
+    match place:
+        case "id":
+            return message.identifier.describe(8 if message.extended else 3)
+        case "kind":
+            return _kind(message)
+        case "length":
+            return message.describe_lengths.removesuffix(" bytes")
     assert offset is not None
     return template.cell(offset, None)

@@ -141,9 +141,8 @@ def _unrecognised(message: Message, example: Example) -> str | None:
         if here is None or here.place != message.place:
             continue
         found = read_example(variant, message, example)
-        if found.message == message.name:
-            return None
-        if found.reason.startswith("unknown: needs request") and example.request is None:
+        needs_request = found.reason.startswith("unknown: needs request")
+        if found.message == message.name or (needs_request and example.request is None):
             return None
         others.setdefault(found.message or found.reason, variant.label)
     if not others:
@@ -215,14 +214,15 @@ def agree(found: Any, wanted: Any) -> bool:
 
 def show_value(value: Any) -> str:
     """A value in a sentence: bytes as hexadecimal, floats short."""
-    if isinstance(value, bytes):
-        return value.hex(" ").upper() or "no bytes"
-    if isinstance(value, FlagSet):
-        return repr(value)
-    if isinstance(value, float):
-        return f"{value:.9g}"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{name}: {show_value(item)}" for name, item in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(show_value, value)) + "]"
+    match value:
+        case bytes():
+            return value.hex(" ").upper() or "no bytes"
+        case FlagSet():
+            return repr(value)
+        case float():
+            return f"{value:.9g}"
+        case Mapping():
+            return "{" + ", ".join(f"{name}: {show_value(item)}" for name, item in value.items()) + "}"
+        case list() | tuple():
+            return "[" + ", ".join(map(show_value, value)) + "]"
     return repr(value) if isinstance(value, str) else str(value)

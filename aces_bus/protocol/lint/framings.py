@@ -221,10 +221,11 @@ def _message_check(message: Message, check: Check) -> Iterator[Finding]:
     own = set(range(start, start + size))
     lengths = sorted(message.lengths or message.plan.lengths or (message.plan.least,))
     longest = lengths[-1]
-    if check.over is None:
-        covered = [place for place in range(longest) if place not in own]
-    else:
-        covered = _covered(check, longest, 0, longest)
+    covered = (
+        [place for place in range(longest) if place not in own]
+        if check.over is None
+        else _covered(check, longest, 0, longest)
+    )
     if not covered and not _elsewhere(check):
         yield _on(message, "error", "check-range", "its check covers nothing, so it cannot fail")
     elif own & set(covered):

@@ -234,9 +234,9 @@ def _covers(first: Message, other: Message) -> bool:
     plan = first.plan
     if plan.opaque or plan.split is not None or first.check is not None or first.framing is not other.framing:
         return False
-    if (first.extended, first.remote) != (other.extended, other.remote):
-        return False
-    if not set(other.formats) <= set(first.formats):
+    if (first.extended, first.remote) != (other.extended, other.remote) or not (
+        set(other.formats) <= set(first.formats)
+    ):
         return False
     if first.framing is None:
         if len(other.identifier) > WALKED or any(first.identifier.match(n) is None for n in other.identifier):
@@ -246,16 +246,11 @@ def _covers(first: Message, other: Message) -> bool:
         lengths: list[int | None] = [*(other.lengths or ())]
     else:
         theirs = other.plan
-        if plan.lengths is not None and plan.lengths != theirs.lengths:
-            return False
-        if plan.lengths is None and theirs.least < plan.least:
+        if theirs.least < plan.least if plan.lengths is None else plan.lengths != theirs.lengths:
             return False
         lengths = [None]
-    for length in lengths:
-        mine, others = demands(first, length), demands(other, length)
-        if mine is None or others is None or not _implied(mine, others):
-            return False
-    return True
+    both = [(demands(first, length), demands(other, length)) for length in lengths]
+    return all(mine is not None and others is not None and _implied(mine, others) for mine, others in both)
 
 
 def _implied(wanted: Demands, given: Demands) -> bool:
@@ -279,9 +274,7 @@ def _implied(wanted: Demands, given: Demands) -> bool:
 
 
 def _number(bits: tuple[int, ...], fixed: Mapping[int, int]) -> int | None:
-    if any(bit not in fixed for bit in bits):
-        return None
-    return sum(fixed[bit] << i for i, bit in enumerate(bits))
+    return sum(fixed[bit] << i for i, bit in enumerate(bits)) if fixed.keys() >= set(bits) else None
 
 
 # ---------------------------------------------------------------------- direction
@@ -321,11 +314,9 @@ def check_wire(variants: Sequence[Variant], level: Level = "error", where: str =
     """The collisions of protocols on one bus, in the order in which they are tried; `where` names the bus."""
     for index, first in enumerate(variants):
         for second in variants[index + 1 :]:
-            if first.link != second.link or first.protocol is second.protocol:
-                continue
-            if None not in (first.channel, second.channel) and first.channel != second.channel:
-                continue
-            yield from _collisions(first, second, level, where)
+            is_one_channel = None in (first.channel, second.channel) or first.channel == second.channel
+            if first.link == second.link and first.protocol is not second.protocol and is_one_channel:
+                yield from _collisions(first, second, level, where)
 
 
 def _collisions(first: Variant, second: Variant, level: Level, where: str) -> Iterator[Finding]:

@@ -85,22 +85,25 @@ class AxisModel:
 
     def read(self, index: int, now: int) -> int | None:
         """An object that the axis knows better than its dictionary; None: it does not."""
-        if index == 0x6041:
-            self.advance(now)
-            return self.statusword
-        if index == 0x6064:
-            self.advance(now)
-            return round(self._actual())
-        if index == 0x606C:
-            self.advance(now)
-            return 0 if self.motor.jammed else round(self.speed * self.units.per_speed / self.units.per_rad)
-        if index == 0x6077:
-            self.advance(now)
-            return round(self._torque)
-        if index == 0x6061:
-            return self.mode
-        if index == 0x603F:
-            return self.error
+        match index:
+            case 0x6041:
+                self.advance(now)
+                return self.statusword
+            case 0x6064:
+                self.advance(now)
+                return round(self._actual())
+            case 0x606C:
+                self.advance(now)
+                return (
+                    0 if self.motor.jammed else round(self.speed * self.units.per_speed / self.units.per_rad)
+                )
+            case 0x6077:
+                self.advance(now)
+                return round(self._torque)
+            case 0x6061:
+                return self.mode
+            case 0x603F:
+                return self.error
         return None
 
     @property

@@ -106,9 +106,7 @@ def _is_signed(dictionary: Any, index: int, subindex: int) -> bool:
     from canopen.objectdictionary import SIGNED_TYPES
 
     known = dictionary.get_variable(index, subindex)
-    if known is not None:
-        return known.data_type in SIGNED_TYPES
-    return index - offset_of(index) in SIGNED
+    return known.data_type in SIGNED_TYPES if known is not None else index - offset_of(index) in SIGNED
 
 
 #: Signed objects of CiA 402 that drives map (of axis 0).

@@ -100,10 +100,7 @@ def drive_state(statusword: int) -> str:
     >>> drive_state(0x0637), drive_state(0x0218), drive_state(0x0250)
     ('operation enabled', 'fault', 'switch on disabled')
     """
-    for name, mask, value in STATES:
-        if statusword & mask == value:
-            return name
-    return "unknown"
+    return next((name for name, mask, value in STATES if statusword & mask == value), "unknown")
 
 
 def emergency_text(code: int) -> str:

@@ -205,9 +205,11 @@ class Cia402Twin(Twin):
             return self._register()
         offset = offset_of(index)
         axis = self.axes.get(offset)
-        if axis is None or subindex or index < 0x6000:
-            return None
-        return axis.read(index - offset, self.clock.now())
+        return (
+            None
+            if axis is None or subindex or index < 0x6000
+            else axis.read(index - offset, self.clock.now())
+        )
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes) -> None:
         offset = offset_of(index)

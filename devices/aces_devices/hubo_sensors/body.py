@@ -70,10 +70,9 @@ class BodyPose:
             return
         build = self.build
         joints = self.world.joints
-        legs: list[list[float]] = []
-        for names in self._names:
-            models = [joints.get(name) for name in names]
-            legs.append([0.0 if model is None else model.position(now) for model in models])
+        legs = [
+            [joints[name].position(now) if name in joints else 0.0 for name in names] for names in self._names
+        ]
         pitches = [hip + knee + ankle for hip, knee, ankle, _, _ in legs]
         rolls = [hip + ankle for _, _, _, hip, ankle in legs]
         pitch, roll = -sum(pitches) / 2, -sum(rolls) / 2

@@ -67,9 +67,7 @@ class SensorTwin(Twin):
         for value, zero in zip(truth, group.zero, strict=True):
             step = round(value - zero + gauss(0.0, noise))
             out.append(LOW if step < LOW else HIGH if step > HIGH else step)
-        if "saturated" in faults:
-            return [HIGH if step >= 0 else LOW for step in out]
-        return out
+        return [HIGH if step >= 0 else LOW for step in out] if "saturated" in faults else out
 
     def _faulty(self, group: Axes, truth: Sequence[float]) -> list[float]:
         faults, more = self.active_faults, 0.0

@@ -193,10 +193,9 @@ class QikTwin(Twin):
     @on("SetSpeed")
     def take_speed(self, request: Any) -> None:
         """Drive a motor: of 127 steps, or of 255 in the 8-bit range."""
-        if self.parameters["pwm"] & 1:
-            duty = (request.speed + 128 * request.high) / 255
-        else:
-            duty = request.speed / 127
+        duty = (
+            (request.speed + 128 * request.high) / 255 if self.parameters["pwm"] & 1 else request.speed / 127
+        )
         self.wheels[request.motor].drive(self.clock.now(), -duty if request.reverse else duty)
 
     def power(self, on: bool) -> None:

@@ -112,9 +112,11 @@ class ShaftMotion:
 
     def _drive(self, gap: float, is_ccw: bool) -> float:
         over = gap - self.margin[is_ccw]
-        if over <= REST + HAIR:
-            return 0.0
-        return min(self.limit / TOP, self.punch / TOP + over / STEPS[self.slope[is_ccw]])
+        return (
+            0.0
+            if over <= REST + HAIR
+            else min(self.limit / TOP, self.punch / TOP + over / STEPS[self.slope[is_ccw]])
+        )
 
     def _gap_after(self, gap: float, is_ccw: bool, left: float) -> float:
         """What is left of a distance after some seconds."""

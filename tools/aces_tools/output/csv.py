@@ -41,10 +41,10 @@ class CsvOutput:
         self._direction = direction
         self._leaves = OfKind(lambda kind: record_leaves(plans[kind]))
         self._is_wide = only is not None
-        columns: dict[str, None] = {}
-        for kind in plans.named(only) if only is not None else ():
-            columns.update(dict.fromkeys(leaf.path for leaf in self._leaves[kind]))
-        self._columns = list(columns)
+        kinds = plans.named(only) if only is not None else ()
+        columns = self._columns = list(
+            dict.fromkeys(leaf.path for kind in kinds for leaf in self._leaves[kind])
+        )
         taken = {"source", "time", "channel", "direction", "id", "offset", "size", "protocol", "message"}
         self._titles = [f"{only}.{name}" if name in taken else name for name in columns]
         self._has_can = "can" in links
@@ -111,12 +111,13 @@ def _written(value: Any) -> str:
 
 def cell(value: Any) -> Any:
     """A value as one cell."""
-    if value is None or isinstance(value, (str, float)):
-        return value
-    if isinstance(value, FlagSet):
-        return "|".join(flag_names(value))
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, (int, bool)):
-        return value
+    match value:
+        case None | str() | float():
+            return value
+        case FlagSet():
+            return "|".join(flag_names(value))
+        case bytes():
+            return value.hex()
+        case int() | bool():
+            return value
     return json.dumps(json_value(value), ensure_ascii=False)

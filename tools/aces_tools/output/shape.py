@@ -77,29 +77,30 @@ def flag_names(flags: Any) -> list[str]:
 
 def json_value(value: Any) -> Any:
     """Any value as what JSON has: NaN, infinities and what is unknown are null, flags a list of names, bytes hexadecimal."""
-    if value is None or isinstance(value, bool):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, FlagSet):
-        return flag_names(value)
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, (bytes, bytearray, memoryview)):
-        return bytes(value).hex()
-    if isinstance(value, str):
-        return str(value)
-    if isinstance(value, msgspec.Struct):
-        return {
-            name: json_value(getattr(value, name))
-            for name in value.__struct_fields__
-            if not name.startswith("_")
-        }
-    if isinstance(value, Mapping):
-        return {str(key): json_value(item) for key, item in value.items()}
-    if isinstance(value, Iterable):
-        items: Iterable[Any] = value
-        return [json_value(item) for item in items]
+    match value:
+        case None | bool():
+            return value
+        case float():
+            return float(value) if math.isfinite(value) else None
+        case FlagSet():
+            return flag_names(value)
+        case int():
+            return int(value)
+        case bytes() | bytearray() | memoryview():
+            return bytes(value).hex()
+        case str():
+            return str(value)
+        case msgspec.Struct():
+            return {
+                name: json_value(getattr(value, name))
+                for name in value.__struct_fields__
+                if not name.startswith("_")
+            }
+        case Mapping():
+            return {str(key): json_value(item) for key, item in value.items()}
+        case Iterable():
+            items: Iterable[Any] = value
+            return [json_value(item) for item in items]
     from aces_bus.device import UNKNOWN
 
     return None if value is UNKNOWN else str(value)

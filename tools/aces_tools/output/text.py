@@ -299,21 +299,22 @@ def _unit(node: p.Node) -> str:
 
 def value_printer(node: p.Node) -> Show:
     """How the values of a node are printed."""
-    if isinstance(node, p.Many):
-        return _show_many(node)
-    if isinstance(node, p.NestedRecord):
-        inner = [(f.name, getter((f.name,)), value_printer(f.node), _unit(f.node)) for f in node.fields]
-        return lambda value: (
-            "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
-        )
-    if isinstance(node, p.Scalar) and node.kind == "bytes":
-        return spaced_hexadecimal
-    if isinstance(node, p.Scalar) and node.kind == "text":
-        return shell_quoted
-    if isinstance(node, p.Rest):
-        return hex
-    if isinstance(node, (p.Scalar, p.FromIdentifier)):
-        return _show_number(node)
+    match node:
+        case p.Many():
+            return _show_many(node)
+        case p.NestedRecord():
+            inner = [(f.name, getter((f.name,)), value_printer(f.node), _unit(f.node)) for f in node.fields]
+            return lambda value: (
+                "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
+            )
+        case p.Scalar() if node.kind == "bytes":
+            return spaced_hexadecimal
+        case p.Scalar() if node.kind == "text":
+            return shell_quoted
+        case p.Rest():
+            return hex
+        case p.Scalar() | p.FromIdentifier():
+            return _show_number(node)
     return anything
 
 
@@ -391,20 +392,21 @@ def shell_quoted(text: str) -> str:
 
 def anything(value: Any) -> str:
     """A value of no fixed shape."""
-    if value is None:
-        return "unknown"
-    if isinstance(value, FlagSet):
-        return "{" + ", ".join(flag_names(value)) + "}"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f"{value:.10g}"
-    if isinstance(value, bytes):
-        return spaced_hexadecimal(value)
-    if isinstance(value, str):
-        return shell_quoted(value)
-    if isinstance(value, (tuple, list)):
-        return f"[{', '.join(map(anything, value))}]"
+    match value:
+        case None:
+            return "unknown"
+        case FlagSet():
+            return "{" + ", ".join(flag_names(value)) + "}"
+        case bool():
+            return str(value).lower()
+        case float():
+            return f"{value:.10g}"
+        case bytes():
+            return spaced_hexadecimal(value)
+        case str():
+            return shell_quoted(value)
+        case tuple() | list():
+            return f"[{', '.join(map(anything, value))}]"
     names = getattr(value, "__struct_fields__", None)
     if names is not None:
         return (

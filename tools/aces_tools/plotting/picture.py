@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import datetime
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -194,10 +195,7 @@ class LineNames:
             if len(some) > 1 or place[1] in asked or (always and place[1] != CHANNEL)
         }
         # Where each device speaks on one bus only, its number says enough.
-        seen: dict[tuple[PlotSignal, Key], int] = {}
-        for one in series:
-            device = one.signal, tuple(part for part in one.key if part[0] != CHANNEL)
-            seen[device] = seen.get(device, 0) + 1
+        seen = Counter((one.signal, tuple(part for part in one.key if part[0] != CHANNEL)) for one in series)
         for owner in {one.signal.owner for one in series} if CHANNEL not in asked else ():
             if all(count == 1 for (signal, _), count in seen.items() if signal.owner == owner):
                 self._telling.discard((owner, CHANNEL))

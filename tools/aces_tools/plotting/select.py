@@ -127,10 +127,11 @@ class Declared:
 
 def declared(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
     """All that these protocols declare, by protocol and message."""
-    found: dict[tuple[str, str], Declared] = {}
-    for variant in variants:
-        for name, message in variant.messages.items():
-            found[variant.name, name] = _declared(variant.name, name, message.plan)
+    found = {
+        (variant.name, name): _declared(variant.name, name, message.plan)
+        for variant in variants
+        for name, message in variant.messages.items()
+    }
     return found
 
 

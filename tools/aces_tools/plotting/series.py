@@ -47,10 +47,11 @@ def thin(x: Array, y: Array, buckets: int) -> tuple[Array, Array]:
     if len(x) <= 5 * buckets:
         return x, y
     span = x[-1] - x[0]
-    if not span > 0:
-        number = np.zeros(len(x), np.int64)
-    else:
-        number = np.minimum(((x - x[0]) * (buckets / span)).astype(np.int64), buckets - 1)
+    number = (
+        np.minimum(((x - x[0]) * (buckets / span)).astype(np.int64), buckets - 1)
+        if span > 0
+        else np.zeros(len(x), np.int64)
+    )
     starts = np.flatnonzero(np.concatenate(([True], number[1:] != number[:-1])))
     ends = np.append(starts[1:], len(x)) - 1
     gone = np.isnan(y)
@@ -273,13 +274,11 @@ def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> li
         pieces = np.split(order, bounds)
         firsts = [int(piece[0]) for piece in pieces]
         parts = [piece if rows is None else rows[piece] for piece in pieces]
-    out: list[tuple[Key, Any]] = []
-    for first, part in zip(firsts, parts, strict=True):
-        key = tuple(
-            (name, show(some[first].item())) for (name, _, show), some in zip(columns, values, strict=True)
-        )
-        out.append((key, part))
-    return out
+    keyed = [(name, show, some) for (name, _, show), some in zip(columns, values, strict=True)]
+    return [
+        (tuple((name, show(some[first].item())) for name, show, some in keyed), part)
+        for first, part in zip(firsts, parts, strict=True)
+    ]
 
 
 def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:

@@ -15,6 +15,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -90,10 +91,8 @@ def print_picture(
     output = Output(None)
     height = None
     if output.is_terminal:
-        try:
+        with suppress(OSError, ValueError, AttributeError):
             height = os.get_terminal_size(sys.stdout.fileno()).lines - spare_lines
-        except (OSError, ValueError, AttributeError):
-            pass
     paint = make_plot_paint() if wants_colour(colour, output.is_terminal) else None
     width = min(terminal_width(), most_width)
     text = draw_terminal(picture, width, paint=paint, height=height, encoding=output.encoding)
@@ -162,18 +161,14 @@ class _Drawing:
         if panel.sort == "flags":
             return {row: printable(line.label) for row, line in enumerate(panel.lines)}
         if panel.sort == "names":
-            last = len(panel.categories) - 1
-            found: dict[int, str] = {}
-            for place_of, name in enumerate(panel.categories):
-                row = self._row(place_of, -0.5, last + 0.5, rows)
-                found.setdefault(row, printable(name))
-            return found
+            top = len(panel.categories) - 0.5
+            places = reversed(list(enumerate(panel.categories)))  # of several in one row the first is named
+            return {self._row(at, -0.5, top, rows): printable(name) for at, name in places}
         low, high = values_range(panel.axes[place], panel.limits[place])
         step = nice_step((high - low) / max(1, rows // 3))
-        found = {}
-        for number in ticks(low, high, step):
-            found[self._row(number, low, high, rows)] = number_text(number, step)
-        return found
+        return {
+            self._row(number, low, high, rows): number_text(number, step) for number in ticks(low, high, step)
+        }
 
     @staticmethod
     def _row(value: float, low: float, high: float, rows: int) -> int:
@@ -244,25 +239,24 @@ class _Drawing:
 
     def _instant(self, seconds: float, step: float) -> str:
         origin = self.picture.clock.origin or 0
-        when = instant(origin + round(seconds * 1e9))
-        text = f"{when:%H:%M:%S.%f}"
+        text = f"{instant(origin + round(seconds * 1e9)):%H:%M:%S.%f}"
         digits = max(0, math.ceil(-math.log10(step) - 1e-9))
         return text[:8] if not digits else text[: 9 + min(digits, 6)]
 
     # ------------------------------------------------------------------ panels
 
     def _panel(self, panel: PlotPanel, place: int, rows: int, labels: dict[int, str]) -> list[str]:
-        if panel.sort == "flags":
-            bodies = [self._lane(line, number) for number, line in enumerate(panel.lines)]
-        else:
-            bodies = self._canvas(panel, place, rows)
+        bodies = (
+            [self._lane(line, number) for number, line in enumerate(panel.lines)]
+            if panel.sort == "flags"
+            else self._canvas(panel, place, rows)
+        )
         out: list[str] = []
         for row, body in enumerate(bodies):
-            label = labels.get(row)
-            text = "" if label is None else label
+            text = labels.get(row, "")
             if len(text) > self.gutter:  # of a long name the end tells more
                 text = self.dots + text[1 - self.gutter :]
-            bar = self.bar if label is None else self.tick
+            bar = self.tick if row in labels else self.bar
             out.append(f"{text.rjust(self.gutter)}{self.paint('dim', bar)}{body}".rstrip())
         return out
 
@@ -290,10 +284,11 @@ class _Drawing:
     def _canvas(self, panel: PlotPanel, place: int, rows: int) -> list[str]:
         """Lines as braille."""
         lines = panel.axes[place]
-        if panel.sort == "names":
-            low, high = -0.5, len(panel.categories) - 0.5
-        else:
-            low, high = values_range(lines, panel.limits[place])
+        low, high = (
+            (-0.5, len(panel.categories) - 0.5)
+            if panel.sort == "names"
+            else values_range(lines, panel.limits[place])
+        )
         wide, tall = 2 * self.columns, 4 * rows
         cells = np.zeros((rows, self.columns), np.uint8)
         owner = np.full((rows, self.columns), -1, np.int64)
@@ -377,9 +372,8 @@ class _Drawing:
         rows = row_of(np.where(np.isnan(y), 0.0, y)).tolist()
         gone = np.isnan(y).tolist()
         for n in range(len(columns) - 1):
-            if gone[n] or gone[n + 1]:
-                continue
-            _segment(bits, columns[n], rows[n], columns[n + 1], rows[n + 1])
+            if not (gone[n] or gone[n + 1]):
+                _segment(bits, columns[n], rows[n], columns[n + 1], rows[n + 1])
 
 
 def _vertical(bits: Array, column: int, one: float, other: float) -> None:

@@ -222,8 +222,5 @@ def default_states(controllers: Sequence[ControllerLike], robot: Robot) -> list[
     read = [name for one in controllers for name in one.states]
     if not written and not read:
         return [joint.name for joint in robot.joints.values() if joint.active]
-    names: dict[str, None] = {}
-    for name in written:
-        names[name] = names[f"{name}.setpoint"] = None
-    names.update(dict.fromkeys(read))
-    return list(names)
+    driven = [state for name in written for state in (name, f"{name}.setpoint")]
+    return list(dict.fromkeys([*driven, *read]))

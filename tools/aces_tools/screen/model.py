@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from math import exp, sqrt
 from operator import attrgetter
@@ -193,14 +194,9 @@ class RepeatedFrame:
 
     def frozen(self) -> RepeatedFrame:
         """A copy that stays as it is."""
-        copy = RepeatedFrame.__new__(RepeatedFrame)
-        for name in RepeatedFrame.__slots__:
-            setattr(copy, name, getattr(self, name))
-        copy.changes, copy.history = self.changes.copy(), self.history.copy()
-        copy._meter = Meter.__new__(Meter)
-        for name in Meter.__slots__:
-            setattr(copy._meter, name, getattr(self._meter, name))
-        return copy
+        one = copy(self)
+        one.changes, one.history, one._meter = copy(self.changes), copy(self.history), copy(self._meter)
+        return one
 
 
 def changed_bits(before: bytes, after: bytes) -> int:
@@ -304,10 +300,7 @@ class Model:
         rows, pages, scanner = self.rows, self._pages, self.scanner
         frames = [item.content for item in items]
         records: Sequence[Any]
-        if scanner is None:
-            records = [None] * len(frames)
-        else:
-            records = scanner.feed(frames)
+        records = [None] * len(frames) if scanner is None else scanner.feed(frames)
         record: Any
         for item, frame, record in zip(items, frames, records, strict=True):
             kind: Any = type(record)
@@ -399,10 +392,11 @@ class Model:
         fields = self.fields[type(record)]
         shown = channel or self.name
         is_lost = type(record) is Unknown
-        if is_lost:
-            name = record.kind if record.kind != "errors" else "error frame"
-        else:
-            name = fields.name if fields is not None else ""
+        name = (
+            (record.kind if record.kind != "errors" else "error frame")
+            if is_lost
+            else (fields.name if fields is not None else "")
+        )
         row = self.rows[place] = RepeatedFrame(place, self._numbers, shown, name, host_ns)
         row.is_lost = is_lost
         words = [shown, name]

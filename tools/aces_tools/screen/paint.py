@@ -266,20 +266,21 @@ def line(
 
 
 def _cell(name: str, row: RepeatedFrame, model: Model, now_ns: int) -> tuple[str, str]:
-    if name == "mark":
-        return mark(row, model)
-    if name == "channel":
-        return row.channel, "channel"
-    if name == "id":
-        return row.identifier, "id"
-    if name == "message":
-        return row.name, (
-            "bad" if row.name in ("malformed", "error frame") else "lost"
-        ) if row.is_lost else "message"
-    if name == "rate":
-        return rate(row.rate(now_ns)), "rate"
-    if name == "length":
-        return str(row.frame.length if row.frame is not None else len(row.data)), "dim"
+    match name:
+        case "mark":
+            return mark(row, model)
+        case "channel":
+            return row.channel, "channel"
+        case "id":
+            return row.identifier, "id"
+        case "message":
+            return row.name, (
+                "bad" if row.name in ("malformed", "error frame") else "lost"
+            ) if row.is_lost else "message"
+        case "rate":
+            return rate(row.rate(now_ns)), "rate"
+        case "length":
+            return str(row.frame.length if row.frame is not None else len(row.data)), "dim"
     if row.count < 2:
         return "–".rjust(5), "dim"
     period = milliseconds(row.period_s).rjust(5)
@@ -291,9 +292,7 @@ def mark(row: RepeatedFrame, model: Model) -> tuple[str, str]:
     fields = model.fields_of(row)
     if fields is not None and fields.direction is not None:
         return ("→" if fields.direction == "to device" else "←"), fields.direction
-    if row.frame is not None and row.frame.is_rx is False:
-        return "»", "tx"
-    return " ", "plain"
+    return ("»", "tx") if row.frame is not None and row.frame.is_rx is False else (" ", "plain")
 
 
 def _fitted(text: str, width: int, *, is_right: bool = False) -> str:

@@ -105,12 +105,13 @@ class View:
         return all(word in row.search for word in self._words)
 
     def _sort_key(self, now_ns: int) -> Callable[[RepeatedFrame], Any]:
-        if self.sort == "rate":
-            return lambda row: (-row.rate(now_ns), row.channel, row.key, row.number)
-        if self.sort == "name":
-            return lambda row: (not row.name, row.name.lower(), row.channel, row.key, _natural(row))
-        if self.sort == "change":
-            return lambda row: (-row.changed_ns, row.channel, row.key, row.number)
+        match self.sort:
+            case "rate":
+                return lambda row: (-row.rate(now_ns), row.channel, row.key, row.number)
+            case "name":
+                return lambda row: (not row.name, row.name.lower(), row.channel, row.key, _natural(row))
+            case "change":
+                return lambda row: (-row.changed_ns, row.channel, row.key, row.number)
         # Identifiers of both kinds stand by their numbers: the flags of a key are above them.
         return lambda row: (row.channel, row.key, row.name, _natural(row))
 
