@@ -65,9 +65,15 @@ class CandumpCapture(LineCapture):
     def _by_line(self) -> Iterator[list[Frame]]:
         """Frames of each block, line by line: little work for little blocks, and what the columns are held against."""
         for block in self._source.lines():
-            rows = self._rows(block[:-1].split(b"\n"))
-            if self._found(len(rows)):
-                yield [row.frame for row in rows]
+            frames: list[Frame] = []
+            for line in block[:-1].split(b"\n"):
+                if common := _COMMON.fullmatch(line):
+                    self.lines += 1
+                    frames.append(self._frame(common))
+                else:
+                    frames += [row.frame for row in self._rows([line])]
+            if self._found(len(frames)):
+                yield frames
         self._check_end()
 
     def _blocks(self) -> Iterator[bytes]:
@@ -79,13 +85,8 @@ class CandumpCapture(LineCapture):
 
     def _one(self, line: bytes) -> FrameRow | None:
         if common := _COMMON.fullmatch(line):
-            whole, fraction, name, digits, data, suffix = common.groups()
-            seconds, way = float(b"%b.%b" % (whole, fraction)), RECEIVED.get(suffix)
-            frame = Frame(
-                int(digits, 16), unhexlify(data), seconds, self._names[name], len(digits) == 8, is_rx=way
-            )
-            time = int(whole + fraction.ljust(9, b"0"))
-            return FrameRow(frame, time if time < -NO_TIME else NO_TIME)
+            time = int(common[1] + common[2].ljust(9, b"0"))
+            return FrameRow(self._frame(common), time if time < -NO_TIME else NO_TIME)
         explained, self._explained = self._explained, False
         text = line.strip()
         is_remark = text.startswith(b"#") or (explained and text != b"" and line.startswith(b"\t"))
@@ -98,6 +99,13 @@ class CandumpCapture(LineCapture):
         row = super()._one(line)
         self._explained = row is not None and (explained or row.frame.is_error_frame)
         return row
+
+    def _frame(self, common: re.Match[bytes]) -> Frame:
+        whole, fraction, name, digits, data, suffix = common.groups()
+        seconds, way = float(b"%b.%b" % (whole, fraction)), RECEIVED.get(suffix)
+        return Frame(
+            int(digits, 16), unhexlify(data), seconds, self._names[name], len(digits) == 8, is_rx=way
+        )
 
     def _line(self, text: bytes) -> FrameRow:
         try:
