@@ -31,10 +31,8 @@ def described(kind: type[msgspec.Struct]) -> dict[str, str]:
 
 
 def _text(annotation: Any) -> str:
-    for meta in getattr(annotation, "__metadata__", ()):
-        if isinstance(meta, msgspec.Meta) and meta.description:
-            return meta.description
-    return next(filter(None, map(_text, get_args(annotation))), "")
+    own = (m.description for m in getattr(annotation, "__metadata__", ()) if isinstance(m, msgspec.Meta))
+    return next(filter(None, [*own, *map(_text, get_args(annotation))]), "")
 
 
 def settings_of(who: str, kind: type[S], given: Mapping[str, Any]) -> S:

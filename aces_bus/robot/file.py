@@ -390,7 +390,8 @@ def _toml(value: Any, without: tuple[str, ...] = ()) -> str:
             return f"[{', '.join(map(_toml, value))}]"
         case float() if value.is_integer() and abs(value) < 1e15:
             return str(int(value))
-    return value.isoformat() if isinstance(value, (date, time)) else repr(value)
+        case _:
+            return value.isoformat() if isinstance(value, (date, time)) else repr(value)
 
 
 def _hex(credentials: Mapping[str, int]) -> str:

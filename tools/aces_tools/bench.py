@@ -71,6 +71,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _figure(value: float) -> str:
     """Three digits, large numbers with their thousands: 12,300,000."""
-    if value < 1000:
-        return f"{value:.3g}"
-    return f"{round(value, 2 - len(str(int(value))) + 1):,.0f}"
+    return f"{value:.3g}" if value < 1000 else f"{round(value, 3 - len(str(int(value)))):,.0f}"

@@ -108,7 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
                     return doing.watch(every, duration)
                 case "set":
                     return doing.set(values, duration)
-            return doing.act(action, values)
+                case _:
+                    return doing.act(action, values)
         except NotStoppedError as error:
             events.report(last=True)
             say(str(error))

@@ -39,7 +39,8 @@ def shown_value(value: Any) -> str:
             return ", ".join(shown_value(item) for item in value) or "none"
         case dict():
             return ", ".join(f"{key} {shown_value(item)}" for key, item in value.items())
-    return str(value)
+        case _:
+            return str(value)
 
 
 def reading(one: Signal) -> str:

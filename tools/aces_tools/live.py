@@ -251,7 +251,9 @@ class DeviceEventLines:
                 say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
             case "not sent" if event.bus in self._lost:
                 pass  # of course
-            case _ if not (event.kind == "unknown device" and self._is_known(event.detail)):
+            case "unknown device" if self._is_known(event.detail):
+                pass  # another device of the robot
+            case _:
                 self._lost -= {event.bus} if event.kind == "reopened" else set()
                 hint = HINTS.get(event.kind)
                 detail = f": {event.detail}" if event.detail else ""

@@ -107,7 +107,8 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
             return _bytes(text.removeprefix("hex:"), name)
         case p.Scalar() | p.FromIdentifier() | p.DelimitedField():
             return _of_number(text, node, name)
-    return _open(text, name, depth)
+        case _:
+            return _open(text, name, depth)
 
 
 def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, name: str) -> Any:

@@ -111,9 +111,7 @@ def _all(tests: Sequence[Test | None]) -> Test:
     wanted = [test for test in tests if test is not None]
     if len(wanted) < len(tests):
         return lambda record: False
-    if len(wanted) == 1:
-        return wanted[0]
-    return lambda record: all(test(record) for test in wanted)
+    return wanted[0] if len(wanted) == 1 else lambda record: all(test(record) for test in wanted)
 
 
 # ---------------------------------------------------------------------- before any record is seen
@@ -212,6 +210,8 @@ def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
                 yield from values_of(value[path[0]], path[1:])
         case msgspec.Struct() if str(path[0]) in value.__struct_fields__:
             yield from values_of(getattr(value, str(path[0])), path[1:])
+        case _:
+            pass
 
 
 def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
@@ -235,15 +235,16 @@ def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
                 return value == data
             case bool():
                 return wanted == str(value).lower()
-        if number is None:
-            return False
-        if isinstance(value, float) or isinstance(number, float):
-            return (
-                math.isnan(value)
-                if math.isnan(number)
-                else math.isclose(value, number, rel_tol=1e-9, abs_tol=1e-12)
-            )
-        return bool(value == number)
+            case _:
+                if number is None:
+                    return False
+                if isinstance(value, float) or isinstance(number, float):
+                    return (
+                        math.isnan(value)
+                        if math.isnan(number)
+                        else math.isclose(value, number, rel_tol=1e-9, abs_tol=1e-12)
+                    )
+                return bool(value == number)
 
     return equal
 

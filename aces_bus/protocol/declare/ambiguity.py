@@ -95,9 +95,8 @@ def unresolved(one: Message, other: Message) -> Conflict | None:
     """The conflict of two messages when neither the bytes nor the spec's other words settle it."""
     from .protocol import may_coexist
 
-    if one.direction is not None and other.direction is not None and one.direction != other.direction:
-        return None
-    if not may_coexist(one, other) or ordered_by_spec(one, other) or contexts_exclude(one, other):
+    is_apart = None not in (one.direction, other.direction) and one.direction != other.direction
+    if is_apart or not may_coexist(one, other) or ordered_by_spec(one, other) or contexts_exclude(one, other):
         return None
     return conflict(one, other)
 

@@ -322,7 +322,14 @@ def inner_constructs(con: Any) -> list[Any]:
             return [con.thensubcon, con.elsesubcon]
         case Switch():
             return [*con.cases.values(), con.default]
-    return list(con.subcons) if hasattr(con, "subcons") else [con.subcon] if hasattr(con, "subcon") else []
+        case _:
+            return (
+                list(con.subcons)
+                if hasattr(con, "subcons")
+                else [con.subcon]
+                if hasattr(con, "subcon")
+                else []
+            )
 
 
 class SignMagnitude(Field):

@@ -99,6 +99,8 @@ class _Walk:
                     raise SpecError(f"{place}: {path}: flag {wide[0]!r} is not a single bit")
                 inner = self.of(con.subcon, path, known)
                 return Flags(inner, {k: v.bit_length() - 1 for k, v in masks.items()})
+            case _:
+                pass
         if con is c.Flag and not self.in_bits:
             raise SpecError(
                 f"{place}: {path}: Flag loses bits 1…7; use BitLayout(1, … bits(1)) or Enumeration(Byte, off=0, on=1)"
@@ -154,13 +156,14 @@ class _Walk:
                 if isinstance(con.length, int) and con.length < 0:
                     raise SpecError(f"{place}: {path}: {con.length} bytes")
                 return _changed(con, "length", equal_in_both(con.length, known))
-        for name in ("condfunc", "func"):  # of StopIf, Check and Rebuild
-            if name in vars(con) and isinstance(con, (c.StopIf, c.Check, c.Rebuild)):
-                con = _changed(con, name, equal_in_both(getattr(con, name), known))
-        subcon = getattr(con, "subcon", None)
-        if isinstance(subcon, c.Construct) and not isinstance(con, c.Const):
-            return _changed(con, "subcon", self.of(subcon, path, known))
-        return con
+            case _:
+                for name in ("condfunc", "func"):  # of StopIf, Check and Rebuild
+                    if name in vars(con) and isinstance(con, (c.StopIf, c.Check, c.Rebuild)):
+                        con = _changed(con, name, equal_in_both(getattr(con, name), known))
+                subcon = getattr(con, "subcon", None)
+                if isinstance(subcon, c.Construct) and not isinstance(con, c.Const):
+                    return _changed(con, "subcon", self.of(subcon, path, known))
+                return con
 
     def _struct(self, con: c.Struct, path: str, known: Known) -> c.Struct:
         place = self.place
@@ -406,13 +409,14 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
             return len(con.term), None
         case c.RepeatUntil():
             return sizes(con.subcon)[0], None
-    if con is c.VarInt or con is c.ZigZag:
-        return 1, None
-    try:
-        size = int(con.sizeof())
-    except Exception:  # it depends on a field, by whatever program
-        return 0, None
-    return size, size
+        case _:
+            if con is c.VarInt or con is c.ZigZag:
+                return 1, None
+            try:
+                size = int(con.sizeof())
+            except Exception:  # it depends on a field, by whatever program
+                return 0, None
+            return size, size
 
 
 def _either(cases: list[c.Construct]) -> tuple[int, int | None]:

@@ -187,6 +187,8 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
             cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
         case p.MoreCells():
             cells.lines.append((f"#{node.start}…", label))
+        case _:
+            pass
 
 
 def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) -> None:

@@ -85,8 +85,9 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
             return FieldRow(name, f"field {node.index}", kind, node.unit, names=_names(node), doc=doc or note)
         case p.MoreCells():
             return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
-    reason = node.reason if isinstance(node, p.Opaque) else ""
-    return FieldRow(name, "", "by construct", doc=doc or reason)
+        case _:
+            reason = node.reason if isinstance(node, p.Opaque) else ""
+            return FieldRow(name, "", "by construct", doc=doc or reason)
 
 
 def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:

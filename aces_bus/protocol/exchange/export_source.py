@@ -358,7 +358,8 @@ def python_literal(value: Any) -> Expression:
             items: Iterable[Any] = sorted(value) if is_set else value
             brackets = "{}" if is_set else "[]" if isinstance(value, list) else "()"
             return Sequenced(tuple(map(python_literal, items)), brackets)
-    return Code(repr(value))
+        case _:
+            return Code(repr(value))
 
 
 def python_string(text: str) -> str:
@@ -386,13 +387,14 @@ def flat(one: Expression) -> str:
             parts = [flat(part) for part in one.arguments]
             parts += [f"{name}={flat(part)}" for name, part in one.keywords]
             return f"{one.function}({', '.join(parts)})"
-    if one.keys:
-        inner = ", ".join(f"{flat(k)}: {flat(v)}" for k, v in zip(one.keys, one.items, strict=True))
-    else:
-        inner = ", ".join(map(flat, one.items))
-        if one.brackets == "()" and len(one.items) == 1:
-            inner += ","
-    return one.brackets[0] + inner + one.brackets[1]
+        case _:
+            if one.keys:
+                inner = ", ".join(f"{flat(k)}: {flat(v)}" for k, v in zip(one.keys, one.items, strict=True))
+            else:
+                inner = ", ".join(map(flat, one.items))
+                if one.brackets == "()" and len(one.items) == 1:
+                    inner += ","
+            return one.brackets[0] + inner + one.brackets[1]
 
 
 def expression_lines(one: Expression, indent: int = 0, before: str = "", after: str = "") -> list[str]:

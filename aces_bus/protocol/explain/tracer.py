@@ -335,8 +335,9 @@ def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tupl
             if message.lengths is not None and len(data) not in message.lengths:
                 return "length", message.describe_lengths
             return None
-    assert offset is not None
-    return template.death(data[: offset + 1], None, None)
+        case _:
+            assert offset is not None
+            return template.death(data[: offset + 1], None, None)
 
 
 def _is_kind(message: Message, frame: Any) -> bool:
@@ -382,5 +383,6 @@ def frame_cell(template: Template, word: Word) -> str:
             return _kind(message)
         case "length":
             return message.describe_lengths.removesuffix(" bytes")
-    assert offset is not None
-    return template.cell(offset, None)
+        case _:
+            assert offset is not None
+            return template.cell(offset, None)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ..declare.bits import runs_of
 from ..declare.pattern import bounds
 from ..plan import nodes as p
-from .source import NameScope, SourceText, comment_line, compact, is_plain, literal
+from .source import FunctionSetup, NameScope, SourceText, comment_line, compact, is_plain, literal
 
 TRANSPORT = "time, channel, key, raw, rx"
 #: What decoders call, given to every module of them.
@@ -28,7 +28,7 @@ class FetchedBytes:
     is_unsigned: bool = True
 
 
-class Decoder:
+class Decoder(FunctionSetup):
     """Prints the decode function of one message.
 
     The function is `decode_Name(data, key, time, channel, raw, rx)`: `data` are the frame's data bytes or the packet
@@ -44,7 +44,7 @@ class Decoder:
         self.plan = plan
         self.raw = raw
         self.guard = guard
-        self.setup: list[str] = []
+        self.setup = []
         self.module = names if names is not None else NameScope(CALLED)
         self.names = NameScope(LOCAL, inside=self.module)
         self.function = self.module.new(f"decode_{plan.name}", avoid=self.names)
@@ -298,10 +298,7 @@ class Decoder:
         scalar, when = selector.number, selector.when
         number = self.atoms.get(scalar) if when is None else None
         if number is None:
-            number = self._integer(scalar)
-            if scalar.kind == "int":
-                top = 1 << len(scalar.bits) - 1
-                number = f"(({number}) ^ {top:#x}) - {top:#x}"
+            number = self._whole(scalar)
         if when is not None:
             number = f"{number} if {self._is_there(when)} else None"
         if not number.isidentifier():
@@ -367,11 +364,16 @@ class Decoder:
         elif scalar in self.atoms:
             number = self.atoms[scalar]
         else:
-            number = self._integer(scalar)
-            if scalar.kind == "int":
-                top = 1 << len(scalar.bits) - 1
-                number = f"(({number}) ^ {top:#x}) - {top:#x}"
+            number = self._whole(scalar)
         return self._steps(number, scalar.steps, name, len(scalar.bits) if scalar.kind == "uint" else 0)
+
+    def _whole(self, scalar: p.Scalar) -> str:
+        """A whole number with its sign, as an expression."""
+        number = self._integer(scalar)
+        if scalar.kind != "int":
+            return number
+        top = 1 << len(scalar.bits) - 1
+        return f"(({number}) ^ {top:#x}) - {top:#x}"
 
     def _lone(self, scalar: p.Scalar, name: str) -> str:
         """A float that is not always there."""
@@ -423,24 +425,6 @@ class Decoder:
                 number = f"{table}[{number}]"
         return number
 
-    def _table(self, name: str, value: str) -> str:
-        """The module's name for what the text `value` makes; only our own words are in it."""
-        found, is_new = self.names.shared(name, value)
-        if is_new:
-            self.setup.append(f"{found} = {value}")
-        return found
-
-    def _bound(self, name: str, value: object, shown: object = None) -> str:
-        """The module's name for a value of the spec; a remark says what it is."""
-        found, is_new = self.names.bind(name, value)
-        if is_new:
-            self.setup.append(f"# {found} = {comment_line(repr(value if shown is None else shown))}")
-        return found
-
-    def _number(self, name: str, value: float) -> str:
-        """A number of the spec: as it is where that can be printed, else by name."""
-        return literal(value) if is_plain(value) else self._bound(name, value)
-
     def _scaled(self, number: str, step: p.Scale, name: str) -> str:
         before = "q" if step.unknown or step.names else number
         text = (
@@ -451,11 +435,11 @@ class Decoder:
         )
         where = f"{self.plan.name}_{name}"
         if step.scale != 1:
-            text = f"{text} * {self._number(f'_scale_{where}', step.scale)}"
+            text = f"{text} * {self._spec_number(f'_scale_{where}', step.scale)}"
         if step.offset:
             is_less = is_plain(step.offset) and step.offset < 0
             text += " - " if is_less else " + "
-            text += self._number(f"_offset_{where}", -step.offset if is_less else step.offset)
+            text += self._spec_number(f"_offset_{where}", -step.offset if is_less else step.offset)
         elif step.scale == 1:
             text = before
         if not step.unknown and not step.names:

@@ -18,7 +18,7 @@ from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
 from ..plan import nodes as p
-from .source import NameScope, SourceText, comment_line, compact, is_plain, literal
+from .source import FunctionSetup, NameScope, SourceText, compact, literal
 
 #: What encoders call, given to every module of them.
 CALLED = ("Struct", "Unusual")
@@ -53,12 +53,12 @@ class _Packed:
         return self.offset + self.size
 
 
-class _Encoder:
+class _Encoder(FunctionSetup):
     def __init__(self, message: Message, plan: p.MessagePlan, names: NameScope) -> None:
         self.message, self.plan = message, plan
         self.names = NameScope(("fields",), inside=names)
         self.function = names.new(f"encode_{plan.name}", avoid=self.names)
-        self.setup: list[str] = []
+        self.setup = []
         self.out = SourceText()
         self.temporaries = 0
 
@@ -107,24 +107,6 @@ class _Encoder:
         body = self._body(scalars, start)
         out.line(f"return {identifier if message.framing is None else 'None'}, {head}, {body}")
         return [*self.setup, *out.printed]
-
-    def _table(self, name: str, value: str) -> str:
-        """The module's name for what the text `value` makes; only our own words are in it."""
-        found, is_new = self.names.shared(name, value)
-        if is_new:
-            self.setup.append(f"{found} = {value}")
-        return found
-
-    def _bound(self, name: str, value: object) -> str:
-        """The module's name for a value of the spec; a remark says what it is."""
-        found, is_new = self.names.bind(name, value)
-        if is_new:
-            self.setup.append(f"# {found} = {comment_line(repr(value))}")
-        return found
-
-    def _spec_number(self, name: str, value: float) -> str:
-        """A number of the spec: as it is where that can be printed, else by name."""
-        return literal(value) if is_plain(value) else self._bound(name, value)
 
     def _temporary(self) -> str:
         self.temporaries += 1

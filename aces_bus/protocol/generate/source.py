@@ -121,6 +121,31 @@ def literal(value: Any) -> str:
     raise TypeError(f"{type(value).__name__} is not printed into generated code")
 
 
+class FunctionSetup:
+    """What printers of a function share: lines of the module ahead of it, for the values that it calls by name."""
+
+    names: NameScope
+    setup: list[str]
+
+    def _table(self, name: str, value: str) -> str:
+        """The module's name for what the text `value` makes; only our own words are in it."""
+        found, is_new = self.names.shared(name, value)
+        if is_new:
+            self.setup.append(f"{found} = {value}")
+        return found
+
+    def _bound(self, name: str, value: object, shown: object = None) -> str:
+        """The module's name for a value of the spec; a remark says what it is."""
+        found, is_new = self.names.bind(name, value)
+        if is_new:
+            self.setup.append(f"# {found} = {comment_line(repr(value if shown is None else shown))}")
+        return found
+
+    def _spec_number(self, name: str, value: float) -> str:
+        """A number of the spec: as it is where that can be printed, else by name."""
+        return literal(value) if is_plain(value) else self._bound(name, value)
+
+
 def compact(text: str) -> str:
     """A `struct` format with counts: `<hhh` as `<3h`."""
     return re.sub(r"(?<!\d)([a-zA-Z])\1+", lambda run: f"{len(run[0])}{run[1]}", text)

@@ -225,4 +225,5 @@ def show_value(value: Any) -> str:
             return "{" + ", ".join(f"{name}: {show_value(item)}" for name, item in value.items()) + "}"
         case list() | tuple():
             return "[" + ", ".join(map(show_value, value)) + "]"
-    return repr(value) if isinstance(value, str) else str(value)
+        case _:
+            return repr(value) if isinstance(value, str) else str(value)

@@ -104,7 +104,8 @@ class AxisModel:
                 return self.mode
             case 0x603F:
                 return self.error
-        return None
+            case _:
+                return None
 
     @property
     def statusword(self) -> int:

@@ -393,8 +393,7 @@ class RobotisRX(RegisterDevice):
         """Whether it is there, whatever its status return level: the names of its errors."""
 
         def steps(job: Job) -> Steps:
-            record = yield self._ask("Ping", None)
-            return list(record.error)
+            return list((yield self._ask("Ping", None)).error)
 
         return self.job("ping", steps)
 

@@ -120,4 +120,5 @@ def cell(value: Any) -> Any:
             return value.hex()
         case int() | bool():
             return value
-    return json.dumps(json_value(value), ensure_ascii=False)
+        case _:
+            return json.dumps(json_value(value), ensure_ascii=False)

@@ -101,9 +101,10 @@ def json_value(value: Any) -> Any:
         case Iterable():
             items: Iterable[Any] = value
             return [json_value(item) for item in items]
-    from aces_bus.device import UNKNOWN
+        case _:
+            from aces_bus.device import UNKNOWN
 
-    return None if value is UNKNOWN else str(value)
+            return None if value is UNKNOWN else str(value)
 
 
 def is_single_value(node: p.Node) -> bool:

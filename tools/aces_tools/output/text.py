@@ -315,7 +315,8 @@ def value_printer(node: p.Node) -> Show:
             return hex
         case p.Scalar() | p.FromIdentifier():
             return _show_number(node)
-    return anything
+        case _:
+            return anything
 
 
 def _or_unknown(shown: Show, value: Any) -> str:
@@ -407,11 +408,14 @@ def anything(value: Any) -> str:
             return shell_quoted(value)
         case tuple() | list():
             return f"[{', '.join(map(anything, value))}]"
-    names = getattr(value, "__struct_fields__", None)
-    if names is not None:
-        return (
-            "{"
-            + ", ".join(f"{name}={anything(getattr(value, name))}" for name in names if name[0] != "_")
-            + "}"
-        )
-    return str(json_value(value))
+        case _:
+            names = getattr(value, "__struct_fields__", None)
+            if names is not None:
+                return (
+                    "{"
+                    + ", ".join(
+                        f"{name}={anything(getattr(value, name))}" for name in names if name[0] != "_"
+                    )
+                    + "}"
+                )
+            return str(json_value(value))

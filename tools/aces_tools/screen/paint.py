@@ -281,10 +281,11 @@ def _cell(name: str, row: RepeatedFrame, model: Model, now_ns: int) -> tuple[str
             return rate(row.rate(now_ns)), "rate"
         case "length":
             return str(row.frame.length if row.frame is not None else len(row.data)), "dim"
-    if row.count < 2:
-        return "–".rjust(5), "dim"
-    period = milliseconds(row.period_s).rjust(5)
-    return (period if name == "short period" else f"{period}±{milliseconds(row.jitter_s)}"), "rate"
+        case _:
+            if row.count < 2:
+                return "–".rjust(5), "dim"
+            period = milliseconds(row.period_s).rjust(5)
+            return (period if name == "short period" else f"{period}±{milliseconds(row.jitter_s)}"), "rate"
 
 
 def mark(row: RepeatedFrame, model: Model) -> tuple[str, str]:

@@ -112,8 +112,9 @@ class View:
                 return lambda row: (not row.name, row.name.lower(), row.channel, row.key, _natural(row))
             case "change":
                 return lambda row: (-row.changed_ns, row.channel, row.key, row.number)
-        # Identifiers of both kinds stand by their numbers: the flags of a key are above them.
-        return lambda row: (row.channel, row.key, row.name, _natural(row))
+            case _:
+                # Identifiers of both kinds stand by their numbers: the flags of a key are above them.
+                return lambda row: (row.channel, row.key, row.name, _natural(row))
 
 
 def _natural(row: RepeatedFrame) -> tuple[int, str, int]:
