@@ -77,6 +77,8 @@ class Terminal:
             return "", 0
         if name == "aces":
             files.loaded.clear()  # each command is a process of its own, in life
+            for module in [one for one in sys.modules if one.startswith("aces_spec_")]:
+                del sys.modules[module]
             self.capsys.readouterr()
             status = main(arguments)
             out, err = self.capsys.readouterr()

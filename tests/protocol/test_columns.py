@@ -32,7 +32,7 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
 from aces_bus.protocol.columns.table import Column, MessageTable
-from aces_bus.testing import _columns, laws
+from aces_bus.testing import columns, laws
 from aces_bus.testing.source import spread
 from tests.laws.wires import CASES, MIXED, Case
 
@@ -387,6 +387,6 @@ def test_a_fault_in_columns_is_found(
         return kind(make_column_scanner(*arguments, **options), spoil)
 
     protocol, scene = SCENES[name]
-    monkeypatch.setattr(_columns, "make_column_scanner", make)
+    monkeypatch.setattr(columns, "make_column_scanner", make)
     with pytest.raises(AssertionError, match=r"law 2 \(oracle\) of victim, direction None: columns"):
         laws.columns_law(protocol().variant(), None, scene, (20, 70))

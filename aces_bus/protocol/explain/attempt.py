@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...frames import Frame
 from ..declare.examples import frame_text
 from ..reference import ReferenceItem
 
@@ -95,7 +96,7 @@ class Attempt:
         return f"offset {self.start}" if size == 1 else f"offset {self.start}…{self.start + size - 1}"
 
 
-def candump_text(frame: Any) -> str:
+def candump_text(frame: Frame) -> str:
     """A frame as candump writes it, its bytes apart."""
     from ..declare.examples import ExampleFrame
 
