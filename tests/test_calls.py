@@ -155,7 +155,10 @@ CALLABLES = list(callables())
 def test_calls_raise_errors_of_ours(thing: Callable[..., Any], arguments: Arguments) -> None:
     """Values of the annotated types are taken, or refused with an `AcesError`."""
 
-    @settings(max_examples=max(6, settings().max_examples // 10), suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=max(6, settings().max_examples // 10),
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
     @given(arguments)
     def check(given_arguments: tuple[list[Any], dict[str, Any]]) -> None:
         by_position, by_name = given_arguments
@@ -199,7 +202,10 @@ def methods() -> Iterator[Any]:
 def test_methods_raise_errors_of_ours(kind: Any, made_of: Arguments, name: str, arguments: Arguments) -> None:
     """A method takes values of the annotated types, or refuses them with an `AcesError`."""
 
-    @settings(max_examples=max(6, settings().max_examples // 10), suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=max(6, settings().max_examples // 10),
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
     @given(made_of, arguments)
     def check(
         made: tuple[list[Any], dict[str, Any]], given_arguments: tuple[list[Any], dict[str, Any]]

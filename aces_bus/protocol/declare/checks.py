@@ -68,7 +68,7 @@ class Check:
         text: str | None = None,
     ) -> None:
         self.place = caller()
-        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST:
+        if not 1 <= size <= LARGEST:
             raise SpecError(f"{self.place}: a check has 1 to {LARGEST} bytes, not {size!r}")
         self.bytes = size
         self.order: Order = order
