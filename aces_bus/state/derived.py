@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import numbers
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..device.signals import UNKNOWN
@@ -24,12 +24,6 @@ from .quantity import Listener, TimeSeries
 
 _INFINITY = math.inf
 _NEVER = -(1 << 63)
-
-
-def _oldest(instants: Iterable[int | None]) -> int | None:
-    """The earliest of instants; None where one is not known."""
-    found = list(instants)
-    return None if None in found else min(found)  # type: ignore[type-var]
 
 
 class Derived(TimeSeries):
@@ -91,15 +85,25 @@ class Derived(TimeSeries):
             start, end = max(start, span[0]), min(end, span[1])
         return (start, end) if start <= end else None
 
+    def _oldest(self, which: str) -> int | None:
+        oldest: int | None = None
+        for one in self._sources:
+            instant: int | None = getattr(one, which)
+            if instant is None:
+                return None
+            if oldest is None or instant < oldest:
+                oldest = instant
+        return oldest
+
     @property
     def instant(self) -> int | None:
         """The oldest of the inputs' newest instants (ns)."""
-        return _oldest(one.instant for one in self._sources)
+        return self._oldest("instant")
 
     @property
     def origin(self) -> int | None:
         """The instant of `[0]` when the past is counted from it: the oldest of the inputs' origins."""
-        return _oldest(one.origin for one in self._sources)
+        return self._oldest("origin")
 
     @property
     def is_stale(self) -> bool:
