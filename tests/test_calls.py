@@ -29,6 +29,8 @@ from tests.test_surface import packages
 LEFT_OUT = {
     "as_dict": "takes a record, which only scanners make",
     "Controller.step": "raises what a controller's author left out: NotImplementedError",
+    "AcesBus": "joins a bus of this process, which other tests use",
+    "Loop.start": "starts a thread",
     "MotorDevice": "the base of drivers, which say what it asks for",
     "StreamScanner": "made by make_scanner, which checks what it is given",
 }

@@ -132,7 +132,7 @@ def test_bytes_leave_before_a_line_closes(monkeypatch: pytest.MonkeyPatch) -> No
         def close(self) -> None:
             self.is_closed.set()
 
-    for holds, left in (([3, 2, 1, 0], 0), ([3], 3)):
+    for holds, left, wait_s in (([3, 2, 1, 0], 0, 5.0), ([3], 3, 0.05)):
         port, events = Port(), list[Any]()
         port.holds = holds
         monkeypatch.setattr(SerialGate, "_opened", lambda self, port=port: port)
@@ -141,7 +141,7 @@ def test_bytes_leave_before_a_line_closes(monkeypatch: pytest.MonkeyPatch) -> No
         with gate:
             gate.send(b"12345")
             gate.send(b"678")
-            assert gate.stop(0.05) == left
+            assert gate.stop(wait_s) == left
         assert bytes(port.written) == b"12345678"
         assert (gate.counters.sent, gate.counters.unsent) == (8 - left, left)
         assert [e.count for e in events if e.kind == "not sent"] == ([3] if left else [])

@@ -457,10 +457,9 @@ def test_a_device_that_is_not_there(
     monkeypatch.setattr(device_do, "HEARD_S", 1.0)
     got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
     assert (got.status, got.out) == (1, "YAW.position  unknown\n")
-    assert len(got.messages) == 1
-    assert got.messages[0].startswith("JMC0: silent:")
-    assert "is it powered, on bus can, and board 0x00? `aces discover`" in got.messages[0]
+    (silent,) = [line for line in got.messages if line.startswith("JMC0: silent:")]
+    assert "is it powered, on bus can, and board 0x00? `aces discover`" in silent
     made = aces("device", "YAW", "set", "position=0", "--enable", "--tx", "-r", leg, "-i", "aces")
     assert made.status == 1
-    assert made.messages[0].startswith("JMC0: silent:")
-    assert made.messages[1:] == ["JMC0 does not answer: nothing was set"]
+    assert any(line.startswith("JMC0: silent:") for line in made.messages)
+    assert made.messages[-1] == "JMC0 does not answer: nothing was set"
