@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
 from aces_bus import load_robot
-from aces_bus.device import UNKNOWN
+from aces_bus.device import UNKNOWN, Host, Job
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.robot import VirtualRobot, parse_robot
+from aces_bus.robot.rig import bus_variants
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.pololu_qik import driver
 from aces_devices.pololu_qik.driver import timeout_code
@@ -255,3 +257,38 @@ def test_what_it_has_not_is_refused(change: tuple[str, str], complaint: str) -> 
     """A third motor, a ninth bit."""
     with pytest.raises(CallerError, match=complaint):
         assembled(ROBOT.replace(*change))
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.019, 0.03, 0.09, 0.3])
+def test_a_scan_finds_late_devices(late_s: float) -> None:
+    """Answers, which carry no number, are given to the right one however late they come: all are found, none is invented."""
+    with scanned() as (robot, host):
+        for name in "ABC":
+            robot.twins[name].fault("late", late_s)
+        assert driver.scan is not None
+        found = Job(robot.clock, "scan", lambda job: driver.scan(host, job)).wait(200)  # type: ignore[misc]
+        assert [config.credentials["id"] for config in found] == [1, 2, 3]
+
+
+def test_a_scan_that_cannot_be_sure_says_so() -> None:
+    """Answers later than the most patience are given to nobody."""
+    with scanned() as (robot, host):
+        robot.twins["B"].fault("late", 0.6)
+        job = Job(robot.clock, "scan", lambda job: driver.scan(host, job))  # type: ignore[misc]
+        with pytest.raises(DeviceError, match=r"later than 0\.5 s"):
+            job.wait(200)
+
+
+@contextmanager
+def scanned() -> Iterator[tuple[VirtualRobot, Host]]:
+    """Twins that all answer, and a second program's host on their line."""
+    text = ROBOT.replace("credentials = { id = 1 }", "credentials = { id = 1 }, settings.answers = true")
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    made = VirtualRobot(robot, load={"pololu_qik": driver}.__getitem__)
+    with made.simulation:
+        (port,) = made.ports("scan").values()
+        host = Host(port, bus_variants(robot, "drives"), name="drives")
+        host.open()
+        yield made, host
+        host.close()

@@ -238,34 +238,54 @@ class Qik(Device):
         return self.job("configuration", steps)
 
 
-#: How long a number is asked, and how long after an answer (s); a late answer has come after so long (ns).
-LOOK_S, SURE_S, LATE_NS = 0.02, 0.15, 100_000_000
+#: How long each number is given to answer, s: the next when an answer came later than this.
+PATIENCE_S = (0.02, 0.15, 0.5)
+#: After so long, ns, no answer to an earlier number is on its way.
+LATE_NS = 100_000_000
 
 
 def _scan(host: Host, job: Job) -> Steps:
     """Ask every number for the firmware's version. Devices without a transmit line are not found.
 
-    An answer does not say whose it is: after an answer, this number is asked again, and so are the two before it,
-    whose late answer it may have been.
+    An answer does not say whose it is: it counts when the same number answers again. When it does not, or when an answer
+    comes that no question waits for, answers are late, and all numbers are asked anew, with more patience.
+
+    Raises `DeviceError` when answers are late even with the most patience.
     """
-    found: dict[int, DeviceConfig] = {}
-    for number in range(128):
-        is_answered = yield from _answers(host, number, LOOK_S)
-        job.progress = (number + 1) / 128
-        if not is_answered:
-            continue
-        yield LATE_NS
-        for one in range(max(0, number - 2), number + 1):
-            if one not in found and (yield from _answers(host, one, SURE_S)):
-                found[one] = DeviceConfig(
-                    name=f"QIK{one}",
-                    driver="pololu_qik",
-                    bus=host.name,
-                    credentials={"id": one},
-                    channels=2,
-                    settings={"answers": True},
-                )
-    return list(found.values())
+    for patience_s in PATIENCE_S:
+        found: list[int] = []
+        before = _unasked(host)
+        for number in range(128):
+            job.progress, job.text = number / 128, f"number {number}, {len(found)} found"
+            if (yield from _answers(host, number, patience_s)):
+                yield LATE_NS
+                if not (yield from _answers(host, number, patience_s)):
+                    break
+                found.append(number)
+        else:
+            yield LATE_NS
+            if _unasked(host) == before:
+                return [_config(host, number) for number in found]
+    raise DeviceError(
+        f"{host.name}: answers come later than {PATIENCE_S[-1]:g} s, or nobody asked for them: whose they are is unknown;"
+        " is another program on this line?"
+    )
+
+
+def _config(host: Host, number: int) -> DeviceConfig:
+    return DeviceConfig(
+        name=f"QIK{number}",
+        driver="pololu_qik",
+        bus=host.name,
+        credentials={"id": number},
+        channels=2,
+        settings={"answers": True},
+    )
+
+
+def _unasked(host: Host) -> int:
+    """How many answers have come that no question waited for."""
+    return host.unknown.total() + host.unknown_devices.total()
 
 
 def _answers(host: Host, number: int, timeout_s: float) -> Steps:
