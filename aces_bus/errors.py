@@ -13,7 +13,7 @@
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
     ├── DeviceError            a device did not do what its protocol promises
     │   ├── NoReplyError       it did not answer in time
-    │   └── NotStoppedError    it was told to stop, and may still move: says which, and why
+    │   └── NotStoppedError    it was asked to stop, and may still move: says which, and why
     └── BugError               aces-bus is wrong: please report it
 
 1. A message says who, where and what next.

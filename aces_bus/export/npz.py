@@ -1,7 +1,7 @@
 """NumPy's `.npz`: one file, one array a column, under `Message/field`.
 
 1. Columns grow in temporary files, and are joined at the end: memory does not grow with the capture.
-2. Nothing in it is a pickle: `numpy.load` reads all of it as it stands.
+2. Nothing in it is a pickle: `numpy.load` reads all of it as it is.
 
     Encoder/time                  datetime64[ns], or timedelta64[ns] where times are not absolute; NaT where unknown
     Encoder/channel               int32, the place in the array `channels`; -1 none. Likewise `source` in `sources`

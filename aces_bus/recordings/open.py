@@ -2,8 +2,8 @@
 
 1. The suffix is never looked at, and the link of the protocol in use decides only what bytes alone cannot: any file
    at all may be a raw serial recording.
-2. A format is a line of `FORMATS`: its name, what it is in words, what tells it, its reader. The order is from the most
-   to the least specific, and the first that matches reads.
+2. A format is a line of `FORMATS`: its name, what it is in words, how it is recognized, its reader. The order is from the
+   most to the least specific, and the first that matches reads.
 3. A wrong source is refused here, before anything is decoded, with what would work; a pipe that shows itself too late
    is refused while it is read.
 """
@@ -182,7 +182,7 @@ def _tell(source: ByteSource, link: Link | None) -> CanRecording | SerialRecordi
                 raise _other_link(source, form)
         if not half and not (more and _may_still_show(head, link)):
             break
-        more = source.look_further()  # a pipe may give less than what tells the format
+        more = source.look_further()  # a pipe may give too little to recognize the format
     if link == "serial":
         return RawCapture(source)
     for start, kind, advice in REFUSED:

@@ -146,7 +146,7 @@ def check_heard(stand: TestBench) -> None:
 
 
 def check_set(stand: TestBench) -> None:
-    """Every signal that can be set, is: the twin hears of it, and what is read goes there."""
+    """Every signal that can be set, is: the twin receives it, and what is read goes there."""
     with stand.made() as robot:
         robot.advance(1.0)
         enable(robot)

@@ -132,7 +132,7 @@ def _ask(
     sent_at: list[tuple[int, Any]],
     source: ChoiceSource,
 ) -> None:
-    """Put a request before its reply: on the wire where the scanner hears it, else as a transmission of ours."""
+    """Put a request before its reply: on the wire where the scanner receives it, else as a transmission of ours."""
     if direction == "both" and source.integer(0, 3):
         data += request.image
     elif who.can_send:

@@ -230,7 +230,7 @@ class LiveDecoding(Decoding):
         except CallerError as error:
             if str(error) != self.complaint:
                 self._complain(str(error))
-        except KeyboardInterrupt:  # whoever reads takes no more
+        except KeyboardInterrupt:  # the reader takes no more
             abandon_stdout()
             self._complain(f"{self.output.path or 'standard output'}: interrupted before all was written")
 

@@ -110,7 +110,7 @@ class CaptureReading(Generic[T]):
 
 
 class Requests:
-    """What went to the device, for whoever reads what came from it: where a capture says which way bytes went, each way is
+    """What went to the device, for decoding what came from it: where a capture says which way bytes went, each way is
     a stream of its own, and a reply may hang on a request of the other."""
 
     def __init__(self, variants: Sequence[Variant]) -> None:

@@ -66,7 +66,7 @@ def checked(device: Device, part: str | None, action: str, values: Any) -> None:
             if one.name not in device.readable:
                 raise CallerError(f"{one.name} can only be set: {device.name} does not tell it")
         if not values and not any(one.name in device.readable for one in signals_of(device, part)):
-            raise CallerError(f"{part or device.name} tells nothing: it can only be set")
+            raise CallerError(f"{part or device.name} reports nothing: it can only be set")
         return
     if action == "set":
         if not values:
@@ -127,7 +127,7 @@ class Doing:
         return bool(until())
 
     def readable(self, names: list[str]) -> list[Signal]:
-        """What is to be read: those of these names, by default all that the device tells."""
+        """What is to be read: those of these names, by default all that the device reports."""
         if names:
             return chosen_signals(self.device, self.part, names)
         return [one for one in signals_of(self.device, self.part) if one.name in self.device.readable]

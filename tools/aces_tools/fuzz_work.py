@@ -128,7 +128,7 @@ class FuzzWorker:
         self.todo = corpus_files(job.corpus) if job.corpus is not None else ()
 
     def do(self, task: FuzzTask) -> TaskResult:
-        """Do a task; tells what was done since the last time, and everything that was reached so far."""
+        """Do a task; report what was done since the last time, and everything that was reached so far."""
         fuzzer, before = self.fuzzer, self._done
         for name in (*self.todo, *task.files):
             _replayed(fuzzer, name)

@@ -207,7 +207,7 @@ _ARROWS = {None: "", "to device": "→", "from device": "←"}
 
 
 def _told_by(message: Message) -> str:
-    """What tells a message from others: identifier, matched head fields, constants of the payload."""
+    """What distinguishes a message from others: identifier, matched head fields, constants of the payload."""
     parts = []
     if message.protocol.link == "can":
         parts.append(message.identifier.describe(8 if message.extended else 3))

@@ -105,7 +105,7 @@ class RecordingFile:
         epoch_ns: int,
         direction: Direction | None = None,
     ) -> None:
-        """Record what the gate hears from now on."""
+        """Record what the gate receives from now on."""
         self._inbox = gate.subscribe(limit=WAITING)
         self._print: Callable[[Sequence[Any]], object] = lambda items: [
             self._writer.write(Chunk(item.content, (item.host_ns + epoch_ns) / 1e9, direction))

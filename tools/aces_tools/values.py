@@ -130,7 +130,7 @@ def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, 
 
 
 def _open(text: str, name: str, depth: int) -> Any:
-    """A value whose kind only its text tells."""
+    """A value whose kind only its text shows."""
     if text[:1] == "[":
         return _list(text, [], name, depth)
     if text[:1] == "{":

@@ -34,7 +34,7 @@ Role = Literal["source", "time", "channel", "id", "extended", "fd", "remote", "o
 
 CAN: tuple[Role, ...] = ("time", "channel", "id", "extended", "rx")
 STREAM: tuple[Role, ...] = ("time", "offset", "size", "rx")
-#: Of frames that were not decoded: everything that tells them apart.
+#: Of frames that were not decoded: everything that distinguishes them.
 LOST: tuple[Role, ...] = ("time", "channel", "id", "extended", "fd", "remote", "rx")
 _RESERVED = frozenset([*CAN, *STREAM, *LOST, "source"])
 

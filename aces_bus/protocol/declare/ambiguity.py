@@ -39,7 +39,9 @@ class Conflict:
     @property
     def how(self) -> str:
         if self.witness is None:
-            return "undecided: nothing in their templates tells them apart, and no packet was found that decides it"
+            return (
+                "undecided: their templates do not tell them apart, and no packet was found that decides it"
+            )
         if self.identifier is None:
             return f"both accept {self.witness.hex(' ').upper()}"
         return f"both accept {self.identifier:03X}#{self.witness.hex().upper()}"

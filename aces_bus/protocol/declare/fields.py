@@ -139,7 +139,7 @@ class Quantity(Field):
         self.rounding = rounding
         self.docs = doc
         self.source = source
-        # The subcon tells whether the wire carries a float; found once, when the spec is read.
+        # The subcon shows whether the wire carries a float; found once, when the spec is read.
         self.is_float = _is_float(subcon)
         odd = next((value for value in self.unknown if value % 1 != 0), 0)
         if odd != 0 and not self.is_float:

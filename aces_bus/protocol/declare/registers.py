@@ -137,7 +137,7 @@ class RegisterMap(Mapping[str, Register]):
         one, other = self[first], self[last or first]
         count = other.address + other.size - one.address
         if count <= 0:
-            raise FieldError(f"register {other.name} stands before {one.name}")
+            raise FieldError(f"register {other.name} comes before {one.name}")
         assert self.read_message is not None
         return bytes(self.protocol.encode(self.read_message, id=id, start=one.address, count=count))
 

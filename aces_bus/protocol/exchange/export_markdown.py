@@ -207,7 +207,7 @@ class _Page:
 
 
 def _told_by(message: Message) -> str:
-    """What tells a message from others beside its identifier: matched head fields, constants of its payload."""
+    """What distinguishes a message from others beside its identifier: matched head fields, constants of its payload."""
     parts: list[str] = []
     covered: set[int] = set()
     for head in message.heads_written:

@@ -135,7 +135,7 @@ class _Printer:
             parts.append(Code(f"0x{pattern.constant:0{digits}X}"))
         for capture in pattern.captures:
             made = self._capture(capture)
-            # A shift binds tighter than | does, and stands with nothing else.
+            # A shift binds tighter than | does, and is on its own.
             parts.append(Code(f"{made} << {capture.shift}" if capture.shift else made))
         operator = "|" if _is_apart(pattern) else "+"
         return Operation(parts[0], tuple((operator, part) for part in parts[1:]))

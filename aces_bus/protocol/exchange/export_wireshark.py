@@ -2,7 +2,7 @@
 
 1. The printed file is data, a table `P`, and behind it the same program for every protocol (`dissector*.lua`), which walks
    the table. What is decided is decided here.
-2. It tells messages as the scanner does: constants, lengths, checks, requests and their replies, in the same order.
+2. It recognizes messages as the scanner does: constants, lengths, checks, requests and their replies, in the same order.
 3. A field is `protocol.message.field`. One with scale or offset shows the quantity, with the raw number below it as
    `….raw`; all others show the raw number, with the names of its values.
 
@@ -256,7 +256,7 @@ class _Printer:
         found: list[dict[str, Any]] = []
         taken: set[str] = set()
         if plan.opaque:
-            reason = f"told by its head and constants alone, not all of it taken apart: {plan.opaque}"
+            reason = f"recognized by its head and constants alone, not all of it dissected: {plan.opaque}"
             self._lose(message.name, "", reason)
         outer = message.outer_names
         listed, rest = fixed_leaves(message)

@@ -168,7 +168,7 @@ class _Builder:
                 one.identifier = pattern
             if len(some) > 1:
                 names = ", ".join(clean_text(one.message.name) for one in some)
-                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: told by their source addresses"
+                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: told apart by their source addresses"
                 self._note(some[0].line, text)
 
     def _message(self, taken: _Taken) -> None:
@@ -471,7 +471,7 @@ def _limits(signal: Any) -> tuple[int, int]:
 
 
 def _are_distinct(names: Mapping[str, int], signal: Any, scale: float, offset: float) -> bool:
-    """Whether each named number is, scaled, unlike its neighbours: then the scaled number tells whether it is named."""
+    """Whether each named number is, scaled, unlike its neighbours: then the scaled number shows whether it is named."""
     low, high = _limits(signal)
     for raw in names.values():
         for other in (raw - 1, raw + 1):

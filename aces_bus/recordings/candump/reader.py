@@ -9,7 +9,7 @@ Line by line a common log line takes some 3 µs, any other 4 to 6 µs; as column
 become an object. So files are read as columns; live sources, which come in small blocks, line by line unless columns are
 wanted.
 
-*Doubt*: A last line without its LF is taken as it stands: it may have been cut.
+*Doubt*: A last line without its LF is read as it is: it may have been cut.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class _Copy:
         return [start, self.out.tell() - start, fault]
 
     def _records(self, group: Any, size: int) -> None:
-        """The records of a group; of more than are announced, asammdf tells nothing."""
+        """The records of a group; of more than are announced, asammdf says nothing."""
         group.read_split_count = max(1, min(_ROWS, _PIECE_BYTES // max(size, 1)))
         for fragment in self.mdf._load_data(group):
             if not fragment.is_record:

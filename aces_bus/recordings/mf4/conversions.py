@@ -2,7 +2,7 @@
 
 1. A number is converted as the file says, or it is not a number: NaN is what has no meaning here. The number in the
    record is never used in its place.
-2. A conversion that is not read has a `fault`, and whoever meets it refuses what depends on it. Formulas are never
+2. A conversion that is not read has a `fault`, and signals that depend on it are refused. Formulas are never
    evaluated: they are programs from an unknown source.
 
 Read are: none, linear, rational, tables of values (with and without interpolation), tables of ranges, and tables of texts

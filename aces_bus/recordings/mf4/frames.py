@@ -1,4 +1,4 @@
-"""Fields of an MDF 4 bus log become frames, whoever found the records.
+"""Fields of an MDF 4 bus log become frames, whether our own code or asammdf found the records.
 
 1. What is no frame is reported with its record's number and the reason; the other records are read.
 2. Nothing is kept: a piece comes, a piece goes.

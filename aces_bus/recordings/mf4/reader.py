@@ -1,7 +1,7 @@
 """ASAM MDF 4 with CAN bus logging (`.mf4`), read in one way; of unusual files another process copies the records first.
 
 1. asammdf is never imported here: where it is loaded before python-can, python-can loses its `.mf4`.
-2. Frames and counts are the same whoever has found the records.
+2. Frames and counts are the same whether our own code or asammdf found the records.
 3. Damaged and hostile files cost a refusal here, or the other process: its memory is limited (`child.MEMORY` on top of
    the libraries; not on Windows, which has no such limit), and it is stopped when it says nothing for too long.
 4. Every record is a frame, one of `others` in words, or unreadable with its reason; problems have a record's number in its

@@ -81,7 +81,7 @@ _LIKE = re.compile(
     re.IGNORECASE | re.MULTILINE,
 )
 
-#: What the first word behind the time stamp, or behind the channel, tells of events that are no frames.
+#: What the first word behind the time stamp, or behind the channel, is for events that are no frames.
 _EVENTS: tuple[tuple[re.Pattern[bytes], str], ...] = tuple(
     (re.compile(pattern, re.IGNORECASE), kind)
     for pattern, kind in (

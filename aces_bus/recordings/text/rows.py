@@ -57,7 +57,7 @@ class LineCapture(CanRecording):
     Reading raises `CaptureError` when the source holds no line of the format at all.
     """
 
-    #: What the first lines of a file have, where that tells the format.
+    #: What the first lines of a file have, where that shows the format.
     _LIKE: ClassVar[re.Pattern[bytes]]
     _TURN: ClassVar[re.Pattern[bytes] | None] = None
 

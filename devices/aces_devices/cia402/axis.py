@@ -137,7 +137,7 @@ class DriveAxis:
     # ------------------------------------------------------------------ up
 
     def update(self, index: int, value: int, instant: int) -> None:
-        """An object of the drive has been heard; `index` is that of axis 0."""
+        """An object of the drive has been received; `index` is that of axis 0."""
         signals = self.signals
         if index in self.scales:
             name, scale, zero = self.scales[index]

@@ -1,7 +1,7 @@
 """A simulated axis of a drive: its state machine, its modes, its motion, its limits and its faults.
 
 1. Lazy: whole milliseconds are caught up on request; an axis at rest costs a comparison.
-2. Motion is planned in counts, as the drive's objects are; the motor behind it stands where other twins see it, in rad.
+2. Motion is planned in counts, as the drive's objects are; the motor behind it is where other twins see it, in rad.
 3. Objects are those of axis 0, whichever axis this is.
 
 State machine: CiA 402 (ros2_canopen, canopen). What the standard leaves to makers is said in the README.
@@ -250,7 +250,7 @@ class AxisModel:
         self.goal = self.demand + step * 1e12
 
     def _searching(self) -> None:
-        """A millisecond of a search: the switch stands at the joint's limit, or half a turn from 0."""
+        """A millisecond of a search: the switch is at the joint's limit, or half a turn from 0."""
         self._searched += 1
         joint, units = self.joint, self.units
         low = -3.14 if joint.lower is None else joint.lower

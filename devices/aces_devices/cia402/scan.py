@@ -1,4 +1,4 @@
-"""Finding drives: every node is asked what it is; nodes that only send heartbeats are heard meanwhile.
+"""Finding drives: every node is asked what it is; nodes that only send heartbeats are noticed meanwhile.
 
 1. Bounded: 127 nodes, one request each, two more of those that answer.
 2. Only nodes of device profile 402 are drives; others are left to those who know them.

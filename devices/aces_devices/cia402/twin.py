@@ -246,7 +246,7 @@ class Cia402Twin(Twin):
     # ------------------------------------------------------------------ misbehaving
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
-        """As `Twin.fault`; what the axes must know is told to them."""
+        """As `Twin.fault`; what the axes must know is passed on to them."""
         super().fault(name, amount, on=on)
         self._apply_faults()
 

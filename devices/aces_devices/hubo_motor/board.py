@@ -1,9 +1,9 @@
 """A motor board as the driver knows it: its channels, what is received of them, what they are to be sent.
 
-1. What is sent and received by which kind of board stands in `shapes`.
+1. What is sent and received by which kind of board is in `shapes`.
 2. References go out in each tick, one frame a board, and only while the board is enabled and no hold-off runs: 0.8 s after
-   the start, 3 s after a home command (hubo-ach). A set-point that will not be sent is told ("not sent"), never kept.
-3. A board that forgot what it was told (home flag lost, control off without an error) gets nothing more until it is
+   the start, 3 s after a home command (hubo-ach). A set-point that will not be sent is reported ("not sent"), never kept.
+3. A board that forgot its settings (home flag lost, control off without an error) gets nothing more until it is
    enabled again.
 4. raw = (direction × position + zero) × counts_per_unit, truncated toward zero as the programs that drove the robots do;
    the way back is exact. Velocity is (new − old) ÷ (instants' difference): real time stamps, not the nominal period.
@@ -30,7 +30,7 @@ _SWITCHES = ("driver_on", "control_on", "current_mode", "limit_switch")
 HOMED = ("homed", "wrist_roll_homed")
 #: When a joint that is homed, or becomes stiff again, has arrived (rad; hubo-ach).
 ARRIVED = 0.0075
-#: Signals of a status, by what the status of a board tells: name → what it is.
+#: Signals of a status, by what the status of a board says: name → what it is.
 _DRIVE_STATUS: Mapping[str, str] = {
     "status": "names of all bits that are set",
     "errors": "names of the error bits that are set",
@@ -76,7 +76,7 @@ class MotorAxis:
         self.zero: float = (joint.zero or 0.0) if joint is not None else 0.0
         #: rad a count, with the sign of the direction.
         self.scale = self.direction / self.counts
-        #: The last encoder count, and when it was heard (ns).
+        #: The last encoder count, and when it was received (ns).
         self.count: int | None = None
         self.instant = 0
         #: The set-point in counts, and where a filter is to bring it (None: no filter).
@@ -84,7 +84,7 @@ class MotorAxis:
         self.goal: float | None = None
         #: Whether it was homed by the last status.
         self.was_homed = False
-        #: What the status tells.
+        #: What the status says.
         self.signals: dict[str, Signal] = {}
         self.position: Signal | None = None
         self.velocity: Signal | None = None
@@ -159,7 +159,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
             raise CallerError(f"{self.name} has {found.channels} channels; {', '.join(beyond)} is beyond")
         self._by_path = {f"duty.{axis.channel}": axis for axis in self.axes}
         self._by_path.update(zip(found.references, self.axes, strict=False))
-        #: Whether set-points go out; whether the board was enabled and nothing has been heard against it.
+        #: Whether set-points go out; whether the board was enabled and nothing has contradicted it.
         self.is_streaming = self.is_enabled = False
         #: What makes duties of positions while the board is compliant; None: it is rigid.
         self.comply: Callable[[int], None] | None = None
@@ -442,7 +442,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return [axis.name] if is_lost else []
 
     def rebooted(self, detail: str) -> None:
-        """The board has forgotten what it was told: nothing moves until it is enabled again."""
+        """The board has forgotten its settings: nothing moves until it is enabled again."""
         self.quiet()
         for axis in self.axes:
             axis.forget()
@@ -451,7 +451,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
     # ------------------------------------------------------------------ down
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """A set-point: kept for the next tick while enabled, else told as not sent."""
+        """A set-point: kept for the next tick while enabled, else reported as not sent."""
         if not self.is_streaming:
             self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value}")
             return
@@ -577,7 +577,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
 
 def search_state(motor: Any) -> str:
-    """How a home search of D08 stands: "failed" before "done" before "searching", as acesHubo looks at it."""
+    """How far a home search of D08 is: "failed" before "done" before "searching", as acesHubo looks at it."""
     if motor.origin == "fail" or motor.limit_switch == "fail":
         return "failed"
     return "done" if motor.origin == "ok" and motor.limit_switch == "ok" else "searching"

@@ -219,7 +219,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return together(self.clock, f"{self.name} {name}", told)
 
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
-        """Search home; enables before. Fails with `DeviceError` when the board tells errors, or does not find it in time."""
+        """Search home; enables before. Raises `DeviceError` when the board reports errors, or does not find it in time."""
         axes = self.axes_of(joint)
         self.is_driven = True
 
@@ -420,7 +420,7 @@ class HuboMotorD15Twin(Twin):
         """What it is."""
         self.reply("BoardInfoD15", period=5, unknown=bytes(2), version=VERSION, rest=b"")
 
-    # ------------------------------------------------------------------ told
+    # ------------------------------------------------------------------ reported
 
     @on("ReferenceD15")
     def reference(self, request: Any) -> None:

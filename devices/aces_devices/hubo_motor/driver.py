@@ -59,7 +59,7 @@ _D12 = {
     "initialise": "load the board's defaults, confirm=True; its calibration is lost",
     "set_board_number": "give the board another number, confirm=True",
 }
-_INFO = {"board_info": "ask the board what it is; tells it its period"}
+_INFO = {"board_info": "ask the board what it is; sets its period"}
 _COMPLIANCE = {"set_compliance": "let the joints give way (on), or be rigid again (off)"}
 
 

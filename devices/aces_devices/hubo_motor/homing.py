@@ -31,7 +31,7 @@ class Homing(Switching):
     def home(self, joint: str | None = None) -> Job:
         """Search the home of one joint, or of all of this board. It moves, whether enabled or not.
 
-        The job's `progress` tells how far it is; it fails with a `DeviceError` that says why. Its result are the names of
+        The job's `progress` says how far it is; it fails with a `DeviceError` that says why. Its result are the names of
         the joints that were homed. Raises `UnknownNameError` for a joint that is not here, `CallerError` for a board that
         cannot home or a robot file without the joint's home (D08).
         """
@@ -218,7 +218,7 @@ class Homing(Switching):
         return [axis.name for axis in axes]
 
     def _home_blind(self, job: Job, axes: list[MotorAxis], message: str, fields: dict[str, Any]) -> Steps:
-        """Fingers of D08 are driven against their stop; nothing tells when they are there."""
+        """Fingers of D08 are driven against their stop; no status says when they are there."""
         self._announce()
         yield self.tell(message, **fields)
         yield round(self.settings.hold_home_s * 1e9)

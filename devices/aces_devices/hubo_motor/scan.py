@@ -1,4 +1,4 @@
-"""Which motor boards are on a bus: every number is asked, and what answers is told apart by what it answers.
+"""Which motor boards are on a bus: every number is asked, and the answers show which kind of board it is.
 
 1. Looking changes nothing: encoder and status requests first. Only a number that answers neither is asked for its name,
    which also sets the board's command period (to what this host's rate means).
@@ -39,7 +39,8 @@ def channels_by_length(lengths: list[int], dialect: str) -> int | None:
 def scan_boards(host: Host, job: Job) -> Steps:
     """The motor boards that answer on this host's bus, as a list of `DeviceConfig` by number.
 
-    Boards that the host has already and hears are listed as they are. Raises `CallerError` on a bus without Hubo's protocol.
+    Boards that the host has already, and that answer, are listed as they are. Raises `CallerError` on a bus without Hubo's
+    protocol.
     """
     variant = host.variants.get("hubo")
     if variant is None:

@@ -2,7 +2,7 @@
 
 1. A board is a row of `SHAPES`; nothing else in the driver asks for a dialect or a kind, except where firmware behaves
    differently with the same messages.
-2. A row names messages of the spec only; what stands in them is the spec's.
+2. A row names messages of the spec only; their fields are the spec's.
 
 A board of kind "hand" or "neck" is DRC-Hubo's. `reference` None: the board follows no positions (facts, section 9).
 """
@@ -96,7 +96,7 @@ class Ask:
 class Shape:
     """One kind of board.
 
-    `references`: where each channel's set-point stands in `reference`; `pwm` likewise in its field `duty`. `pwm_signed`:
+    `references`: which field of `reference` is each channel's set-point; `pwm` likewise in its field `duty`. `pwm_signed`:
     duties carry their sign, otherwise the message has a `direction` beside them. `positive`: the sign on the wire of a duty
     that drives a joint of direction 1 upwards. `largest_duty` is in the board's unit. `gains`: the messages that set the
     position gains of each channel; `torque_gains` likewise. `has_home_flag`: its status says what is homed; `has_switches`:

@@ -147,7 +147,7 @@ class Switching(MotorBoard):
     def board_info(self) -> Ticket:
         """Ask the board what it is; the answer (period, and what else it says) is the ticket's result.
 
-        The question also tells the board its period, from `period_ms` or the host's rate; in D08 also search limits and
+        The question also sets the board's period, from `period_ms` or the host's rate; in D08 also search limits and
         index counts, which the robot's file must know. Raises `CallerError` where it does not.
         """
         if self.shape.name_info is None:
@@ -194,7 +194,7 @@ class Switching(MotorBoard):
         return ticket
 
     def confirm_stopped(self) -> Job | None:
-        """By the board's status, where it tells of its drives."""
+        """By the board's status, where it has that of its drives."""
         status = self.shape.status
         axes = [axis for axis in self.axes if "enabled" in axis.signals]
         if status is None or not axes or not self.shape.has_switches:

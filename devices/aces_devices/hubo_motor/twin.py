@@ -1,6 +1,6 @@
 """A simulated motor board: it answers as the facts say, and moves motors that have torque, friction, heat and stops.
 
-1. It receives bytes and sends bytes; what a kind of board says stands in the same `shapes` as the driver's.
+1. It receives bytes and sends bytes; what a kind of board sends is in the same `shapes` as the driver's.
 2. Between two requests nothing is computed; each request catches up with its own channels (see `joint_model`).
 3. What a board stores survives a reboot; where its motors are and whether they are homed does not.
 
@@ -52,13 +52,13 @@ class HuboMotorTwin(Twin):
         "saturated": "the PWM counts as saturated",
         "no_switch": "the home switch never closes",
         "no_index": "the encoder's index never comes",
-        "encoder_fail": "the encoder stands still and the status says so",
+        "encoder_fail": "the encoder's count does not change, and the status says so",
         "fet_fault": "the driver has failed: no current, driver off",
         "motor_fail_0": "the status has motor fail 0",
         "motor_fail_1": "the status has motor fail 1",
         "overspeed": "the status has a velocity error",
         "over_acceleration": "the status has an acceleration error",
-        "can_error": "off the bus: neither hears nor says anything",
+        "can_error": "off the bus: neither receives nor sends anything",
         "amnesia": "loses its home flags, as after a brown-out",
     }
 
@@ -78,7 +78,7 @@ class HuboMotorTwin(Twin):
         self._is_short = self.shape.channels > 2 and self.kind != "neck"
         self.board = board_defaults(self.kind)
         self.board.board_type = self.shape.channels
-        #: What was heard: beeps (ns, s), alarms (ns, sound).
+        #: What was received: beeps (ns, s), alarms (ns, sound).
         self.beeps: list[tuple[int, float]] = []
         self.alarms: list[tuple[int, str]] = []
         self.gain_override: tuple[list[int], int] | None = None

@@ -1,7 +1,7 @@
 """The smart power controller: voltage, current and power of the robot; alarm and beeper.
 
 1. It is asked 20 times a second unless the robot's file says otherwise: a battery is slow.
-2. A low battery is told once, and again when it is over by half a volt.
+2. A low battery is reported once, and again when it is over by half a volt.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .twin import PowerTwin
 
 #: How often it is asked (s): hubo-ach asks twice in each cycle of 5 ms.
 EVERY_S = 0.05
-#: Where a low battery is told (V), and by how much it must recover. No sheet has it: 3.67 V a cell of a 12-cell pack.
+#: Where a low battery is reported (V), and by how much it must recover. No sheet has it: 3.67 V a cell of a 12-cell pack.
 LOW_V, RECOVERED_V = 44.0, 0.5
 SOUNDS = ("off", "sound_1", "sound_2", "sound_3", "sound_4")
 
@@ -32,7 +32,7 @@ class PowerSettings(msgspec.Struct, frozen=True, kw_only=True):
         EVERY_S
     )
     low_voltage_v: Annotated[
-        float, Meta(description=f"below this a low battery is told (V), {LOW_V:g} when absent")
+        float, Meta(description=f"below this a low battery is reported (V), {LOW_V:g} when absent")
     ] = LOW_V
 
 

@@ -58,7 +58,7 @@ class SensorBoard(Device):
 
     #: Where the meaning of its signals comes from.
     facts: ClassVar[str]
-    #: Faults that have been told and are not over.
+    #: Faults that have been reported and are not over.
     alarms: set[str]
     #: What makes signals of all digits of a message together, by its name.
     made_of: dict[str, Callable[[Sequence[int], int], None]]

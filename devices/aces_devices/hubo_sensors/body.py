@@ -3,7 +3,7 @@
 1. It knows joint positions only: no dynamics, no contact, no fall. What it leaves out is said here and in the README.
 2. It is a function of the joints at an instant; within a millisecond it is computed once.
 
-The model: the robot stands. Its pelvis lies so that both feet are flat on average: when each leg's angles add up to
+The model: the robot is standing. Its pelvis lies so that both feet are flat on average: when each leg's angles add up to
 zero, the pelvis is level and so are the feet; when one ankle moves, the pelvis tilts by half of it and the feet by the
 other half each. Links are rigid and massless, the whole weight is one point above the pelvis. That point's place beside
 the feet shares the weight between them; its place before them is the moment about the ankles. Axes: x forward, y left,

@@ -4,7 +4,7 @@
    position + zero, as everywhere.
 2. The angle goes out in whole degrees and hundredths, rounded to the nearest hundredth of all, with its carry.
 3. Each new set-point is sent once, with the next tick: nothing says that it came. `stop_motion` ends what is waiting;
-   what the PC was told it carries out.
+   the PC carries out what it has received.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class HuboviaJoint(Device):
                 from_si=partial(self._angle, joint),
                 lower=joint.lower,
                 upper=joint.upper,
-                doc="where the PC is told to move it; nothing tells where it is",
+                doc="where the PC is to move it; where it is, is not reported",
                 source="acesHubo huboVia",
             )
 

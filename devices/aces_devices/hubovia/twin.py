@@ -16,13 +16,13 @@ SPEED = 1.0
 
 
 class MotorTwin(Twin):
-    """A motor: `angle` is where the PC was told to turn it (°), `position(now)` where its joint is (rad)."""
+    """A motor: `angle` is where the PC was asked to turn it (°), `position(now)` where its joint is (rad)."""
 
     protocol = "hubovia"
     faults: ClassVar = {"stuck": "does not turn"}
 
     def setup(self) -> None:
-        """At zero, until told otherwise; a PC that was switched off leaves the motor where it is."""
+        """At zero until the first angle; a PC that was switched off leaves the motor where it is."""
         now = self.clock.now()
         joint = self.joints[0] if self.joints else None
         self._direction = joint.direction if joint is not None else 1
@@ -33,7 +33,7 @@ class MotorTwin(Twin):
             if joint is not None:
                 self.world.joints[joint.name] = self
         self._goal = self._sync(now) if self.__dict__.get("_goal") is not None else self._motor
-        #: The last angle that was told (°), None before.
+        #: The last angle that was received (°), None before.
         self.angle: float | None = None
 
     def _sync(self, now: int) -> float:

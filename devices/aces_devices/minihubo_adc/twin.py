@@ -1,6 +1,6 @@
 """The simulated converter board: samples at a rate, of whatever function it is given.
 
-1. It hears nothing. From power-up it sends one `Sample` a period.
+1. It receives nothing. From power-up it sends one `Sample` a period.
 2. Counts are those of a 12-bit converter: what is beyond is cut off.
 """
 

@@ -187,7 +187,7 @@ class Qik(Device):
         return self.job(f"set {parameter}", steps)
 
     def set_timeout(self, seconds: float) -> Job:
-        """Set the serial time-out (s), 0 for none: without a command for so long the device tells an error, and stops
+        """Set the serial time-out (s), 0 for none: without a command for so long the device reports an error, and stops
         its motors if its shutdown_on_error is 1. Raises `CallerError` when it is too long."""
         return self.set_parameter("serial_timeout", timeout_code(float(seconds)))
 
@@ -267,7 +267,7 @@ def _scan(host: Host, job: Job) -> Steps:
             if _unasked(host) == before:
                 return [_config(host, number) for number in found]
     raise DeviceError(
-        f"{host.name}: answers come later than {PATIENCE_S[-1]:g} s, or nobody asked for them: whose they are is unknown;"
+        f"{host.name}: answers come later than {PATIENCE_S[-1]:g} s, or were not asked for: whose they are is unknown;"
         " is another program on this line?"
     )
 

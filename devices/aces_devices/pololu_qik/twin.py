@@ -85,8 +85,8 @@ class QikTwin(Twin):
 
     protocol = "pololu_qik"
     faults: ClassVar = {
-        "overrun": "each command is also told as a data overrun",
-        "frame": "each command is also told as a frame error, as at another speed",
+        "overrun": "each command also counts as a data overrun",
+        "frame": "each command also counts as a frame error, as at another speed",
     }
     parameters: dict[str, int]
 

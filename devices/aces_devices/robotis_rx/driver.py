@@ -32,7 +32,7 @@ SPEED_STEP = SPEED * math.tau / 60
 TOP = 1023
 #: Bit 10 of speed, load and drive: clockwise (RX-28 manual).
 CLOCKWISE = 0x400
-#: What is added before an angle is cut to whole counts: an angle that a count stands for gives that count.
+#: What is added before an angle is cut to whole counts: the angle of a count gives that count.
 HAIR = 1e-6
 #: The largest SyncWrite packet that an RX-28's receive buffer takes (RX-28 manual).
 RECEIVE_BUFFER = 143
@@ -326,7 +326,7 @@ class RobotisRX(RegisterDevice):
             try:
                 table = yield self.read("model_number", "alarm_shutdown", raw=True)
             except NoReplyError:
-                return None  # it has been told; a servo that comes later is heard without it
+                return None  # reported already; a servo that comes later is received without it
             self._learned(table)
             return table
 
@@ -353,7 +353,7 @@ class RobotisRX(RegisterDevice):
             self.position.upper = min(self.span[1], ends[1])
 
     def enable(self) -> Job:
-        """Torque on, where the joint stands: the goal is set to the present position first.
+        """Torque on, where the joint is: the goal is set to the present position first.
 
         A set-point that is given meanwhile stays. Where the torque is on already, nothing moves.
         """

@@ -5,7 +5,7 @@
 
 The drive is the punch plus (distance − margin) ÷ slope, at most the torque limit; the speed is the drive's share of the
 greatest speed, at most the speed that was set. So it runs at a constant speed, slows down exponentially within the
-slope, and stands still near the margin. There is no inertia and no load. A choice: the vendor's manual draws the compliance
+slope, and ends near the margin. There is no inertia and no load. A choice: the vendor's manual draws the compliance
 curve and says nothing of dynamics.
 """
 
@@ -23,7 +23,7 @@ PER_SPEED = SPEED * 6 / ANGLE
 FREE = 540
 #: A whole turn, in counts.
 TURN = 360 / ANGLE
-#: It stands still a count before the margin: a recorded servo rests 2 counts from its goal, at a margin of 1 and no load.
+#: It rests a count before the margin: a recorded servo rests 2 counts from its goal, at a margin of 1 and no load.
 REST = 1
 #: What rounding leaves of a count.
 HAIR = 1e-9

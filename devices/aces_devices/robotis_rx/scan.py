@@ -22,7 +22,7 @@ def scan_servos(host: Host, job: Job | None = None, *, adapter_s: float = ADAPTE
     """Find the servos on a line at its present speed; the steps end with a `DeviceConfig` each.
 
     `job.progress` grows with the ids. A servo that answers no reads (status return level 0) has no model. An id that is
-    answered by garbled words only is listed too, and its `doc` says so: two servos have it, or the line is bad.
+    answered by damaged packets only is listed too, and its `doc` says so: two servos have it, or the line is bad.
     """
     found: list[DeviceConfig] = []
     taken = {device.credentials.get("id"): device for device in host.devices.values()}
@@ -57,7 +57,7 @@ def _look(host: Host, device: Device, number: int, adapter_s: float, tries: int)
             if host.events.counts[malformed] == before:
                 return None
     else:
-        doc = "its answers are garbled: two servos with this id, or a bad line"
+        doc = "its answers are damaged: two servos with this id, or a bad line"
         return msgspec.structs.replace(config, doc=doc)
     register = control_table["model_number"]
     try:

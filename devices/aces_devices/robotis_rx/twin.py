@@ -77,7 +77,7 @@ def _cells() -> dict[int, TableRegister]:
 
 
 CELLS = _cells()
-#: By name: where a register stands, and how.
+#: By name: where a register is, and how.
 PLACES = {cell.name: (cell.address, cell.codec) for cell in CELLS.values()}
 
 
@@ -227,7 +227,7 @@ class RobotisRXTwin(Twin):
     # ------------------------------------------------------------------ instructions
 
     def receive(self, record: Any, instant: int) -> None:
-        """A request that it hears: one at its line speed."""
+        """A request that it receives: one at its line speed."""
         if self._is_tuned:
             super().receive(record, instant)
 

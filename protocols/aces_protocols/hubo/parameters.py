@@ -1,6 +1,6 @@
 """What boards of D12 answer at 0x1C0: parameter blocks and currents.
 
-1. Nothing in a frame tells these apart: the request that is open does, so a reply without its request stays unknown.
+1. Nothing in a frame distinguishes these: the request that is open does, so a reply without its request stays unknown.
 2. A block's number n is the same for all channels; the record's `selector` says which channel it was.
 3. Numbers that the board cuts across blocks stay in halves here. The halves are in counts and add up.
 """

@@ -79,7 +79,7 @@ ImuRequest = request(
     "ImuRequest",
     mode=0x00,
     payload=Struct("select" / Enumeration(Byte, imu=1)),
-    doc="Ask an IMU: the third byte tells its request from a force/torque one.",
+    doc="Ask an IMU: the third byte distinguishes its request from a force/torque one.",
     source="hubo-ach; HuboCan",
     examples=[("002#03 00 01", {"sensor": 3, "select": "imu"})],
 )

@@ -1,6 +1,6 @@
 """Hubo's CAN protocol, gathered: `hubo` with all its messages.
 
-1. The order of the imports is the order of the messages: what answers stands behind what asks.
+1. The order of the imports is the order of the messages: replies come after their requests.
 2. Each message is declared in the module named here and is found as `hubo["Name"]`.
 
 Facts: each board has a number (`board`), each sensor another (`sensor` = board − 0x2F). Commands share the identifier

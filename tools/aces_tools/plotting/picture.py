@@ -1,8 +1,8 @@
-"""What is drawn where: panels above each other over one time axis, whoever draws them.
+"""What is drawn where: panels above each other over one time axis, for both kinds of drawing.
 
 1. A panel shows one sort of thing: numbers on one or more vertical axes, one enumeration with its names as ticks (several
    would lie on each other), or flags as lanes. A group of several sorts becomes several panels.
-2. A label says what tells lines apart, and the panel's title what they share; together they are the signal's full name
+2. A label says what distinguishes lines, and the panel's title what they share; together they are the signal's full name
    as it can be asked for.
 """
 

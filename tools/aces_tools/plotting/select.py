@@ -2,7 +2,7 @@
 
 1. All of this is decided from the protocols alone, before anything is read: a misspelt name is found at once.
 2. `*` and `?` are the only wildcards, and case does not count, as users of cantools have it.
-3. A pattern with wildcards never takes what only tells devices apart (a board's number), nor bits that belong to no
+3. A pattern with wildcards never takes what only distinguishes devices (a board's number), nor bits that belong to no
    field; by their full names they can be had.
 
 A field that says whose values a message carries splits its signals into one line a device: what the protocol captures

@@ -254,7 +254,7 @@ class _Drawing:
         out: list[str] = []
         for row, body in enumerate(bodies):
             text = labels.get(row, "")
-            if len(text) > self.gutter:  # of a long name the end tells more
+            if len(text) > self.gutter:  # of a long name the end says more
                 text = self.dots + text[1 - self.gutter :]
             bar = self.tick if row in labels else self.bar
             out.append(f"{text.rjust(self.gutter)}{self.paint('dim', bar)}{body}".rstrip())

@@ -1,6 +1,6 @@
 """The live screen itself: what is received, shown ten times a second.
 
-1. It hears and never speaks: it has an inbox and looks at a gate's state; it knows no way to send.
+1. It receives and never sends: it has an inbox and looks at a gate's state; it knows no way to send.
 2. One thread: between two pictures the inbox is emptied into the model, in pieces, so that keys are answered in between.
 3. Only the lines that are seen are painted.
 """

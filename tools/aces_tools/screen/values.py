@@ -1,4 +1,4 @@
-"""Decoded values as the live screen tells them: a short line for the table, every single value for the details.
+"""Decoded values as the live screen shows them: a short line for the table, every single value for the details.
 
 1. What can be known of a message without its records is found once: names, units, places, its page.
 """
