@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -40,6 +40,11 @@ from .layout import (
     objects_by_values,
 )
 from .table import Array, MessageTable, object_array
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import pyarrow
 
 #: Enumerations of wider numbers are plain texts: a dictionary of them could grow with the capture.
 DICTIONARY_BYTES = 2
@@ -201,7 +206,7 @@ def to_arrow(
     names: bool = False,
     float32: bool = False,
     objects: Mapping[str, Holds] | None = None,
-) -> Any:
+) -> pyarrow.Table:
     """The table as a `pyarrow.Table`. With `names` enumerations are dictionaries of names; with `float32` physical values
     have half the size. `objects` says what columns of Python objects hold (`layout.objects_of`), else their values do.
 
@@ -216,7 +221,9 @@ def to_arrow(
     return pa.Table.from_batches([arrow.batch(layout.block(table, labels, sources))], arrow.schema)
 
 
-def to_polars(table: MessageTable, *, names: bool = False, float32: bool = False, **options: Any) -> Any:
+def to_polars(
+    table: MessageTable, *, names: bool = False, float32: bool = False, **options: Any
+) -> polars.DataFrame:
     """The table as a `polars.DataFrame`; arguments as `to_arrow`. Units are in the metadata of `to_arrow(table).schema`.
 
     Raises `CallerError` where polars or pyarrow is missing.
@@ -225,10 +232,10 @@ def to_polars(table: MessageTable, *, names: bool = False, float32: bool = False
         import polars
     except ImportError as missing:
         raise CallerError(f"polars is not installed: pip install polars ({missing})") from missing
-    return polars.from_arrow(to_arrow(table, names=names, float32=float32, **options))
+    return polars.DataFrame(to_arrow(table, names=names, float32=float32, **options))
 
 
-def to_pandas(table: MessageTable, *, names: bool = False, float32: bool = False) -> Any:
+def to_pandas(table: MessageTable, *, names: bool = False, float32: bool = False) -> pandas.DataFrame:
     """The table as a `pandas.DataFrame`.
 
     `time` is datetime64[ns, UTC] or timedelta64[ns]; integers that may be absent are pandas' nullable ones; with `names`

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from inspect import signature
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import CallerError, UnknownNameError
 from ...frame_table import FrameTable
@@ -20,6 +20,11 @@ from .arrow import to_arrow, to_pandas, to_polars
 from .layout import Holds, Objects, empty_table
 from .scanner import ColumnScanner, RecordColumns, make_column_scanner
 from .table import MessageTable
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import pyarrow
 
 #: Frames that are put into a table at once where a capture gives them one by one.
 PIECE = 16_384
@@ -68,16 +73,16 @@ class DecodedRecording(Mapping[str, MessageTable]):
         rows = ", ".join(f"{name or 'not decoded'}: {len(table)}" for name, table in self._tables.items())
         return f"<{self.variant.label}: {rows}>"
 
-    def to_arrow(self, message: str, *, names: bool = False, float32: bool = False) -> Any:
+    def to_arrow(self, message: str, *, names: bool = False, float32: bool = False) -> pyarrow.Table:
         """A message's table as a `pyarrow.Table`; see `aces_bus.export.to_arrow`."""
         table = self[message]
         return to_arrow(table, names=names, float32=float32, objects=self._of(table))
 
-    def to_pandas(self, message: str, *, names: bool = False, float32: bool = False) -> Any:
+    def to_pandas(self, message: str, *, names: bool = False, float32: bool = False) -> pandas.DataFrame:
         """A message's table as a `pandas.DataFrame`; see `aces_bus.export.to_pandas`."""
         return to_pandas(self[message], names=names, float32=float32)
 
-    def to_polars(self, message: str, *, names: bool = False, float32: bool = False) -> Any:
+    def to_polars(self, message: str, *, names: bool = False, float32: bool = False) -> polars.DataFrame:
         """A message's table as a `polars.DataFrame`; see `aces_bus.export.to_polars`."""
         table = self[message]
         return to_polars(table, names=names, float32=float32, objects=self._of(table))

@@ -8,8 +8,8 @@
 **A writer** is a `RecordingWriter`, made with an open file and what messages call it. Its `write` takes `FrameTable`s (or a
 serial line's `Chunk`s) in the order of the recording, of one capture or of several: their `channels` may differ. `close`
 writes what is still kept back, and leaves the file open: the caller, who opened it, closes it. A writer that goes back in
-its file (a header with the number of frames) says `needs_seek`; it is then given a seekable file even where the output is a pipe
-or is packed. A writer raises `CallerError` or `OSError`, and is not used after that.
+its file (a header with the number of frames) says `needs_seek`; it is then given a seekable file even where the output is a
+pipe or is packed. A writer raises `CallerError` or `OSError`, and is not used after that.
 
 **`lossy`** has one entry a kind of loss, the words fit behind a number: {"times finer than 1 µs": 12}. It counts frames, but
 "channel names" counts names. What cannot differ in any bus (the 29-bit flag of an error frame) is not counted.
