@@ -5,11 +5,8 @@ The twins are a process of their own, and `aces run` another where signals are s
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -25,50 +22,17 @@ from aces_bus.errors import DeviceError
 from aces_bus.robot import Ended, Runner, run_real
 from aces_bus.robot.file import print_robot
 from tests.bench.stops import Command
+from tests.robot.served_twins import PATIENCE_S, Twins
 from tests.robot.walking import HUBO, hubo_leg
 
-#: A limit that a machine twenty times slower keeps, too.
-PATIENCE_S = 60.0
 BOARDS = ["JMC0", "JMC1", "JMC2", "JMC3"]
-
-
-class Twins:
-    """The other process."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.robot.served_twins", str(path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        )
-        assert self.process.stdout is not None
-        assert json.loads(self.process.stdout.readline()) == "ready"
-
-    def __call__(self, *words: Any) -> Any:
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        print(json.dumps(words), file=self.process.stdin, flush=True)
-        return json.loads(self.process.stdout.readline())
-
-    def wait_for(self, word: str, boards: list[str]) -> bool:
-        """Whether these boards become "on" or "off"."""
-        end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end:
-            if self(word) == boards:
-                return True
-            time.sleep(0.02)
-        return False
 
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Twins]:
     made = Twins(tmp_path_factory.mktemp("bus") / "b.sock")
     yield made
-    made.process.kill()
-    made.process.wait()
+    made.close()
 
 
 @pytest.fixture
