@@ -56,11 +56,11 @@ def virtual(is_fault: bool) -> tuple[float, float]:
         run.do("enable")
         run.start()
         run.clock.advance(503_000_000)
-        boards = note_off(run.world, run.clock.now, off_at)
+        note_off(run.world, run.clock.now, off_at)
         began = run.clock.now()
         if is_fault:
             alarm(run)
-            run.clock.wait(lambda: len(off_at) == len(boards), 1_000_000_000)
+            run.clock.advance(5_000_000)
         run.stop()
     return (max(off_at.values()) - began) / 1e9, (run.clock.now() - began) / 1e9
 

@@ -99,12 +99,10 @@ def main() -> None:
 OFF_AT: dict[str, int] = {}
 
 
-def note_off(twins: Any, now: Callable[[], int], off_at: dict[str, int]) -> list[str]:
-    """Have each board note when it is switched off; their names."""
-    boards = []
+def note_off(twins: Any, now: Callable[[], int], off_at: dict[str, int]) -> None:
+    """Have each board note when it is switched off."""
     for name, twin in twins.twins.items():
         if hasattr(twin, "channels"):
-            boards.append(name)
             channel = twin.channels[0]
 
             def switch(at: int, *, name: str = name, switch: Any = channel.switch, **how: Any) -> None:
@@ -115,7 +113,6 @@ def note_off(twins: Any, now: Callable[[], int], off_at: dict[str, int]) -> list
                     off_at.pop(name, None)
 
             channel.switch = switch
-    return boards
 
 
 def answer(what: Any) -> None:
