@@ -19,7 +19,8 @@ from .motion import Motion, Trajectory, sampled
 from .motion_file import TrajectoryError, read_trajectory
 from .pid import PID, PIDController
 from .player import Player
-from .supervisor import DEFAULT_REACTIONS, IGNORE, Reaction, Supervisor, degrade, stop
+from .reactions import DEFAULT_REACTIONS, IGNORE, Reaction, degrade, parse_reactions, stop
+from .supervisor import Supervisor
 from .via import Limits, ViaPath
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "controller",
     "degrade",
     "known_value",
+    "parse_reactions",
     "read_trajectory",
     "sampled",
     "stop",

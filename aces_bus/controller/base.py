@@ -142,6 +142,11 @@ class Controller:
         """The set-points of this cycle, by state."""
         raise NotImplementedError(f"{type(self).__name__} has no step(now_ns)")
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether it is well and has nothing to give now: otherwise one that gives nothing for long is taken for dead."""
+        return False
+
     def handle(self, event: EventLike) -> None:
         """Something happened below (rule 4); without a handler it is not this controller's business."""
 

@@ -83,6 +83,7 @@ class _Room:
     each: Compiled | None = None
     entry: Compiled | None = None
     exit: Compiled | None = None
+    gives: bool = False  # whether `each` may set states
     arrows: tuple[_Arrow, ...] = ()  # those that need no event
     by_event: dict[str, list[_Arrow]] = field(default_factory=dict[str, "list[_Arrow]"])
 
@@ -146,6 +147,9 @@ class StateMachine(LawController):
                 place = f"transition {row.source!r} → {row.target!r}"
                 blocks[f"guard_{i}"] = condition(scope, place, row.when)
         self._program = Program(scope, blocks)
+        self._giving = {i for i, phase in enumerate(self.phases) if callable(phase.each)} | {
+            int(place[5:]) for place, block in blocks.items() if place.startswith("each_") and block.setpoints
+        }
         super().__init__(
             name,
             rate_hz=rate_hz,
@@ -188,6 +192,11 @@ class StateMachine(LawController):
         """Seconds in the present phase, as of the last step."""
         return (self._now - self._since) / 1e9
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether it has nothing to send and says so: in a phase without set-points, at its end, or paused."""
+        return self.mode in ("paused", "done") or (self._room is not None and not self._room.gives)
+
     def pause(self) -> None:
         """Give no set-points until `resume`; time in the phase goes on."""
         if self.mode == "running":
@@ -216,6 +225,7 @@ class StateMachine(LawController):
         self._rooms = [_Room(phase) for phase in self.phases]
         by_name = {room.phase.name: room for room in self._rooms}
         for i, room in enumerate(self._rooms):
+            room.gives = i in self._giving
             room.each = self._part(room.phase.each, compiled.get(f"each_{i}"))
             room.entry = self._part(room.phase.entry, compiled.get(f"entry_{i}"))
             room.exit = self._part(room.phase.exit, compiled.get(f"exit_{i}"))

@@ -2,83 +2,36 @@
 
 1. A table says the reaction to each kind of event: ignore, degrade (by name), or stop motion. What is not in the table is
    taken as "*", and that is to stop unless said otherwise.
-2. An event counts at the next step, at the latest: the reason reaches the controller's own handler before that.
+2. An event counts when it is looked at: at once where the runner has it so (`attend`), else at the next step. The reason
+   reaches the controller's own handler before that.
 3. An exception of the controller is an event too, "raised"; it never gets out of `step`. So is what the controller itself
    tells, such as "failed".
 
-A supervisor is a controller itself, around one, with the guard below: the runtime steps the supervisor.
+4. A controller that gives nothing for `dead_man_s` is taken for dead, unless it says that it has nothing to give
+   (`is_idle`). Whatever stopped motion, it stays stopped until `release`.
+
+A supervisor is a controller itself, around one, with the guard below. `step` is all of a cycle; a runner with threads has
+its halves: `compute` is the controller's own code, on its thread, all else belongs on the thread of the buses.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Mapping
 
-from ..errors import CallerError
-from .base import ControllerLike, StateLike
+from .base import NOTHING, ControllerLike, StateLike
 from .events import ControlEvent, EventLike, Listeners
-from .guard import ACTIONS, Action, Guard
+from .guard import Guard
+from .reactions import DEFAULT_REACTIONS, Reaction, stop
 
-
-@dataclass(frozen=True)
-class Reaction:
-    """What to do about an event: nothing, go on in a worse way called `name`, or stop motion by `action`.
-
-    `sources` narrows it to events from these (None: all); `do` is called with the event when it is carried out.
-    """
-
-    what: Literal["ignore", "degrade", "stop"]
-    name: str = ""
-    action: Action | None = None
-    sources: frozenset[str] | None = None
-    do: Callable[[EventLike], object] | None = None
-
-
-#: Go on as if nothing had happened; it is counted.
-IGNORE = Reaction("ignore")
-
-
-def degrade(
-    name: str, do: Callable[[EventLike], object] | None = None, *, sources: Iterable[str] | None = None
-) -> Reaction:
-    """Go on in a worse way; `do` makes it so (a gain to zero, another controller)."""
-    return Reaction("degrade", name, None, None if sources is None else frozenset(sources), do)
-
-
-def stop(action: Action | None = None, *, sources: Iterable[str] | None = None) -> Reaction:
-    """Stop motion by "hold", "zero duty" or "disable"; None: the guard's own action."""
-    if action is not None and action not in ACTIONS:
-        raise CallerError(f"the action is one of {', '.join(ACTIONS)}, not {action!r}")
-    return Reaction("stop", "", action, None if sources is None else frozenset(sources))
-
-
-#: What happens on any bus on a good day.
-HARMLESS = (
-    "opened",
-    "reopened",
-    "closed",
-    "error-active",
-    "answers",
-    "alarm over",
-    "late reply",
-    "limited",
-    "clipped",
-    "late",
-)
 #: Events that are kept for a cycle.
 MOST_EVENTS = 1_000
-DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
-    **dict.fromkeys(HARMLESS, IGNORE),
-    "*": stop(),
-}
 
 
 class Supervisor:
     """A controller with its guard and its reactions, as one controller.
 
-    >>> from aces_bus.controller import Bounds, ControlEvent, Guard, controller
+    >>> from aces_bus.controller import Bounds, ControlEvent, Guard, controller, degrade, stop
     >>> @controller(rate_hz=10)
     ... def still():
     ...     return {"LKP": 0.0}
@@ -101,6 +54,8 @@ class Supervisor:
         controller: ControllerLike,
         guard: Guard,
         reactions: Mapping[str, Reaction | tuple[Reaction, ...]] | None = None,
+        *,
+        dead_man_s: float | None = None,
     ) -> None:
         self.controller, self.guard = controller, guard
         self.name, self.rate_hz = controller.name, controller.rate_hz
@@ -111,6 +66,11 @@ class Supervisor:
         self.error: BaseException | None = None
         self._events: deque[EventLike] = deque(maxlen=2 * MOST_EVENTS)
         self.dropped = 0
+        self.dead_man_ns = None if dead_man_s is None else round(dead_man_s * 1e9)
+        #: When it last gave set-points that went down, or had none to give (ns); None: not yet.
+        self._alive: int | None = None
+        #: The reactions' own functions that wait for the controller's thread, with their events.
+        self._to_do: deque[tuple[Callable[[EventLike], object], EventLike]] = deque()
         listeners = getattr(controller, "listeners", None)
         if isinstance(listeners, Listeners):  # "failed" is said, not raised
             listeners.add(self._events.append)
@@ -126,6 +86,11 @@ class Supervisor:
         return tuple(getattr(self.controller, "writes", ()))
 
     @property
+    def has_events(self) -> bool:
+        """Whether events wait to be looked at."""
+        return bool(self._events)
+
+    @property
     def reason(self) -> str:
         """Why motion is stopped; "" while it is not."""
         return self.guard.tripped.reason if self.guard.tripped else ""
@@ -138,6 +103,8 @@ class Supervisor:
     def start(self, now: int) -> None:
         """A run begins; what stopped or degraded the last one is forgotten."""
         self._events.clear()
+        self._to_do.clear()
+        self._alive = None
         self.degraded.clear()
         self.error = None
         self.guard.release()
@@ -150,6 +117,7 @@ class Supervisor:
 
     def release(self) -> None:
         """Let motion go on after a stop, once its cause has been looked into."""
+        self._alive = None
         self.guard.release()
 
     def handle(self, event: EventLike) -> None:
@@ -170,14 +138,70 @@ class Supervisor:
 
     def step(self, now_ns: int) -> Mapping[str, float]:
         """What may go down in this cycle."""
+        self._react_to_all()
+        return self.pass_on(now_ns, self.compute(now_ns))
+
+    # ------------------------------------------------------------------ the halves of a step
+
+    def compute(self, now_ns: int) -> Mapping[str, float]:
+        """The set-points that the controller wants; what it raises is an event. On the controller's own thread."""
+        while self._to_do:
+            do, event = self._to_do.popleft()
+            try:
+                do(event)
+            except Exception as error:
+                said = f"{type(error).__name__}: {error}"[:500]
+                self.guard.trip(f"{self.name}: reaction to {event.kind} raised {said}")
+        try:
+            return self.controller.step(now_ns)
+        except Exception as error:
+            self._events.append(self._raised(now_ns, error))
+            return NOTHING
+
+    def pass_on(self, now_ns: int, setpoints: Mapping[str, float]) -> Mapping[str, float]:
+        """What of them may go down, once all events have been looked at."""
+        self._react_to_all()
+        guard = self.guard
+        try:
+            given = guard.apply(now_ns, setpoints)
+        except Exception as error:  # set-points that are no mapping of numbers
+            self._react(self._raised(now_ns, error))
+            given = guard.tick(now_ns)
+        if given or getattr(self.controller, "is_idle", False):
+            self._alive = now_ns
+        elif self.is_overdue(now_ns):
+            assert self._alive is not None
+            return self.tell_dead(now_ns, f"no set-points for {(now_ns - self._alive) / 1e6:.0f} ms")
+        return given
+
+    def attend(self, now_ns: int) -> Mapping[str, float]:
+        """Look at the events that have come, between steps; what goes down where motion is held."""
+        self._react_to_all()
+        return self.guard.tick(now_ns)
+
+    def is_overdue(self, now_ns: int, since: int | None = None) -> bool:
+        """Whether it has been quiet for longer than its dead-man allows, `since` an instant or the last set-points."""
+        quiet_since = self._alive if since is None else since
+        return (
+            self.dead_man_ns is not None
+            and quiet_since is not None
+            and now_ns - quiet_since > self.dead_man_ns
+            and self.guard.tripped is None
+        )
+
+    def tell_dead(self, now_ns: int, why: str) -> Mapping[str, float]:
+        """It is taken for dead: the fault "dead-man", told once until it gives set-points again."""
+        self._alive = None
+        event = ControlEvent("dead-man", now_ns, self.name, why)
+        self.listeners.tell(event)
+        self._react(event)
+        return self.guard.tick(now_ns)
+
+    # ------------------------------------------------------------------ reactions
+
+    def _react_to_all(self) -> None:
         while self._events:
             self._react(self._events.popleft())
-        try:
-            setpoints = self.controller.step(now_ns)
-            return self.guard.apply(now_ns, setpoints)
-        except Exception as error:
-            self._react(self._raised(now_ns, error))
-            return self.guard.tick(now_ns)
 
     def _raised(self, now: int, error: Exception, who: str = "") -> ControlEvent:
         self.error = error
@@ -201,12 +225,7 @@ class Supervisor:
         else:
             return
         if reaction.do is not None:
-            try:
-                reaction.do(event)
-            except Exception as error:
-                self.guard.trip(
-                    f"{self.name}: reaction to {kind} raised {type(error).__name__}: {error}"[:500]
-                )
+            self._to_do.append((reaction.do, event))
 
     def _reaction(self, kind: str, source: str) -> Reaction:
         for key in (kind, "*"):

@@ -213,6 +213,12 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     devices: Mapping[str, DeviceConfig]
     joints: Mapping[str, Joint]
     sensors: Mapping[str, Sensor]
+    reactions: Annotated[
+        Mapping[str, str],
+        Meta(
+            description='a table of what faults lead to, such as { silent = "hold", "alarm@FT_RF" = "degrade" }'
+        ),
+    ] = {}
 
     def joint(self, name: str) -> Joint:
         """The joint of this name or alias; raises `UnknownNameError`."""

@@ -11,13 +11,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Mapping
 from itertools import islice
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, get_args
 from typing import Protocol as Interface
 
 import msgspec
 
+from ..controller.reactions import CONTROL_KINDS, WORDS
 from ..device.config import DeviceConfig, Joint, Robot
 from ..device.drivers import list_drivers
+from ..device.events import Kind
 from ..errors import AcesError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
 
@@ -25,6 +27,8 @@ from ..protocol import Protocol, list_protocols, load_protocol
 SLIP: Final = 0.8
 #: More names than are searched and sorted for one complaint.
 MANY: Final = 300
+#: All kinds of events that reactions may be declared for.
+KINDS_OF_FAULTS: Final = (*get_args(Kind), *CONTROL_KINDS)
 
 
 class Complain(Interface):
@@ -43,6 +47,7 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
     _check_joints(robot, written, complain)
     _check_sensors(robot, written, complain)
     _check_names(robot, complain)
+    _check_reactions(robot, complain)
     if robot.rate_hz is not None and robot.rate_hz > 20_000:
         complain(("rate_hz",), f"{robot.rate_hz:g} Hz is beyond what a bus can carry", True)
 
@@ -91,6 +96,24 @@ def _check_driver(path: tuple[str, ...], name: str, complain: Complain) -> None:
 
 
 _drivers: set[str] = set()
+
+
+def _check_reactions(robot: Robot, complain: Complain) -> None:
+    """Functions of the program that runs may be reactions, and its controllers sources: those are not known here."""
+    for key, word in robot.reactions.items():
+        path = ("reactions", key)
+        kind, _, sources = key.partition("@")
+        _check_reference(path, "kind of fault", kind, (*KINDS_OF_FAULTS, "*"), complain)
+        known = (*robot.buses, *robot.devices)
+        for one in sources.split(",") if sources else ():
+            slip = "" if one.strip() in known else near(one.strip(), known, SLIP)
+            if slip:
+                complain(path, f"no bus or device named {one.strip()!r}{slip}")
+        if word not in WORDS and not word.startswith("degrade:") and not word.isidentifier():
+            complain(
+                path,
+                f"{word!r} is no reaction (there are: {', '.join(WORDS)}, degrade:NAME, a function's name)",
+            )
 
 
 # ---------------------------------------------------------------------- buses

@@ -1,12 +1,12 @@
 """Controllers on a robot: states up, set-points down, errors by the shortcut, one clean end.
 
 1. What runs is the same in every world (real buses, virtual time, a replay): only the clock and the tasks differ.
-2. Whatever happens, the end is: controllers stop, motion stops, buses close, logs close; each once, in this order.
-3. A controller's set-points go down together, on the thread of the buses.
+2. Whatever happens, the end is: motion stops, controllers end, buses close, logs close; each once, in this order.
+3. A controller's thread computes and nothing else. Guards, reactions and stops are on the thread of the buses, where nothing
+   waits for a controller: what a fault stops is stopped when the fault is received, whatever the controller's rate.
 4. Each controller has a guard and a supervisor: limits of the robot's file, a dead-man, reactions to events. When a guard
-   trips, the devices that its controller drives are stopped as declared.
-5. On threads, a controller that does not come back from a step is found by the buses' own thread, which stops its devices.
-   No wait here is without an end.
+   trips, the devices that its controller drives are stopped as declared, or held where they are with live set-points.
+5. A stop that was not confirmed is owed: it is repeated when the bus or the device is back. No wait here is without an end.
 
 Controllers are stepped with the instants that their cycles were due: they and their guards see even steps, however late
 a thread woke up. Set-points that come after the end, or after a trip, go nowhere.
@@ -21,12 +21,22 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
 
-from ..controller import IGNORE, ControlEvent, ControllerLike, Guard, Reaction, Supervisor, bounds_of
-from ..controller.events import Listeners
-from ..controller.guard import Action, Bounds
+from ..controller import (
+    IGNORE,
+    ControlEvent,
+    ControllerLike,
+    Guard,
+    Reaction,
+    Supervisor,
+    bounds_of,
+    parse_reactions,
+)
+from ..controller.events import EventLike, Listeners
+from ..controller.guard import Action, Bounds, Trip
 from ..device import Device, DeviceEvent, Job, stop_devices, wait_stopped
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
 from ..runtime import Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from .checks import KINDS_OF_FAULTS
 from .rig import Rig, States
 
 T = TypeVar("T")
@@ -35,6 +45,8 @@ T = TypeVar("T")
 BUSES, CONTROL, LOGGING = 50, 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
+#: Events after which a stop that was not confirmed is sent again.
+BACK = frozenset({"reopened", "recovered", "error-active", "answers", "rebooted"})
 #: Seconds in which every polled device must have answered before controllers begin.
 RECEIVE_S = 5.0
 #: Seconds that any one part of an end may take.
@@ -85,7 +97,8 @@ class RunLogger(Protocol):
 @dataclass
 class Ended:
     """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
-    end itself, and of that `not_stopped` the devices that may still move, with why.
+    end itself, and of that `not_stopped` the devices that may still move, with why. `held`: those left as they were, on
+    request.
     """
 
     reason: str
@@ -93,13 +106,17 @@ class Ended:
     seconds: float
     failed: list[str] = field(default_factory=list[str])
     not_stopped: dict[str, str] = field(default_factory=dict[str, str])
+    held: list[str] = field(default_factory=list[str])
 
 
 class Runner:
     """Runs controllers and loggers on a rig. Made by `run_virtual`, `run_real`, `run_replay`, or by hand.
 
-    `tasks`: threads or events. `reactions` add to the supervisor's, `guard` False leaves limits and dead-man away (the
-    drivers' own limits stay). `drives` False: set-points are counted and not sent (a replay).
+    `tasks`: threads or events. `reactions` add to the robot file's, and these to the supervisor's; those that name functions
+    find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how. "hold" ends after `hold_s`
+    (None: with `release`, or the run), then what was held is switched off. `at_end` "hold" leaves what runs as it is at the
+    end. `guard` False leaves limits and dead-man away (the drivers' own limits stay). `drives` False: set-points are counted
+    and not sent (a replay).
     """
 
     def __init__(
@@ -111,12 +128,15 @@ class Runner:
         tasks: Tasks | None = None,
         reactions: Mapping[str, Reaction | tuple[Reaction, ...]] | None = None,
         guard: bool = True,
+        own_reactions: Mapping[str, Callable[[EventLike], object]] | None = None,
         on_trip: Action = "disable",
+        hold_s: float | None = None,
+        at_end: Literal["disable", "hold"] = "disable",
         drives: bool = True,
         history: int = 512,
     ) -> None:
         self.rig, self.clock = rig, rig.clock
-        self.drives = drives
+        self.drives, self.hold_s, self.at_end = drives, hold_s, at_end
         self.states = States(rig, history=history)
         self.loggers = list(loggers)
         if tasks is None:
@@ -130,15 +150,23 @@ class Runner:
         #: The last set-points, by state.
         self.given: dict[str, float] = {}
         self.supervisors: list[Supervisor] = []
-        #: Controller → why it was stopped.
+        #: Controller → why what it drives was switched off.
         self._stopped: dict[str, str] = {}
+        #: Controller → the trip that was last acted upon.
+        self._obeyed: dict[str, Trip] = {}
         #: Controller → the instant at which it began a step that is not over yet.
         self._inside: dict[str, int] = {}
         self._told: dict[str, int] = {}
-        self._dead_men: dict[str, int] = {}
+        #: Devices whose stop was not confirmed, by name.
+        self._owed: dict[str, Device] = {}
+        self._is_attending = False
+        self._stopping: Job | None = None
         self._setters: dict[str, Callable[[float], None]] = {}
         self._failed_at_end: list[str] = []
         self._not_stopped: dict[str, str] = {}
+        self._held: list[str] = []
+        #: Why controllers were stopped, before an end that holds.
+        self._tripped: dict[str, str] | None = None
         #: What is left of the end.
         self._to_end: deque[tuple[str, Callable[[], Any]]] = deque()
         self._is_bound = False
@@ -156,8 +184,14 @@ class Runner:
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise CallerError(f"two controllers or loggers have one name: {', '.join(sorted(double))}")
+        declared = parse_reactions(
+            rig.robot.reactions,
+            kinds=KINDS_OF_FAULTS,
+            sources=(*rig.robot.buses, *rig.robot.devices, *names),
+            own=own_reactions,
+        )
         for controller in controllers:
-            supervisor = self._supervised(controller, reactions, guard, on_trip)
+            supervisor = self._supervised(controller, {**declared, **(reactions or {})}, guard, on_trip)
             self.supervisors.append(supervisor)
             tasks.add(
                 controller.name, self._stepper(supervisor), rate_hz=controller.rate_hz, priority=CONTROL
@@ -174,15 +208,15 @@ class Runner:
     def _supervised(
         self,
         controller: ControllerLike,
-        reactions: Mapping[str, Reaction | tuple[Reaction, ...]] | None,
+        reactions: Mapping[str, Reaction | tuple[Reaction, ...]],
         guard: bool,
         on_trip: Action,
     ) -> Supervisor:
         period = 1 / controller.rate_hz
         dead_man = max(DEAD_S, DEAD_PERIODS * period) if guard else None
-        if dead_man is not None:
-            self._dead_men[controller.name] = round(dead_man * 1e9)
         if isinstance(controller, Supervisor):
+            if controller.dead_man_ns is None and dead_man is not None:
+                controller.dead_man_ns = round(dead_man * 1e9)
             self._listen(controller)
             return controller
         bounds: Mapping[str, Bounds] = {}
@@ -195,13 +229,15 @@ class Runner:
         made = Guard(
             bounds,
             period_s=period,
-            dead_man_s=dead_man,
+            dead_man_s=None,
             action=on_trip,
             unlisted="pass",
             name=controller.name,
         )
         # What a log cannot take is no reason to stop a robot, unless that is declared.
-        supervisor = Supervisor(controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **(reactions or {})})
+        supervisor = Supervisor(
+            controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **reactions}, dead_man_s=dead_man
+        )
         self._listen(supervisor)
         return supervisor
 
@@ -219,8 +255,7 @@ class Runner:
         return next(task for task in self.tasks.tasks if task.name == name)
 
     def _stepper(self, supervisor: Supervisor) -> Callable[[int], None]:
-        step, name, guard = supervisor.step, supervisor.name, supervisor.guard
-        given_last, set_all, inside = self.given, self._give, self._inside
+        compute, name, inside = supervisor.compute, supervisor.name, self._inside
         is_direct = not isinstance(self.tasks, ThreadTasks)
         task: Task | None = None
 
@@ -228,32 +263,32 @@ class Runner:
             nonlocal task
             if task is None:
                 task = self._task_of(name)
-            if not is_direct:
-                inside[name] = now
-            given = step(now - task.lateness_ns)
-            if not is_direct:
-                inside.pop(name, None)
-            if guard.tripped is not None and name not in self._stopped:
-                self._trip(supervisor)
-            if not given:
-                return
-            self.set_points += len(given)
-            given_last.update(given)
-            if not self.drives:
-                return
+            due = now - task.lateness_ns
             if is_direct:
-                set_all(supervisor, given)
-            else:
-                self.clock.call_soon(lambda: set_all(supervisor, given))
+                self._attend(supervisor, now)
+                self._pass_on(supervisor, due, compute(due))
+                return
+            inside[name] = now
+            wanted = compute(due)
+            inside.pop(name, None)
+            self.clock.call_soon(lambda: self._pass_on(supervisor, due, wanted))
 
         return run
 
-    def _give(self, supervisor: Supervisor, given: Mapping[str, float]) -> None:
-        """Hand set-points down, on the buses' thread; those of a run that is over, or of whom was stopped, are not."""
-        if self._phase != "running":
+    def _pass_on(self, supervisor: Supervisor, now: int, wanted: Mapping[str, float]) -> None:
+        """On the buses' thread: what a controller wants, through its guard; what comes after the end goes nowhere."""
+        if self._phase == "running":
+            given = supervisor.pass_on(now, wanted)
+            self._obey(supervisor)
+            self._give(given)
+
+    def _give(self, given: Mapping[str, float]) -> None:
+        """Hand set-points down."""
+        if not given:
             return
-        stopped = supervisor.name in self._stopped
-        if stopped and (supervisor.guard.tripped is None or supervisor.guard.tripped.action != "hold"):
+        self.set_points += len(given)
+        self.given.update(given)
+        if not self.drives:
             return
         setters = self._setters
         for name, value in given.items():
@@ -265,11 +300,31 @@ class Runner:
     # ------------------------------------------------------------------ errors
 
     def _happened(self, event: DeviceEvent) -> None:
-        """The shortcut: what happened below reaches every supervisor at once."""
+        """The shortcut: what happened below reaches every supervisor at once, and is acted upon next."""
         self._note(event)
         if self._phase == "running":
-            for supervisor in self.supervisors:
-                supervisor.handle(event)
+            self._handle(event)
+            if self._owed and event.kind in BACK:
+                self.clock.call_soon(lambda: self._repay(event.source))
+
+    def _handle(self, event: EventLike) -> None:
+        for supervisor in self.supervisors:
+            supervisor.handle(event)
+        if not self._is_attending:
+            self._is_attending = True
+            self.clock.call_soon(self._attend_all)
+
+    def _attend_all(self) -> None:
+        self._is_attending = False
+        now = self.clock.now()
+        for supervisor in self.supervisors:
+            self._attend(supervisor, now)
+
+    def _attend(self, supervisor: Supervisor, now: int) -> None:
+        if self._phase == "running" and supervisor.has_events:
+            given = supervisor.attend(now)
+            self._obey(supervisor)
+            self._give(given)
 
     def _failed(self, task: Task, error: BaseException) -> None:
         """A component raised: a logger, as controllers have supervisors for that."""
@@ -289,8 +344,7 @@ class Runner:
     def _tell_all(self, event: ControlEvent) -> None:
         """What components tell reaches every supervisor, too."""
         self._note(event)
-        for supervisor in self.supervisors:
-            supervisor.handle(event)
+        self._handle(event)
 
     def _note(self, event: Any) -> None:
         self.events.append(event)
@@ -306,40 +360,96 @@ class Runner:
         self._failed_at_end.append(f"{source}: {said}")
         self._note(ControlEvent("failed", self.clock.now(), source, said))
 
-    def _trip(self, supervisor: Supervisor) -> None:
-        """A guard has stopped motion: what its controller drives is stopped too, as declared."""
+    def _obey(self, supervisor: Supervisor) -> None:
+        """A guard has stopped motion: what its controller drives is held or switched off, as declared."""
         trip = supervisor.guard.tripped
-        assert trip is not None
-        if not trip.latched:
+        if trip is None or not trip.latched or self._obeyed.get(supervisor.name) is trip:
+            return
+        self._obeyed[supervisor.name] = trip
+        if trip.action == "hold":
+            if self.hold_s is not None:
+                self.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
+            self._hold(supervisor, trip)
             return
         self._stopped[supervisor.name] = trip.reason
-        if self.drives and trip.action != "hold":
-            self.clock.call_soon(lambda: self._stop_driven(supervisor))
+        if self.drives:
+            self._stop(supervisor.name, self.driven(supervisor))
 
-    def _stop_driven(self, supervisor: Supervisor) -> None:
+    def _hold(self, supervisor: Supervisor, trip: Trip) -> None:
+        """Set-points that stay where they are, at the controller's rate, whether it still runs or not."""
+
+        def again() -> None:
+            if self._phase == "running" and supervisor.guard.tripped is trip:
+                self._give(supervisor.guard.tick(self.clock.now()))
+                self.clock.call_in(period, again)
+
+        period = round(1e9 / supervisor.rate_hz)
+        self.clock.call_in(period, again)
+
+    def _let_go(self, supervisor: Supervisor, trip: Trip) -> None:
+        """It has been held for as long as was said."""
+        if self._phase == "running" and supervisor.guard.tripped is trip:
+            supervisor.guard.trip(f"{trip.reason}; held for {self.hold_s:g} s", "disable")
+            supervisor.guard.tick(self.clock.now())
+            self._obey(supervisor)
+
+    @property
+    def held(self) -> dict[str, str]:
+        """Controllers whose joints are held where they are, with why."""
+        return {
+            s.name: s.guard.tripped.reason
+            for s in self.supervisors
+            if s.guard.tripped is not None and s.guard.tripped.action == "hold"
+        }
+
+    def release(self, controller: str) -> None:
+        """Let a controller's set-points through again after a trip; what was switched off has to be enabled before.
+
+        Raises `UnknownNameError`.
+        """
+        found = {supervisor.name: supervisor for supervisor in self.supervisors}
+        if controller not in found:
+            raise UnknownNameError("controller", controller, found)
+
+        def let_through() -> None:
+            self._stopped.pop(controller, None)
+            found[controller].release()
+
+        self.clock.call(let_through)
+
+    def _stop(self, name: str, devices: Collection[Device]) -> None:
         def over(stopping: Job) -> None:
+            failed = stopping.error.devices if isinstance(stopping.error, NotStoppedError) else {}
+            for device in devices:
+                if device.name in failed:
+                    self._owed[device.name] = device
+                else:
+                    self._owed.pop(device.name, None)
             if stopping.error is not None:
-                self._note(ControlEvent("failed", self.clock.now(), supervisor.name, str(stopping.error)))
+                self._note(ControlEvent("failed", self.clock.now(), name, str(stopping.error)))
 
-        stop_devices(self.clock, supervisor.name, self.driven(supervisor)).then(over)
+        stop_devices(self.clock, name, devices).then(over)
+
+    def _repay(self, source: str) -> None:
+        """The bus or device `source` is back: who owes a stop there is stopped again."""
+        owed = [device for device in self._owed.values() if source in (device.name, device.host.name)]
+        if owed and self._phase == "running":
+            self._stop(source, owed)
 
     def _watch(self) -> None:
-        """On the buses' thread: a controller that does not come back from a step cannot stop motion itself."""
+        """On the buses' thread: a controller that does not come back from a step cannot say so itself."""
         if self._phase != "running":
             return
         self.clock.call_in(WATCH_NS, self._watch)
         now = self.clock.now()
         for supervisor in self.supervisors:
             began = self._inside.get(supervisor.name, now)
-            if now - began <= self._dead_men.get(supervisor.name, now) or supervisor.name in self._stopped:
-                continue
-            reason = f"its step has not come back for {(now - began) / 1e9:.3f} s"
-            action = supervisor.guard.action
-            self._stopped[supervisor.name] = reason
-            supervisor.guard.trip(reason, action)
-            self._note(ControlEvent("trip", now, supervisor.name, f"{action}: {reason}"))
-            if self.drives and action != "hold":
-                self._stop_driven(supervisor)
+            if supervisor.is_overdue(now, began):
+                given = supervisor.tell_dead(
+                    now, f"its step has not come back for {(now - began) / 1e9:.3f} s"
+                )
+                self._obey(supervisor)
+                self._give(given)
 
     def driven(self, supervisor: Supervisor) -> list[Device]:
         """The devices that a controller gives set-points to; all of them where it does not say."""
@@ -491,7 +601,7 @@ class Runner:
             clock.advance_to(min(end, clock.now() + STEP_NS))
 
     def stop(self, reason: str = "") -> Ended:
-        """Stop controllers, motion, buses, logs; in this order, whatever fails on the way.
+        """Stop motion, controllers, buses, logs; in this order, whatever fails on the way.
 
         Called again after it was interrupted, it goes on where it was.
         """
@@ -499,11 +609,14 @@ class Runner:
             self._seconds, self._reason = self.seconds, reason or self._reason
             was, self._phase = self._phase, "over"
             now = self.clock.now()
+            drove = was != "new" and self.drives
+            if drove:
+                self._to_end.append(("stop", partial(self._in_time, self._begin_stop)))
             if was == "running":
                 self._to_end.append(("tasks", self.tasks.stop))
                 self._to_end += [(one.name, partial(one.stop, now)) for one in self.supervisors]
-            if was != "new" and self.drives:
-                self._to_end.append(("stop", self._stop_motion))
+            if drove:
+                self._to_end.append(("stop", self._await_stopped))
             self._to_end.append(("buses", lambda: self._in_time(self.rig.close)))
             self._to_end += [("end", end) for end in self.after]
             self._to_end += [(one.name, partial(self._close_log, one)) for one in self._logging]
@@ -524,15 +637,32 @@ class Runner:
     def _close_log(self, logger: RunLogger) -> None:
         logger.stop(self.clock.now())
 
-    def _stop_motion(self) -> None:
-        stopping = self._in_time(
-            lambda: stop_devices(self.clock, self.rig.robot.name, self.rig.devices.values())
-        )
+    def _begin_stop(self) -> None:
+        """On the buses' thread: all is stopped, or where it is to be left held, what was not switched off stays."""
+        devices = list(self.rig.devices.values())
+        if self.at_end == "hold":
+            self._tripped = self._reasons
+            for supervisor in self.supervisors:  # to a stand
+                supervisor.guard.trip("the run is over", "hold")
+                self._give(supervisor.guard.tick(self.clock.now()))
+            off = [s for s in self.supervisors if s.name in self._stopped]
+            devices = list({d.name: d for s in off for d in self.driven(s)}.values())
+            self._held = [d.name for d in self.rig.devices.values() if d.is_driven and d not in devices]
+        self._stopping = stop_devices(self.clock, self.rig.robot.name, devices)
+
+    def _await_stopped(self) -> None:
+        if self._stopping is None:  # interrupted, or it failed, which has been said
+            self._not_stopped = dict.fromkeys(self.rig.devices, "its stop could not begin")
+            self._in_time(self._begin_stop)
+            self._not_stopped = {}
+        stopping = self._stopping
+        assert stopping is not None
         try:
             wait_stopped(stopping)
         except DeviceError as error:
             if not isinstance(stopping.error, NotStoppedError):
                 self._fault("stop", str(error))
+                self._not_stopped = dict.fromkeys(self.rig.devices, str(error))
         finally:
             if isinstance(stopping.error, NotStoppedError):
                 self._not_stopped = stopping.error.devices
@@ -563,14 +693,22 @@ class Runner:
 
     def ended(self, reason: str = "") -> Ended:
         """How it ended."""
-        tripped = {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
         return Ended(
-            reason or self._reason, tripped, self._seconds, list(self._failed_at_end), dict(self._not_stopped)
+            reason or self._reason,
+            self._reasons if self._tripped is None else self._tripped,
+            self._seconds,
+            list(self._failed_at_end),
+            dict(self._not_stopped),
+            list(self._held),
         )
 
     @property
+    def _reasons(self) -> dict[str, str]:
+        return {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
+
+    @property
     def stopped(self) -> dict[str, str]:
-        """Controllers that were stopped, with why."""
+        """Controllers that were stopped, with why; those that are `held` are not among them."""
         return dict(self._stopped)
 
     @property

@@ -24,6 +24,8 @@ from .clock import Clock, EventClock
 
 #: Latenesses kept for the median and the percentiles: the last ones.
 KEPT = 8192
+#: How long ticks that are under way may take to end, all together (s).
+JOIN_S = 5.0
 
 
 class Task:
@@ -190,9 +192,10 @@ class ThreadTasks(Tasks):
         """Let the ticks under way end, and the threads."""
         self._stopped_at = self.clock.now()
         self._stopping.set()
+        end = time.monotonic() + JOIN_S
         for thread in self._threads:
             if thread is not threading.current_thread():
-                thread.join(5.0)
+                thread.join(max(0.0, end - time.monotonic()))
         self._is_running = False
 
     def _run(self, task: Task, start: int) -> None:

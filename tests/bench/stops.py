@@ -72,6 +72,8 @@ class Command:
             with open(os.devnull, "wb") as nowhere:
                 os.dup2(nowhere.fileno(), 1)
             os.dup2(self._errors.fileno(), 2)
+            # A test's own streams may lead elsewhere.
+            sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w", buffering=1)
             status = aces(list(words))
         finally:
             os._exit(status)

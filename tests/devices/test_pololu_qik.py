@@ -107,7 +107,8 @@ def test_without_answers_nothing_is_asked(robot: VirtualRobot) -> None:
     assert "A.errors" not in robot.rig.signals
     robot.devices["A"].enable().wait()
     assert bytes.fromhex("AA 01 04 01 00 55 2A") in heard
-    assert bytes.fromhex("AA 01 04 03 00 55 2A") in heard
+    assert bytes.fromhex("AA 01 04 03 04 55 2A") in heard  # 4 × 0.262 s
+    assert bytes.fromhex("AA 01 04 02 01 55 2A") in heard
 
 
 def test_enabling_leaves_alone_what_is_right(robot: VirtualRobot) -> None:
@@ -122,7 +123,7 @@ def test_enabling_leaves_alone_what_is_right(robot: VirtualRobot) -> None:
         "device_id": 3,
         "pwm": 1,
         "shutdown_on_error": 1,
-        "serial_timeout": 0,
+        "serial_timeout": 6,  # three times as long as between two questions for errors
     }
     assert robot.devices["C"].firmware().wait().version == "1"
 
@@ -173,6 +174,22 @@ def test_the_dead_mans_time_out(robot: VirtualRobot) -> None:
     robot.advance(0.3)
     assert twin.wheels[1].duty is None
     assert twin.errors == 128
+
+
+def test_the_device_watches_over_the_host() -> None:
+    """Unless the robot's file says 0, enabling sets a time-out: a host that is killed leaves no motor turning."""
+    with assembled() as killed:
+        killed.devices["A"].enable().wait()
+        killed["M1.duty"].set(100)
+        killed.advance(3)
+        assert killed.twins["A"].wheels[0].duty is not None
+        killed.rig.close()
+        killed.advance(1.5)
+        assert killed.twins["A"].wheels[0].duty is None
+    with assembled() as again:
+        again.twins["B"].errors = 128  # of the time before
+        again.advance(1)
+        assert again.events.count("alarm") == 0
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_a_controller_that_waits_for_ever() -> None:
         walk=Follow(HUBO, "RFFT.mx"),
         reactions={"silent": IGNORE},
     )
-    assert ended.tripped["walk"].startswith("no set-points for 1")
+    assert ended.tripped["walk"].startswith("walk: dead-man: no set-points for 1")
     assert ended.seconds < 0.6
     assert motors_are_off(run)
 

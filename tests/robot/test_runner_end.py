@@ -111,7 +111,7 @@ def test_the_end_goes_on_whatever_fails() -> None:
 
 
 def test_the_order_of_the_end() -> None:
-    """Controllers, motion, buses, logs: in this order, each once."""
+    """Motion, controllers, buses, logs: in this order, each once; no stop waits for a controller."""
     order: list[str] = []
 
     class Last(Drive):
@@ -135,7 +135,7 @@ def test_the_order_of_the_end() -> None:
     for device in run.rig.devices.values():
         device.stop_motion = noted(device.stop_motion)  # type: ignore[method-assign]
     run.run(0.2)
-    assert order == ["controller", "motion", "motion", "buses", "log"]
+    assert order == ["motion", "motion", "controller", "buses", "log"]
 
 
 def test_an_interrupt_ends_it_and_comes_out() -> None:
@@ -203,7 +203,7 @@ def test_set_points_after_the_end_go_nowhere() -> None:
     run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
     run.run(0.2)
     supervisor = run.supervisors[0]
-    run._give(supervisor, {"A.left": 200.0})
+    run._pass_on(supervisor, run.clock.now(), {"A.left": 200.0})
     assert not run.rig.devices["A"]._given
 
 

@@ -13,8 +13,8 @@ trajectory or a walking pattern, which is played from where the joints are. A
 Python file is executed with your rights: name only what you trust.
 
 The run ends when everything that has an end has been played, after --for, or
-with Ctrl-C. Then, always and in this order, motion is stopped, buses and logs
-are closed. A second Ctrl-C shortens the waiting, and motion is still stopped.
+with Ctrl-C. Then, always and in this order, motion is stopped, controllers are
+ended, buses and logs are closed; --at-end hold leaves the robot standing.
 """
 
 from __future__ import annotations
@@ -23,14 +23,27 @@ import argparse
 
 from aces_bus.errors import CallerError
 
-from .options import FOR, LOOP, QUIET, RATE, TX, Arguments, Group, argument, flag, positive, several
+from .options import (
+    FOR,
+    LOOP,
+    QUIET,
+    RATE,
+    TX,
+    Arguments,
+    Group,
+    argument,
+    duration,
+    flag,
+    positive,
+    several,
+)
 from .robot_arg import ROBOT_OR_TWINS, chosen_robot
 
 EPILOG = """\
 exit status:
   0    done
-  1    a controller was stopped, a device did not answer, a log is not whole, or
-       stopping and closing did not succeed
+  1    a controller was stopped, a device did not answer or was NOT switched off,
+       a log is not whole, or closing did not succeed
   2    a wrong call, or a bus that cannot be opened
   130  interrupted before it ran, or twice
 """
@@ -51,6 +64,21 @@ ARGUMENTS: Arguments = (
     flag("--home", help="make what is driven find its home position first"),
     argument(
         "--no-enable", dest="enable", action="store_false", help="do not enable what is driven before it runs"
+    ),
+    several(
+        "--on-trip",
+        metavar="[KIND[@SOURCE,…]=]REACTION",
+        help="what a fault leads to: hold, disable, ignore, degrade[:NAME], or a function of a FILE.py; without KIND, all"
+        " others (default: disable)",
+    ),
+    argument(
+        "--hold-for", dest="hold_ns", type=duration, metavar="T", help="switch off what is held after so long"
+    ),
+    argument(
+        "--at-end",
+        choices=("disable", "hold"),
+        default="disable",
+        help="hold: leave the robot enabled, where it is (default: disable)",
     ),
     flag(
         "--real-time",

@@ -36,6 +36,8 @@ from .twin import UNIT_S, QikTwin
 
 #: Setting a parameter takes 4 ms (Pololu 0J25 5.c); without answers that time is left to the device (ns).
 PAUSE_NS = 5_000_000
+#: The serial time-out where the robot's file does not say: longer than any pause of a host that lives, shorter than a fall.
+WATCHDOG_S = 1.0
 PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
 
 
@@ -86,9 +88,16 @@ class QikSettings(msgspec.Struct, frozen=True, kw_only=True):
         float, Meta(gt=0, description="how often errors are asked for (s), 0.5 when absent")
     ] = 0.5
     bits: Annotated[Literal[7, 8], Meta(description="7 (duty −127…127, when absent) or 8 (−255…255)")] = 7
-    timeout_s: Annotated[
-        float, Meta(ge=0, description="the serial time-out that `enable` sets (s), none when absent")
-    ] = 0.0
+    timeout_s: (
+        Annotated[
+            float,
+            Meta(
+                ge=0,
+                description="the serial time-out that `enable` sets (s), 0: none; when absent 1, on buses with a rate",
+            ),
+        ]
+        | None
+    ) = None
 
 
 class Qik(Device):
@@ -111,8 +120,16 @@ class Qik(Device):
     def setup(self) -> None:
         """A duty for each joint; errors, where the device answers."""
         settings = settings_of(self.name, QikSettings, self.config.settings)
-        self.bits, self.timeout_s, self.answers = settings.bits, settings.timeout_s, settings.answers
+        self.bits, self.answers = settings.bits, settings.answers
+        # Without ticks nothing is repeated: a time-out would stop motors that are meant to run.
+        usual = (
+            max(WATCHDOG_S, 3 * settings.errors_every_s if self.answers else 0.0)
+            if self.host.rate_hz
+            else 0.0
+        )
+        self.timeout_s = usual if settings.timeout_s is None else settings.timeout_s
         self.errors: frozenset[str] = frozenset()
+        self._was_asked = False
         most = 127 if self.bits == 7 else 255
         for joint in self.joints:
             if joint.channel > 1:
@@ -145,16 +162,21 @@ class Qik(Device):
         if type(record).__name__ != "Errors":
             return
         before, self.errors = self.errors, frozenset(record.errors)
+        if not self._was_asked:  # nothing was sent before: that is no fault of this bus
+            self._was_asked, self.errors = True, self.errors - {"timeout"}
         self.tell_alarms(self.errors, before)
 
     # ------------------------------------------------------------------ actions
 
     def enable(self) -> Job:
-        """Give the device its range and time-out: they outlive power-off, so what is right is left alone.
+        """Give the device its range and time-out: they outlive power-off, so what is right is left alone. With a time-out,
+        an error of the device stops its motors.
 
         Fails with `DeviceError` when the device refuses. Without answers both are sent unseen.
         """
         wanted = {"pwm": int(self.bits == 8), "serial_timeout": timeout_code(self.timeout_s)}
+        if self.timeout_s:
+            wanted["shutdown_on_error"] = 1
 
         def steps(job: Job) -> Steps:
             for parameter, value in wanted.items():

@@ -9,16 +9,26 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
+from inspect import isfunction
 from typing import Any, cast
 
-from aces_bus.controller import ControllerLike, Player, Trajectory, read_trajectory
+from aces_bus.controller import (
+    ControllerLike,
+    Player,
+    Reaction,
+    Trajectory,
+    parse_reactions,
+    read_trajectory,
+)
+from aces_bus.controller.guard import ACTIONS, Action
 from aces_bus.controller.log import Logger
 from aces_bus.controller.motion_file import MOST_RAD
 from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol.files import load_file
+from aces_bus.robot.checks import KINDS_OF_FAULTS
 from aces_devices.kinematics.minihubo import WALK_HZ, read_walk
 
 #: Columns of the walking patterns that MiniHubo's programs wrote, which have no names.
@@ -78,6 +88,39 @@ def _of_program(path: str, name: str) -> list[ControllerLike]:
             f"{path}: no controller in it: make one with @controller, Equations, StateMachine, Player …, under a name"
         )
     return items
+
+
+def own_functions(words: Sequence[str]) -> dict[str, Any]:
+    """The functions of the Python files that a call names: reactions may be any of them."""
+    paths = dict.fromkeys(path for path, _ in map(_split, words) if path.endswith(".py"))
+    return {
+        name: item
+        for path in paths
+        for name, item in vars(load_file(path)).items()
+        if isfunction(item) and not name.startswith("_")
+    }
+
+
+def reactions_of(
+    texts: Sequence[str], robot: Robot, own: Mapping[str, Any], controllers: Sequence[ControllerLike]
+) -> tuple[Action, dict[str, tuple[Reaction, ...]]]:
+    """What `--on-trip [KIND[@SOURCE,…]=]REACTION` says: how motion stops where nothing else is said, and reactions by kind.
+
+    Raises `CallerError` for what is no reaction, and for kinds and sources that there are not.
+    """
+    action: Action = "disable"
+    words: dict[str, str] = {}
+    for text in texts:
+        kind, equals, word = text.partition("=")
+        found = next((one for one in ACTIONS if one == kind), None)
+        if found is not None and not equals:
+            action = found
+        elif equals:
+            words[kind] = word
+        else:
+            words["*"] = kind
+    sources = (*robot.buses, *robot.devices, *(one.name for one in controllers))
+    return action, parse_reactions(words, kinds=KINDS_OF_FAULTS, sources=sources, own=own)
 
 
 def _player(path: str, robot: Robot, rate_hz: float, arguments: argparse.Namespace) -> Player:

@@ -27,6 +27,7 @@ from ..console import abandon_stdout, say, terminal_width, wants_colour
 from ..live import LivePatience
 from ..robot_arg import bus_options
 from .figures import USUAL, Figures, Watch, event_text
+from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
 
 #: Between two pictures of the panel, and two lines (ns).
@@ -69,22 +70,29 @@ class Session:
 
     def _make(self, stack: ExitStack) -> Runner:
         asked = self.arguments
+        own = own_functions(asked.items)
+        on_trip, reactions = reactions_of(asked.on_trip, self.robot, own, self.controllers)
+        options: dict[str, Any] = {
+            "loggers": self.loggers,
+            "on_trip": on_trip,
+            "reactions": reactions,
+            "own_reactions": own,
+            "hold_s": None if asked.hold_ns is None else asked.hold_ns / 1e9,
+            "at_end": asked.at_end,
+        }
         if asked.virtual:
-            return run_virtual(
-                self.robot, self.controllers, rate_hz=self.rate_hz, seed=asked.seed, loggers=self.loggers
-            )
+            return run_virtual(self.robot, self.controllers, rate_hz=self.rate_hz, seed=asked.seed, **options)
         if asked.replay:
             frames = stack.enter_context(_frames(asked.replay))
-            return run_replay(self.robot, frames, self.controllers, loggers=self.loggers)
-        options = bus_options(self.robot, asked)
+            return run_replay(self.robot, frames, self.controllers, **options)
         return run_real(
             self.robot,
             self.controllers,
-            buses=options,
+            buses=bus_options(self.robot, asked),
             rate_hz=self.rate_hz,
             real_time=asked.real_time,
             drives=asked.tx,
-            loggers=self.loggers,
+            **options,
         )
 
     @property
@@ -193,7 +201,7 @@ class Session:
         """Whether all that has an end is at it, or the recording is."""
         if self.arguments.replay and runner.world.is_over:
             return True
-        if self.duration is not None:
+        if self.duration is not None or runner.held:
             return False
         modes = [getattr(one, "mode", None) for one in self._bare]
         finite = [mode for mode in modes if isinstance(mode, str)]
@@ -264,9 +272,11 @@ class Session:
             if number > FEW:
                 say(f"{source}: {kind}: {number - FEW} more times")
         for name, reason in ended.tripped.items():
-            say(f"{name} was stopped: {reason}")
+            say(f"{name} was {'held' if name in runner.held else 'stopped'}: {reason}")
         if self.arguments.replay and runner.missing:
             say(f"not in the recording: {', '.join(runner.missing)}")
+        if ended.held:
+            say(f"left enabled, where they are: {', '.join(ended.held)}")
         if ended.not_stopped:
             say(f"NOT switched off: {', '.join(ended.not_stopped)}")
         for text in ended.failed:

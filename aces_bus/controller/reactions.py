@@ -1,0 +1,118 @@
+"""Reactions: what is done about each kind of fault, as values and as the words of a robot's file and of `--on-trip`.
+
+1. Kinds are those of devices' and buses' events, and of controllers: "raised", "failed", "dead-man". "*" is any other.
+2. A word that is no reaction, a kind that no event has and a source that is not there are errors, never ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from ..errors import CallerError, UnknownNameError
+from .events import EventLike
+from .guard import ACTIONS, Action
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """What to do about an event: nothing, go on in a worse way called `name`, or stop motion by `action`.
+
+    `sources` narrows it to events from these (None: all); `do` is called with the event when it is carried out.
+    """
+
+    what: Literal["ignore", "degrade", "stop"]
+    name: str = ""
+    action: Action | None = None
+    sources: frozenset[str] | None = None
+    do: Callable[[EventLike], object] | None = None
+
+
+#: Go on as if nothing had happened; it is counted.
+IGNORE = Reaction("ignore")
+
+
+def degrade(
+    name: str, do: Callable[[EventLike], object] | None = None, *, sources: Iterable[str] | None = None
+) -> Reaction:
+    """Go on in a worse way; `do` makes it so (a gain to zero, another controller)."""
+    return Reaction("degrade", name, None, None if sources is None else frozenset(sources), do)
+
+
+def stop(action: Action | None = None, *, sources: Iterable[str] | None = None) -> Reaction:
+    """Stop motion by "hold", "zero duty" or "disable"; None: the guard's own action."""
+    if action is not None and action not in ACTIONS:
+        raise CallerError(f"the action is one of {', '.join(ACTIONS)}, not {action!r}")
+    return Reaction("stop", "", action, None if sources is None else frozenset(sources))
+
+
+#: What happens on any bus on a good day.
+HARMLESS = (
+    "opened",
+    "reopened",
+    "closed",
+    "error-active",
+    "answers",
+    "alarm over",
+    "late reply",
+    "limited",
+    "clipped",
+    "late",
+    "recovered",
+)
+DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
+    **dict.fromkeys(HARMLESS, IGNORE),
+    "*": stop(),
+}
+
+#: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
+CONTROL_KINDS = ("raised", "failed", "dead-man", "not finite", "clipped", "late", "log-failed", "log-dropped")
+#: Words for reactions.
+WORDS = ("ignore", "degrade", *ACTIONS)
+
+
+def parse_reactions(
+    texts: Mapping[str, str],
+    *,
+    kinds: Collection[str],
+    sources: Collection[str] | None = None,
+    own: Mapping[str, Callable[[EventLike], object]] | None = None,
+) -> dict[str, tuple[Reaction, ...]]:
+    """Reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `disable`, `zero duty`, `degrade`,
+    `degrade:NAME`, or the name of one of `own`: functions that are called with the event, and motion goes on.
+
+    Raises `UnknownNameError` for a kind, source (None: any) or reaction that there is not.
+
+    >>> parse_reactions({"silent@FT": "degrade:no feet", "silent": "hold"}, kinds=["silent"])["silent"][1]
+    Reaction(what='stop', name='', action='hold', sources=None, do=None)
+    """
+    found: dict[str, list[Reaction]] = {}
+    for key, word in texts.items():
+        kind, _, named = key.partition("@")
+        among = [one.strip() for one in named.split(",") if one.strip()] or None
+        if kind not in (*kinds, "*"):
+            raise UnknownNameError("kind of fault", kind, (*kinds, "*"))
+        for one in among or ():
+            if sources is not None and one not in sources:
+                raise UnknownNameError(f"source of {kind!r} (bus, device or controller)", one, sources)
+        made = _reaction(word, kind, among, own or {})
+        # Who is named goes before all others.
+        found.setdefault(kind, []).insert(len(found.get(kind, ())) if among is None else 0, made)
+    return {kind: tuple(reactions) for kind, reactions in found.items()}
+
+
+def _reaction(
+    word: str, kind: str, sources: Iterable[str] | None, own: Mapping[str, Callable[[EventLike], object]]
+) -> Reaction:
+    action = next((one for one in ACTIONS if one == word), None)
+    if action is not None:
+        return stop(action, sources=sources)
+    name, _, more = word.partition(":")
+    if word == "ignore":
+        return Reaction("ignore", sources=None if sources is None else frozenset(sources))
+    if name == "degrade":
+        return degrade(more or kind, sources=sources)
+    if word not in own:
+        raise UnknownNameError("reaction, or function of a controller's file,", word, (*WORDS, *own))
+    return degrade(word, own[word], sources=sources)
