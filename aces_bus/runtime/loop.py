@@ -59,7 +59,6 @@ class Loop(RealClock):
         self._soon: deque[Action] = deque()
         self._ends: list[Action] = []
         self._readers: dict[int, Action] = {}
-        self._writers: dict[int, Action] = {}
         self._waker: socket.socket | None = None
         #: Whether another thread has to wake it.
         self._is_asleep = False
@@ -106,6 +105,8 @@ class Loop(RealClock):
         """
         if self.is_own_thread:
             return action()
+        if self._stopping or self._thread is None:
+            raise self._ended()
         done: Future[T] = Future()
 
         def run() -> None:
@@ -121,8 +122,11 @@ class Loop(RealClock):
             except FutureTimeout:
                 if done.done():
                     raise
-                if self._stopping or self._thread is None or not self._thread.is_alive():
-                    raise CallerError(f"{self.thread_name} does not run: nothing can be done on it") from None
+                if self._stopping or not self._thread.is_alive():
+                    raise self._ended() from None
+
+    def _ended(self) -> CallerError:
+        return CallerError(f"{self.thread_name} does not run: nothing can be done on it")
 
     @property
     def is_own_thread(self) -> bool:
@@ -137,20 +141,15 @@ class Loop(RealClock):
         return 0 <= number < MOST_FILES
 
     def watch(self, number: int, readable: Action) -> None:
-        """Call `readable` whenever the file of this number has something to read; for the loop's own thread."""
-        self._readers[number] = readable
-
-    def watch_room(self, number: int, writable: Action | None) -> None:
-        """Call `writable` whenever the file takes something (None: no more); for the loop's own thread."""
-        if writable is None:
-            self._writers.pop(number, None)
+        """Call `readable` whenever the file of this number has something to read."""
+        if self._thread is None or self.is_own_thread:
+            self._readers[number] = readable
         else:
-            self._writers[number] = writable
+            self.call_soon(lambda: self.watch(number, readable))
 
     def unwatch(self, number: int) -> None:
-        """Serve the file no more: before it is closed."""
+        """Serve the file no more: before it is closed, on the loop's own thread (`call`)."""
         self._readers.pop(number, None)
-        self._writers.pop(number, None)
 
     # ------------------------------------------------------------------ running
 
@@ -245,17 +244,14 @@ class Loop(RealClock):
         self._is_asleep = True
         if self._soon or self._stopping:  # handed over before that was seen
             left = 0
-        readers, writers = self._readers, self._writers
+        readers = self._readers
         try:
-            readable, writable, _ = select.select(readers, writers, (), left)
+            readable, _, _ = select.select(readers, (), (), left)
         except (OSError, ValueError):  # a file was closed under us
             return self._closed()
         finally:
             self._is_asleep = False
-        found = [readers[number] for number in readable]
-        if writable:
-            found += [writers[number] for number in writable]
-        return found
+        return [readers[number] for number in readable]
 
     def _closed(self) -> list[Action]:
         """Take out the files that are closed: reading says to whom they belong."""
