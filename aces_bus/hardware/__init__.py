@@ -14,7 +14,8 @@ from .._lazy import lazy_names
 if TYPE_CHECKING:
     from .can import CanGate
     from .datagram import DatagramGate
-    from .gate import BusEvent, Received
+    from .gate import Received
+    from .gate_events import BusEvent
     from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
@@ -52,7 +53,8 @@ __getattr__, __dir__ = lazy_names(
     {
         ".can": "CanGate",
         ".datagram": "DatagramGate",
-        ".gate": "BusEvent Received",
+        ".gate": "Received",
+        ".gate_events": "BusEvent",
         ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",

@@ -22,7 +22,7 @@ import os
 import select
 import socket
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from ..frames import Frame
@@ -44,6 +44,10 @@ ECHOES = frozenset({"udp_multicast"})
 
 #: Backends that say with a `CanError`, too, that they did not understand one datagram.
 DATAGRAMS = frozenset({"udp_multicast"})
+
+#: Backends with a file to wait for, and whose `recv(0)` takes what is there and keeps what is not whole yet. Others that
+#: have a file read a serial port until a frame is whole.
+BY_FILE = frozenset({"slcan", "socketcan", "socketcand", "udp_multicast"})
 
 #: Seconds in which a socketcand server must greet.
 GREETING_S = 3.0
@@ -102,8 +106,32 @@ def reader_of(bus: Any) -> Read:
     sock = getattr(bus, "_SocketCanDaemonBus__socket", None)
     if isinstance(sock, socket.socket):
         return SocketcandReader(bus, sock)
+    if hasattr(bus, "known_state"):
+        return ServedReader(bus)
     read: Read = bus.recv
     return read
+
+
+class ServedReader:
+    """A served bus, which says by itself what state its node is in, and how many frames were lost."""
+
+    def __init__(self, bus: Any) -> None:
+        self._bus = bus
+        self.frames: Callable[[int], list[Frame]] = bus.frames
+        self.offer: Callable[[Sequence[Frame]], int] = bus.offer
+        self.push: Callable[[], bool] = bus.push
+        self.fileno: Callable[[], int] = bus.fileno
+        self.take_dropped: Callable[[], int] = bus.take_dropped
+
+    @property
+    def state(self) -> str:
+        """What the server reported last."""
+        state = str(self._bus.known_state)
+        return "error-active" if state == "recovered" else state
+
+    def __call__(self, timeout: float) -> Any:
+        """The next message within some seconds."""
+        return self._bus.recv(timeout)
 
 
 class SocketcandReader:
@@ -114,6 +142,10 @@ class SocketcandReader:
 
     def __init__(self, bus: Any, sock: socket.socket) -> None:
         self._recv, self._socket = bus.recv, sock
+
+    def fileno(self) -> int:
+        """The socket's file."""
+        return self._socket.fileno()
 
     def __call__(self, timeout: float) -> Any:
         """The next message within some seconds. Raises `EOFError` when the server has hung up."""
@@ -182,6 +214,34 @@ class SocketcanReader:
     def buffer(self) -> int:
         """The bytes that the kernel gives the receive buffer, as it counts them: a frame takes some 770."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+
+    def fileno(self) -> int:
+        """The socket's file."""
+        return self._socket.fileno()
+
+    def frames(self, most: int) -> list[Frame]:
+        """At most so many of the frames that are there. Raises as a call."""
+        found: list[Frame] = []
+        while len(found) < most and (frame := self(0)) is not None:
+            found.append(frame)
+        return found
+
+    def offer(self, frames: Sequence[Frame]) -> int:
+        """Give frames to the system without waiting: how many its queue took. Raises `OSError` where it takes none."""
+        for number, frame in enumerate(frames):
+            try:
+                self._socket.send(_system_frame(frame), _DONT_WAIT)
+            except OSError as error:
+                if error.errno in (errno.EAGAIN, errno.ENOBUFS):
+                    return number
+                if not number:
+                    raise
+                return number
+        return len(frames)
+
+    def push(self) -> bool:
+        """A frame is taken whole."""
+        return True
 
     def __call__(self, timeout: float) -> Frame | None:
         """The next frame within some seconds. Raises `OSError` when the interface goes down or away."""
@@ -255,9 +315,25 @@ class SocketcanReader:
         return found
 
 
+def _system_frame(frame: Frame) -> bytes:
+    """A frame as the system's `struct can_frame`, or `canfd_frame`."""
+    word = (
+        frame.arbitration_id
+        | (_EXTENDED if frame.is_extended_id else 0)
+        | (_REMOTE if frame.is_remote_frame else 0)
+    )
+    flags = (
+        (1 if frame.bitrate_switch else 0) | (2 if frame.error_state_indicator else 0) if frame.is_fd else 0
+    )
+    size = _FD_SIZE if frame.is_fd else _CLASSIC_SIZE
+    return (_HEADER.pack(word, frame.length, flags) + frame.data).ljust(size, b"\0")
+
+
 __all__ = [
+    "BY_FILE",
     "DATAGRAMS",
     "ECHOES",
+    "ServedReader",
     "SocketcanReader",
     "check_server",
     "forget_line",

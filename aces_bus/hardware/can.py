@@ -10,6 +10,7 @@ monotonic clock when the frame was read. An adapter's clock that goes back is re
 from __future__ import annotations
 
 import errno
+import os
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,8 +19,11 @@ from ..errors import CallerError
 from ..frames import Frame, message_to_frame
 from ..runtime import Clock
 from .backends import (
+    BY_FILE,
     DATAGRAMS,
     ECHOES,
+    ServedReader,
+    SocketcanReader,
     check_server,
     forget_line,
     quiet_options,
@@ -30,8 +34,8 @@ from .gate import POLL_S, Gate, Received
 from .queues import Report
 from .simulated.bus import arbitration
 
-#: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups.
-BATCH = 256
+#: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups; and that a loop reads in one turn.
+BATCH, TURN_BATCH = 256, 64
 #: This many times nothing, each at once and not after `POLL_S`, is how some backends say that they are dead.
 HOLLOW = 50
 #: Exceptions that are no `CanError`, in a row, after which the bus is opened anew.
@@ -87,6 +91,8 @@ class CanGate(Gate[Frame]):
         super().__init__(name or channel, listen_only=listen_only, reopen=reopen, clock=clock)
         self.send_rate = send_rate
         self._pause = 0 if send_rate is None else round(1e9 / send_rate)
+        if send_rate is not None:
+            self.together = 1
         self._due = 0
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=OUTBOX)
         self._controller = "error-active"
@@ -110,6 +116,9 @@ class CanGate(Gate[Frame]):
         self._is_echoing = not kinds.isdisjoint(ECHOES)
         self.linger_ns = LINGER_NS if kinds.isdisjoint(PROMPT) else 0
         self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
+        self._quick = self._read if isinstance(self._read, (SocketcanReader, ServedReader)) else None
+        self._has_file = self._quick is not None or not kinds.isdisjoint(BY_FILE)
+        self._hollow = self._strange = 0
         return bus
 
     def _shut(self, bus: Any) -> None:
@@ -166,16 +175,67 @@ class CanGate(Gate[Frame]):
                 break
             if message is None:
                 break
-        self.counters.received += len(batch)
         self._put(batch)
-        if any(item.content.is_error_frame for item in batch):
+        self._account(batch)
+        return failed
+
+    def _file_of(self, bus: Any) -> int | None:
+        if not self._has_file or os.name != "posix":
+            return None
+        try:
+            return int(getattr(self._read, "fileno", bus.fileno)())
+        except Exception:  # whatever a backend without one raises
+            return None
+
+    def _read_now(self) -> list[Received[Frame]]:
+        batch: list[Received[Frame]] = []
+        found: list[Any] = []
+        error: Exception | None = None
+        try:
+            if self._quick is not None:
+                found = self._quick.frames(TURN_BATCH)
+            else:
+                while len(found) < TURN_BATCH and (message := self._read(0)) is not None:
+                    found.append(message)
+        except Exception as raised:  # CanError, OSError, and whatever a backend lets through
+            error = raised
+        now = self.clock.now()
+        for message in found:
+            frame = self._frame(message)
+            if frame is not None:
+                batch.append(Received(frame, now))
+        self._account(batch)
+        self._strange = 0 if found or error is None else self._strange + 1
+        # What says that it has something, and gives nothing, again and again, is dead.
+        self._hollow = 0 if found or error is not None else self._hollow + 1
+        if len(found) >= TURN_BATCH and self._loop is not None:
+            self._loop.call_soon(self._readable)  # a backend's own buffer wakes nobody
+        if error is not None:
+            if self._is_end(error) or self._strange >= STRANGE:
+                if batch:
+                    self._put(batch)
+                raise error
+            self._misunderstood(error)
+        elif self._hollow >= HOLLOW:
+            raise EOFError("it does not answer any more")
+        return batch
+
+    def _glance(self) -> None:
+        self._look_at_state()
+
+    def _account(self, batch: list[Received[Frame]]) -> None:
+        """Count what was received and what was lost, and look at the state where it may have changed."""
+        self.counters.received += len(batch)
+        if (
+            any(item.content.is_error_frame for item in batch)
+            or getattr(self._read, "state", None) is not None
+        ):
             self._look_at_state()
         for source in (self._read, self._bus):  # our own readers know, and the served bus
             lost = getattr(source, "take_dropped", None)
             if lost is not None and (count := lost()):
                 self.counters.kernel_dropped += count
                 self._tell("dropped", f"{count} frames were dropped before they could be read", count)
-        return failed
 
     def _frame(self, message: Any) -> Frame | None:
         if isinstance(message, Frame):
@@ -267,9 +327,26 @@ class CanGate(Gate[Frame]):
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
         )
 
-    def _may_leave(self) -> bool:
-        left = self._due - self.clock.now()
-        return left <= 0 or not self._stopping.wait(left / 1e9)
+    def _leaves_at(self) -> int:
+        return self._due
+
+    def _can_put_together(self) -> bool:
+        return self._quick is not None
+
+    def _put_together(self, words: list[Frame]) -> tuple[int, Exception | None]:
+        if not words:
+            return 0, None
+        assert self._quick is not None
+        try:
+            taken = self._quick.offer(words)
+        except Exception as error:
+            return 0, error
+        if self._pause and taken:
+            self._due = max(self._due, self.clock.now()) + self._pause
+        return taken, None
+
+    def _push(self) -> bool:
+        return self._quick is None or self._quick.push()
 
     def _name_of(self, word: Frame) -> str:
         return f"{word.arbitration_id:#x}"

@@ -19,6 +19,8 @@ Address = tuple[str, int]
 #: The longest payload of a UDP datagram over IPv4.
 MOST = 65_507
 OUTBOX = 4096
+#: Datagrams that a loop reads in one turn, at most.
+BATCH = 64
 
 
 class DatagramGate(Gate[bytes]):
@@ -75,6 +77,33 @@ class DatagramGate(Gate[bytes]):
         host, port = bus.getsockname()
         return str(host), int(port)
 
+    def _file_of(self, bus: Any) -> int | None:
+        return int(bus.fileno())
+
+    def _watched(self, bus: Any) -> None:
+        bus.setblocking(False)
+
+    def _read_now(self) -> list[Received[bytes]]:
+        found: list[Received[bytes]] = []
+        while len(found) < BATCH:
+            try:
+                data, source = self._bus.recvfrom(65_536)
+            except BlockingIOError:
+                break
+            except ConnectionError:  # what we sent reached no socket: some systems say so here
+                continue
+            self._take(data, source, found)
+        return found
+
+    def _take(self, data: bytes, source: Address, found: list[Received[bytes]]) -> None:
+        """Add a datagram to what was found, if it may be there."""
+        if self.only_peer and source != self.peer:
+            self.counters.bad_input += 1
+            self._tell("bad input", f"a datagram of {source[0]}:{source[1]}, who is not the peer")
+            return
+        self.counters.received += 1
+        found.append(Received(data, self.clock.now(), source=source))
+
     def _receive(self) -> None:
         while not self._stopping.is_set():
             try:
@@ -87,12 +116,9 @@ class DatagramGate(Gate[bytes]):
                 if self._stopping.is_set() or not self._lose(error):
                     return
                 continue
-            if self.only_peer and source != self.peer:
-                self.counters.bad_input += 1
-                self._tell("bad input", f"a datagram of {source[0]}:{source[1]}, who is not the peer")
-                continue
-            self.counters.received += 1
-            self._put([Received(data, self.clock.now(), source=source)])
+            found: list[Received[bytes]] = []
+            self._take(data, source, found)
+            self._put(found)
 
     def send(
         self,
@@ -121,3 +147,16 @@ class DatagramGate(Gate[bytes]):
 
     def _put_out(self, word: tuple[bytes, Address]) -> None:
         self._bus.sendto(*word)
+
+    def _can_put_together(self) -> bool:
+        return True
+
+    def _put_together(self, words: list[tuple[bytes, Address]]) -> tuple[int, Exception | None]:
+        for number, (data, to) in enumerate(words):
+            try:
+                self._bus.sendto(data, to)
+            except BlockingIOError:
+                return number, None
+            except Exception as error:
+                return number, error
+        return len(words), None

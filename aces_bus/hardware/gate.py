@@ -1,10 +1,14 @@
-"""What every gatekeeper is: the one owner of a bus, with threads of its own, that many may listen to.
+"""What every gatekeeper is: the one owner of a bus, with threads of its own or on a robot's loop, that many may listen to.
 
 1. The receive thread runs no user code and dies of nothing: what an adapter says wrongly, loses or stops saying becomes
    an event, and the bus is opened again.
 2. Every loss is counted where it happens: in the system, in a queue, in the adapter's words.
 3. A gate that only listens has no way to send: no queue and no thread.
 4. What is given to be sent ends in exactly one bin (`outbox`), and `stop` lets what waits leave before it closes the bus.
+
+By itself a gate has two threads, one to receive and one to send. On a loop (`start_on`) it has none where its bus has a
+file to wait for: the loop reads what is there, and what was given in one turn leaves together at its end. Threads do only
+what may block: a backend without such a file, or that cannot send at once, and the opening of a bus that was lost.
 
 While a bus is lost nothing waits for it: an old set-point, sent when it is back, would move a robot. What is urgent (a
 stop) waits, and is the first to leave.
@@ -18,84 +22,14 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
 import msgspec
 
 from ..errors import CallerError
-from ..runtime import Clock, RealClock
+from ..runtime import Clock, Loop, RealClock
+from .gate_events import BusEvent, BusEvents, GateCounters, Handler, Kind
 from .queues import AGE_S, LIMIT, Fate, Inbox, Listener, Outbox, OutboxItem, Report
-
-Kind = Literal[
-    "opened",
-    "lost",
-    "reopened",
-    "closed",
-    "error-active",
-    "error-passive",
-    "bus-off",
-    "dropped",
-    "clock",
-    "bad input",
-    "listener",
-    "send failed",
-    "not sent",
-]
-
-
-class BusEvent(msgspec.Struct, frozen=True):
-    """Something that happened to a bus.
-
-    `kind`: "opened"; "lost" (unplugged, the server is gone); "reopened"; "closed"; "error-active", "error-passive" and
-    "bus-off" (the controller's state); "dropped" (frames lost: `count` of them, `detail` says where); "clock" (the adapter's
-    stamps went back); "bad input" (the adapter said what cannot be understood); "listener" (one raised: its exception in
-    `detail`); "send failed" (the backend refused a word); "not sent" (`count` frames, bytes or datagrams were too old, were
-    given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which). `time_ns` is the host's
-    monotonic clock, `bus` the name of the gate.
-    """
-
-    kind: Kind
-    time_ns: int
-    bus: str
-    detail: str = ""
-    count: int = 0
-
-    def __str__(self) -> str:
-        return f"{self.bus}: {self.kind}" + (f": {self.detail}" if self.detail else "")
-
-
-Handler = Callable[[BusEvent], None]
-
-
-class BusEvents:
-    """The handlers of one bus. `failures` counts what they raised."""
-
-    def __init__(self) -> None:
-        self._handlers: tuple[Handler, ...] = ()
-        self._lock = threading.Lock()
-        self.failures = 0
-
-    def add(self, handler: Handler) -> None:
-        """Call `handler` with every event from now on."""
-        with self._lock:
-            self._handlers += (handler,)
-
-    def remove(self, handler: Handler) -> None:
-        """Do not call it any more."""
-        with self._lock:
-            self._handlers = tuple(one for one in self._handlers if one is not handler)
-
-    def tell(self, event: BusEvent) -> None:
-        """Call all handlers, whatever they do."""
-        for handler in self._handlers:
-            try:
-                handler(event)
-            except KeyboardInterrupt:  # the user's, and only on the main thread
-                raise
-            except BaseException:  # whatever a handler may raise, SystemExit too: rule 2
-                self.failures += 1
-
 
 Item = TypeVar("Item")
 Filtered = TypeVar("Filtered", contravariant=True)
@@ -104,43 +38,10 @@ Filtered = TypeVar("Filtered", contravariant=True)
 POLL_S = 0.2
 #: Seconds between attempts to open a lost bus: the first, and the longest.
 RETRY_S, RETRY_MOST_S = 0.1, 2.0
+#: How soon a bus that takes no more for now is tried again (ns).
+AGAIN_NS = 1_000_000
 #: Seconds that `stop` gives to what waits to be sent, and to a thread that is inside a backend.
 DRAIN_S, JOIN_S = 1.0, 5.0
-
-
-@dataclass
-class GateCounters:
-    """What went through a gate, and what did not: frames of CAN, bytes of a serial line, datagrams.
-
-    `dropped` came faster than a reader took it. `kernel_dropped` is what the system says it dropped before we could read.
-    `bad_input` counts what an adapter sent that cannot be understood, `echoes` what a backend returned of our own, unasked.
-
-    Of what was `given` to be sent, each is in one of `sent`, `send_failed` (the backend refused it), `send_expired` (too
-    old), `send_dropped` (the bus was lost, or a stop overtook it) and `unsent` (left over at the end), or still waits.
-    """
-
-    received: int = 0
-    given: int = 0
-    sent: int = 0
-    send_failed: int = 0
-    send_expired: int = 0
-    send_dropped: int = 0
-    unsent: int = 0
-    dropped: int = 0
-    kernel_dropped: int = 0
-    bad_input: int = 0
-    echoes: int = 0
-    reopened: int = 0
-
-    @property
-    def not_sent(self) -> int:
-        """What was given and will never leave."""
-        return self.send_failed + self.send_expired + self.send_dropped + self.unsent
-
-    @property
-    def pending(self) -> int:
-        """What was given and is in no bin yet."""
-        return self.given - self.sent - self.not_sent
 
 
 #: Where each fate is counted.
@@ -151,6 +52,9 @@ _BINS: dict[Fate, str] = {
     "dropped": "send_dropped",
     "unsent": "unsent",
 }
+
+
+TOO_OLD = "too old, they do not leave late"
 
 
 class ContentFilter(Protocol[Filtered]):
@@ -181,6 +85,8 @@ class Gate(ABC, Generic[Item]):
     unit: ClassVar[str]
     #: How much may wait to be sent, in that unit.
     most: ClassVar[int]
+    #: How many words are given to the bus together, at most.
+    together: int = 64
 
     def __init__(self, name: str, *, listen_only: bool, reopen: bool, clock: Clock | None) -> None:
         self.name, self.listen_only, self.reopen = name, listen_only, reopen
@@ -194,7 +100,7 @@ class Gate(ABC, Generic[Item]):
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._outgoing = threading.Condition(threading.Lock())
+        self._outgoing = threading.Condition()
         self._outbox: Outbox[Any] = Outbox()
         #: What the transmit thread has in hand.
         self._in_hand: OutboxItem[Any] | None = None
@@ -204,6 +110,11 @@ class Gate(ABC, Generic[Item]):
         self.linger_ns, self._last_sent = 0, 0
         #: What was given while the bus was lost, and not said yet.
         self._refused = 0
+        #: On a loop: who gets what arrives, the file that is waited for, and whether the loop itself sends.
+        self._loop: Loop | None = None
+        self._received: Callable[[list[Received[Item]]], Any] | None = None
+        self._file: int | None = None
+        self._is_sending_here = self._is_flush_planned = False
 
     # ------------------------------------------------------------------ what a kind of bus does
 
@@ -227,9 +138,35 @@ class Gate(ABC, Generic[Item]):
     def _name_of(self, word: Any) -> str:
         """What a word is called in events."""
 
-    def _may_leave(self) -> bool:
-        """Wait until the next word may be given to the bus; False when the gate is to end."""
+    def _leaves_at(self) -> int:
+        """The instant (ns) from which the next word may be given to the bus."""
+        return 0
+
+    def _file_of(self, bus: Any) -> int | None:
+        """The file of a bus that a loop can wait for; None: it takes a thread to receive."""
+        return None
+
+    def _watched(self, bus: Any) -> None:
+        """A loop waits for its file from now on: it must never block."""
+
+    def _read_now(self) -> list[Received[Item]]:
+        """What its file has, without waiting; raises what says that the bus is gone."""
+        raise NotImplementedError
+
+    def _can_put_together(self) -> bool:
+        """Whether the bus takes words at once, on a loop: `_put_together`."""
+        return False
+
+    def _put_together(self, words: list[Any]) -> tuple[int, Exception | None]:
+        """Give words to the bus without waiting: how many it took, and why it refused the next one (None: it is full)."""
+        raise NotImplementedError
+
+    def _push(self) -> bool:
+        """Give the bus the rest of a word that it took in part; whether nothing is left of it."""
         return True
+
+    def _glance(self) -> None:
+        """Look, now and then, at what the bus says of itself."""
 
     def _still_held(self) -> int:
         """How much the backend itself says that it still holds."""
@@ -242,15 +179,18 @@ class Gate(ABC, Generic[Item]):
 
         Raises what opening raises: a bus that cannot be opened at first is the caller's to know.
         """
+        self._open_first()
+        self._thread(self._receive, "receive")
+        if not self.listen_only:
+            self._transmitter = self._thread(self._transmit, "send")
+        return self
+
+    def _open_first(self) -> None:
         if self.state != "new":
             raise CallerError(f"{self.name}: this gate was started before; make another")
         self._bus = self._opened()
         self.state = "open"
         self._tell("opened", self._describe(self._bus))
-        self._thread(self._receive, "receive")
-        if not self.listen_only:
-            self._transmitter = self._thread(self._transmit, "send")
-        return self
 
     def _thread(self, target: Callable[[], None], what: str) -> threading.Thread:
         thread = threading.Thread(target=target, name=f"{self.name} {what}", daemon=True)
@@ -282,6 +222,9 @@ class Gate(ABC, Generic[Item]):
                 left = until - time.monotonic()
                 if left <= 0 or (self._transmitter is not None and not self._transmitter.is_alive()):
                     break
+                if self._is_sending_here:
+                    self._flush()
+                    left = min(left, AGAIN_NS / 1e9)
                 self._outgoing.wait(min(left, POLL_S))
         while self.state == "open" and time.monotonic() < until:
             if not self._still_held() and self.clock.now() - self._last_sent >= self.linger_ns:
@@ -291,6 +234,7 @@ class Gate(ABC, Generic[Item]):
     def _end(self) -> None:
         self._is_closing = True
         self._stopping.set()
+        self._detach()
         with self._outgoing:
             left_over = self._outbox.take(lambda item: True)
             self._outgoing.notify_all()
@@ -332,7 +276,16 @@ class Gate(ABC, Generic[Item]):
                 pass
 
     def _lose(self, error: BaseException | None) -> bool:
-        """The bus is gone: tell, and open it again; False when the gate is to end."""
+        """The bus is gone: tell, and open it again, on the receive thread; False when the gate is to end."""
+        self._gone(error)
+        bus = self._found_again()
+        if bus is None:
+            return False
+        self._back(bus)
+        return True
+
+    def _gone(self, error: BaseException | None) -> None:
+        """The bus is gone: tell, and drop what waited for it."""
         self.state = "lost"
         why = "it does not answer any more" if error is None else f"{type(error).__name__}: {error}"
         self._tell("lost", why)
@@ -341,25 +294,29 @@ class Gate(ABC, Generic[Item]):
             self._outgoing.notify_all()
         self._settle_all(gone, "dropped", "the bus is lost")
         self._close(self._bus)
+
+    def _found_again(self) -> Any:
+        """Try to open the bus until that succeeds; None when the gate is to end."""
         wait = RETRY_S
         while self.reopen and not self._stopping.wait(wait):
             try:
-                bus = self._opened()
+                return self._opened()
             except Exception:  # still gone
                 wait = min(2 * wait, RETRY_MOST_S)
-                continue
-            self._bus = bus
-            self.state = "open"
-            self.counters.reopened += 1
-            self._tell("reopened", self._describe(bus))
-            self._tell_refused()
-            with self._outgoing:
-                self._outgoing.notify_all()
-            return True
         if not self.reopen:
             for inbox in self._inboxes:
                 inbox.end()
-        return False
+        return None
+
+    def _back(self, bus: Any) -> None:
+        """The bus is there again."""
+        self._bus = bus
+        self.state = "open"
+        self.counters.reopened += 1
+        self._tell("reopened", self._describe(bus))
+        self._tell_refused()
+        with self._outgoing:
+            self._outgoing.notify_all()
 
     @staticmethod
     def _describe(bus: Any) -> str:
@@ -409,7 +366,10 @@ class Gate(ABC, Generic[Item]):
                         f"{self.name}: {self._outbox.size} {self.unit} wait to be sent; is anybody on the bus?"
                     )
                 self._outbox.push(item, priority)
-                self._outgoing.notify_all()
+                if self._is_sending_here:
+                    self._plan_flush()
+                else:
+                    self._outgoing.notify_all()
             else:
                 self._refused += size
             self.counters.given += size
@@ -425,7 +385,9 @@ class Gate(ABC, Generic[Item]):
             with self._outgoing:
                 while not self._stopping.is_set() and (not self._outbox or self.state != "open"):
                     self._outgoing.wait(1.0)
-            if self._stopping.is_set() or not self._may_leave():
+            while not self._stopping.is_set() and (left := self._leaves_at() - self.clock.now()) > 0:
+                self._stopping.wait(left / 1e9)
+            if self._stopping.is_set():
                 return
             with self._outgoing:
                 if not self._outbox or self.state != "open":
@@ -454,7 +416,7 @@ class Gate(ABC, Generic[Item]):
         now = self.clock.now()
         with self._outgoing:
             others = self._outbox.take(lambda item: item.until < now and not item.urgent)
-        self._settle_all([first, *others], "expired", "too old, they do not leave late")
+        self._settle_all([first, *others], "expired", TOO_OLD)
 
     def _settle(self, item: OutboxItem[Any], fate: Fate, why: str) -> bool:
         """Count what became of a word, once, and report it."""
@@ -483,6 +445,126 @@ class Gate(ABC, Generic[Item]):
             count, self._refused = self._refused, 0
         if count:
             self._tell("not sent", f"{count} {self.unit} were given while the bus was lost", count)
+
+    # ------------------------------------------------------------------ on a loop
+
+    def start_on(self, loop: Loop, received: Callable[[list[Received[Item]]], Any]) -> Self:
+        """Open the bus; `received` is called with what arrives, on the loop's thread. Raises as `start`."""
+        self._loop, self._received = loop, received
+        self._open_first()
+        self._attach()
+        self._look_again()
+        return self
+
+    def _attach(self) -> None:
+        """Have the loop serve the bus that was opened; threads do what would block."""
+        loop, bus = self._loop, self._bus
+        assert loop is not None
+        number = self._file_of(bus)
+        self._file = number if number is not None and loop.can_watch(number) else None
+        if self._file is None:
+            self._thread(self._receive, "receive")
+        else:
+            self._watched(bus)
+            loop.watch(self._file, self._readable)
+        if self.listen_only:
+            return
+        self._is_sending_here = self._file is not None and self._can_put_together()
+        if self._is_sending_here:
+            self._plan_flush()
+        elif self._transmitter is None:
+            self._transmitter = self._thread(self._transmit, "send")
+
+    def _detach(self) -> None:
+        """The loop is to serve it no more, before its file's number becomes another's."""
+        if self._file is None or self._loop is None:
+            return
+        loop, number, self._file = self._loop, self._file, None
+        try:
+            loop.call(lambda: loop.unwatch(number))
+        except CallerError:  # it has ended
+            pass
+
+    def _readable(self) -> None:
+        """On the loop's thread: its file has something."""
+        if self.state != "open" or self._stopping.is_set():
+            return
+        try:
+            found = self._read_now()
+        except Exception as error:  # CanError, OSError, and whatever a backend lets through
+            self._lose_here(error)
+        else:
+            if found:
+                self._put(found)
+
+    def _lose_here(self, error: BaseException | None) -> None:
+        """The bus is gone: a thread opens it again, which may take its time."""
+        self._detach()
+        self._gone(error)
+
+        def look() -> None:
+            bus = self._found_again()
+            if bus is not None:
+                assert self._loop is not None
+                self._loop.call_soon(lambda: self._back_here(bus))
+
+        self._thread(look, "open")
+
+    def _back_here(self, bus: Any) -> None:
+        if self._stopping.is_set():
+            self._close(bus)
+            return
+        self._back(bus)
+        self._attach()
+
+    def _look_again(self) -> None:
+        """Now and then: what the bus says of itself."""
+        if self._loop is not None and not self._stopping.is_set():
+            self._loop.call_in(round(POLL_S * 1e9), self._look_again)
+            if self._file is not None and self.state == "open":
+                self._glance()
+
+    def _plan_flush(self) -> None:
+        loop = self._loop
+        assert loop is not None
+        if not self._is_flush_planned:
+            self._is_flush_planned = True
+            if loop.is_own_thread:
+                loop.at_turn_end(self._flush)
+            else:
+                loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        """Send together what was gathered, as far as the bus takes it now."""
+        with self._outgoing:
+            self._is_flush_planned = False
+            if self.state != "open":
+                return
+            now = self.clock.now()
+            if (wait := AGAIN_NS if not self._push() else self._leaves_at() - now) > 0:
+                self._flush_in(wait)
+                return
+            old = self._outbox.take(lambda item: item.until < now and not item.urgent)
+            items = self._outbox.first(self.together)
+            taken, error = self._put_together([item.word for item in items])
+            gone = self._outbox.drop_first(taken + (error is not None))
+            self._last_sent = now
+            if self._outbox or not self._push():
+                self._flush_in(AGAIN_NS if error is None and taken < len(items) else 0)
+            elif self._is_closing:
+                self._outgoing.notify_all()
+        for item in gone[:taken]:
+            self._settle(item, "sent", "")
+        if error is not None:
+            why = f"{type(error).__name__}: {error}"
+            self._settle(gone[-1], "failed", why)
+            self._tell("send failed", f"{self._name_of(gone[-1].word)}: {why}")
+        self._settle_all(old, "expired", TOO_OLD)
+
+    def _flush_in(self, wait: int) -> None:
+        assert self._loop is not None
+        self._is_flush_planned = True
+        self._loop.call_in(wait, self._flush)
 
     # ------------------------------------------------------------------ who wants to know
 
@@ -531,3 +613,10 @@ class Gate(ABC, Generic[Item]):
         """Hand over what has arrived."""
         for inbox in self._inboxes:
             inbox.put(batch)
+        received, loop = self._received, self._loop
+        if received is None or loop is None:
+            return
+        if loop.is_own_thread:
+            received(batch)
+        else:
+            loop.call_soon(lambda: received(batch))

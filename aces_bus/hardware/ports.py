@@ -3,12 +3,12 @@
 1. `received` is called on the clock's own thread (virtual or `Loop`), one word at a time: nothing above needs a lock.
 2. A port is of one bus; who may listen only does so through a gate that cannot send.
 
-A wire is simulated and needs no thread; a gate has threads, whose words are handed to the loop.
+A wire is simulated and needs no thread; a gate is served by the loop, with threads only for what may block.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Generic, Literal, TypeVar
 
 from msgspec.structs import replace
@@ -18,7 +18,8 @@ from ..frames import Frame
 from ..runtime import EventClock, Loop
 from .can import CanGate
 from .datagram import DatagramGate
-from .gate import BusEvent, Gate, Received
+from .gate import Gate, Received
+from .gate_events import BusEvent
 from .queues import AGE_S
 from .serial import SerialGate
 from .simulated.bus import SimulatedBus, SimulatedBusEvent
@@ -48,22 +49,26 @@ class BasePort(Generic[Word]):
         self.clock: EventClock = _loop_of(loop) if isinstance(bus, Gate) else bus.clock
         self.name = name
         self._send: Callable[..., bool]
-        self._inbox: Any = None
 
     def _listen(self, gate: Gate[Word], handle: Handler) -> None:
         """Open a gate, and have `handle` called on the clock's thread with what it receives."""
         clock = self.clock
-
-        def heard(items: list[Received[Word]]) -> None:
-            clock.call_soon(lambda: self._hand_over(items, handle))
-
+        assert isinstance(clock, Loop)
         self._send = _sender(gate, clock)
-        gate.__enter__()
-        self._inbox = gate.listen(heard)
+        gate.start_on(clock, lambda items: self._hand_over(iter(items), handle))
 
-    def _hand_over(self, items: list[Received[Word]], handle: Handler) -> None:
-        for item in items:
-            handle(item.content, item.host_ns)
+    def _hand_over(self, items: Iterator[Received[Word]], handle: Handler) -> None:
+        try:
+            for item in items:
+                self._take(item, handle)
+        except (
+            BaseException
+        ):  # a driver's fault: it is the loop's to report, and the words behind it are read all the same
+            self.clock.call_soon(lambda: self._hand_over(items, handle))
+            raise
+
+    def _take(self, item: Received[Word], handle: Handler) -> None:
+        handle(item.content, item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
@@ -91,10 +96,8 @@ class BasePort(Generic[Word]):
         """Receive no more; a gate is stopped."""
         if self._gate is None:
             self._detach()
-            return
-        if self._inbox is not None:
-            self._inbox.inbox.close()
-        self._gate.stop()
+        else:
+            self._gate.stop()
 
     def _detach(self) -> None:
         """Take the node off its simulated bus."""
@@ -140,9 +143,8 @@ class CanPort(BasePort[Frame]):
 
         self._send = give
 
-    def _hand_over(self, items: list[Received[Frame]], handle: Handler) -> None:
-        for item in items:
-            handle(_nameless(item.content), item.host_ns)
+    def _take(self, item: Received[Frame], handle: Handler) -> None:
+        handle(_nameless(item.content), item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
@@ -259,10 +261,9 @@ class DatagramPort(BasePort[bytes]):
 
         self._send = answer
 
-    def _hand_over(self, items: list[Received[bytes]], handle: Handler) -> None:
-        for item in items:
-            self._last_source = item.source
-            handle(item.content, item.host_ns)
+    def _take(self, item: Received[bytes], handle: Handler) -> None:
+        self._last_source = item.source
+        handle(item.content, item.host_ns)
 
     def wire_ns(self, word: bytes) -> int:
         """Nothing worth counting."""

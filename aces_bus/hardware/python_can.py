@@ -69,7 +69,8 @@ class VirtualBus(BusABC):
     ) -> None:
         self.channel, self.channel_info = channel, channel_info
         self._fd, self._listen_only = bool(fd), bool(listen_only)
-        self._queue: deque[Message] = deque()
+        #: Messages, or what `_next` makes them of.
+        self._queue: deque[Any] = deque()
         self._most = int(rx_queue_size) or QUEUE
         #: Frames lost because they were not read in time.
         self.dropped = 0
@@ -98,7 +99,7 @@ class VirtualBus(BusABC):
         why = "is bus-off" if state == "bus-off" else "has no free mailbox; does no node acknowledge?"
         return CanOperationError(f"{self.channel_info} {why}")
 
-    def _keep(self, message: Message) -> None:
+    def _keep(self, message: Any) -> None:
         queue = self._queue
         if len(queue) >= self._most:
             queue.popleft()
@@ -110,7 +111,7 @@ class VirtualBus(BusABC):
         queue = self._queue
         while queue:
             try:
-                message = queue.popleft()
+                message: Message = queue.popleft()
             except IndexError:  # another thread was quicker
                 break
             if self._filters is None or self._matches_filters(message):

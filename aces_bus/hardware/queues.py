@@ -178,11 +178,23 @@ class Outbox(Generic[Word]):
         self.size -= item.size
         return item
 
+    def first(self, most: int) -> list[OutboxItem[Word]]:
+        """The next words, in order, at most so many; they stay."""
+        self._heap.sort()  # a sorted list is a heap, and no two entries have one count
+        return [entry[3] for entry in self._heap[:most]]
+
+    def drop_first(self, count: int) -> list[OutboxItem[Word]]:
+        """Take out so many of the next words, right after `first`."""
+        taken = [entry[3] for entry in self._heap[:count]]
+        del self._heap[:count]
+        self.size -= sum(item.size for item in taken)
+        return taken
+
     def take(self, which: Callable[[OutboxItem[Word]], bool]) -> list[OutboxItem[Word]]:
         """Take out all those words, in order."""
         kept: list[tuple[bool, int, int, OutboxItem[Word]]] = []
         taken: list[OutboxItem[Word]] = []
-        for entry in sorted(self._heap, key=_order):
+        for entry in sorted(self._heap):
             if which(entry[3]):
                 taken.append(entry[3])
             else:
@@ -190,10 +202,6 @@ class Outbox(Generic[Word]):
         self._heap = kept  # sorted is a heap
         self.size -= sum(item.size for item in taken)
         return taken
-
-
-def _order(entry: tuple[bool, int, int, Any]) -> tuple[bool, int, int]:
-    return entry[:3]
 
 
 __all__ = ["AGE_S", "LIMIT", "Fate", "Inbox", "Listener", "Outbox", "OutboxItem", "Report"]

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from ..errors import CallerError
@@ -72,6 +73,8 @@ class SerialGate(Gate[bytes]):
         self._options = options
         self._echo_due = bytearray()
         self._echo_until = 0
+        #: On a loop: what the port has not taken yet of a word.
+        self._rest = b""
         self._heard_at = 0
 
     def _opened(self) -> Any:
@@ -82,6 +85,7 @@ class SerialGate(Gate[bytes]):
         )
         self._echo_due.clear()
         self._held.clear()
+        self._rest = b""
         return port
 
     def _shut(self, bus: Any) -> None:
@@ -107,6 +111,22 @@ class SerialGate(Gate[bytes]):
                 continue
             if data:
                 self._hear(data)
+
+    def _file_of(self, bus: Any) -> int | None:
+        number = getattr(
+            bus, "fd", None
+        )  # a port of this system: others (`rfc2217://`) have no file, or do not say all
+        return number if isinstance(number, int) else None
+
+    def _read_now(self) -> list[Received[bytes]]:
+        try:
+            data = os.read(self._bus.fd, BLOCK)
+        except BlockingIOError:
+            return []
+        if not data:
+            raise EOFError("the port has something to read, and it is nothing: it is gone")
+        self._hear(data)
+        return []
 
     def _hear(self, data: bytes) -> None:
         now = self.clock.now()
@@ -189,13 +209,20 @@ class SerialGate(Gate[bytes]):
             return True
         return self._queue(bytes(data), len(data), 0, age_s, urgent, topic, report)
 
-    def _may_leave(self) -> bool:
-        return not self._must_wait()
+    def _leaves_at(self) -> int:
+        """On a half-duplex line others must have been silent for long enough."""
+        return self._heard_at + self.turnaround_ns if self.turnaround_ns else 0
 
     def _name_of(self, word: bytes) -> str:
         return f"{len(word)} bytes"
 
     def _put_out(self, word: bytes) -> None:
+        self._expect_echo(word)
+        self._bus.write(word)
+        if self.keep_own:
+            self._put([Received(word, self.clock.now(), True)])
+
+    def _expect_echo(self, word: bytes) -> None:
         if self.echo:
             with self._outgoing:
                 if len(self._echo_due) > OUTBOX:
@@ -203,19 +230,39 @@ class SerialGate(Gate[bytes]):
                 self._echo_due += word
                 bits = 10 * (len(self._echo_due) + len(word))
                 self._echo_until = self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
-        self._bus.write(word)
-        if self.keep_own:
-            self._put([Received(word, self.clock.now(), True)])
+
+    def _can_put_together(self) -> bool:
+        return True
+
+    def _put_together(self, words: list[bytes]) -> tuple[int, Exception | None]:
+        """A word that the port took in part counts as taken, and its rest goes first."""
+        for number, word in enumerate(words):
+            try:
+                if not self._push():
+                    return number, None
+                self._rest = word[os.write(self._bus.fd, word) :]
+                self._expect_echo(word)
+            except BlockingIOError:
+                return number, None
+            except OSError as error:
+                return number, error
+            if self.keep_own:
+                self._put([Received(word, self.clock.now(), True)])
+        return len(words), None
+
+    def _push(self) -> bool:
+        if self._rest:
+            try:
+                self._rest = self._rest[os.write(self._bus.fd, self._rest) :]
+            except BlockingIOError:
+                pass
+            except OSError:  # it is gone, as reading says
+                self._rest = b""
+        return not self._rest
 
     def _still_held(self) -> int:
         try:
-            return int(self._bus.out_waiting)
+            self._push()
+            return len(self._rest) + int(self._bus.out_waiting)
         except Exception:  # `socket://` has no such number, and a port that is gone has none either
             return 0
-
-    def _must_wait(self) -> bool:
-        """Wait until others have been silent for long enough; True when the gate is to end."""
-        while self.turnaround_ns and (left := self._heard_at + self.turnaround_ns - self.clock.now()) > 0:
-            if self._stopping.wait(left / 1e9):
-                return True
-        return False

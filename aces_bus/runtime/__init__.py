@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from .clock import Clock, EventClock, Loop, RealClock, Timer, VirtualClock
+from .clock import Clock, EventClock, RealClock, Timer, VirtualClock
+from .loop import Loop
 from .tasks import Task, Tasks, ThreadTasks, VirtualTasks
 
 __all__ = [

@@ -29,7 +29,8 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.hardware.backends import check_server
 from aces_bus.hardware.can import CanGate
-from aces_bus.hardware.gate import BusEvent, Received
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.recordings import CanRecording, open_recording, parse_filter
 from aces_bus.recordings.write import open_writer
 

@@ -15,7 +15,8 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.hardware.can import CanGate
-from aces_bus.hardware.gate import BusEvent, Received
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.hardware.simulated.backend import AcesBus
 from aces_bus.recordings import parse_filter
 

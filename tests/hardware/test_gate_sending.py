@@ -18,7 +18,7 @@ from aces_bus.hardware import can as can_module
 from aces_bus.hardware import datagram as datagram_module
 from aces_bus.hardware import gate as gate_module
 from aces_bus.hardware.datagram import DatagramGate
-from aces_bus.hardware.gate import GateCounters
+from aces_bus.hardware.gate_events import GateCounters
 from aces_bus.hardware.served import BusServer, ServedChannel, packets
 from aces_bus.hardware.served.channel import PacketLink
 

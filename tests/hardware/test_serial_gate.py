@@ -12,7 +12,8 @@ import pytest
 
 from aces_bus.errors import CallerError
 from aces_bus.hardware.datagram import DatagramGate
-from aces_bus.hardware.gate import BusEvent, Received
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.hardware.serial import SerialGate
 
 

@@ -131,15 +131,24 @@ def frame_record(frame: Frame, time_ns: int, more: int = 0) -> bytes:
     return pack_record(time_ns, frame.arbitration_id, flags, frame.length, frame.data)
 
 
-def record_to_frame(identifier: int, flags: int, length: int, data: bytes) -> Frame:
-    """The frame of a checked record."""
+def record_to_frame(
+    identifier: int,
+    flags: int,
+    length: int,
+    data: bytes,
+    seconds: float | None = None,
+    is_rx: bool | None = None,
+) -> Frame:
+    """The frame of a checked record, with a time (s) and direction where they are given."""
     if not flags:
-        return Frame(identifier, data[:length])
+        return Frame(
+            identifier, data[:length], seconds, None, False, False, False, False, False, False, is_rx
+        )
     remote = bool(flags & REMOTE)
     return Frame(
         identifier,
         b"" if remote else data[:length],
-        None,
+        seconds,
         None,
         bool(flags & EXTENDED),
         remote,
@@ -147,7 +156,7 @@ def record_to_frame(identifier: int, flags: int, length: int, data: bytes) -> Fr
         bool(flags & FD),
         bool(flags & BITRATE_SWITCH),
         bool(flags & ERROR_STATE),
-        None,
+        is_rx,
         length if remote else None,
     )
 

@@ -5,19 +5,23 @@
 3. What comes from the server is checked like anything else from outside.
 
 There is no thread: whoever receives reads the socket, and keeps what it finds besides. One reader at a time; others wait for
-it. Frames under way are counted: the server says how many the bus has taken, and a client with all mailboxes full waits, or
-its frame is refused, as with a controller in hardware.
+it. `frames` and `offer` are the same for a loop, which waits for the socket itself (`fileno`) and builds no messages.
+
+Frames under way are counted: the server says how many the bus has taken, and a client with all mailboxes full waits, or its
+frame is refused, as with a controller in hardware.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from can import CanInitializationError, CanOperationError, CanTimeoutError, Message
 
 from ...errors import AcesError, CallerError
+from ...frames import Frame
 from ..python_can import QUEUE, VirtualBus, frame_to_message
 from ..simulated.bus import SimulatedBusEvent
 from . import packets
@@ -96,6 +100,10 @@ class ServedBus(VirtualBus):
         for kind, body in self._stream.early:
             self._understand(kind, body)
 
+    def fileno(self) -> int:
+        """The socket's file."""
+        return self._stream.number
+
     # ------------------------------------------------------------------ receiving
 
     def recv(self, timeout: float | None = None) -> Message | None:
@@ -137,9 +145,8 @@ class ServedBus(VirtualBus):
 
     def _understand(self, kind: int, body: bytes) -> None:
         if kind in FRAMES:
-            for time_ns, identifier, flags, length, data in packets.unpack_records(kind, body):
-                found = packets.record_to_frame(identifier, flags, length, data)
-                self._keep(frame_to_message(found, time_ns / 1e9, self.channel, is_rx=not flags & OWN))
+            for record in packets.unpack_records(kind, body):
+                self._keep(record)
         elif kind == packets.REPORT:
             report = packets.read_value(body, packets.TransmitReport)
             self._taken, self.rejected = report.taken, report.rejected
@@ -156,6 +163,41 @@ class ServedBus(VirtualBus):
             raise EOFError(body.decode("utf-8", "replace"))
         else:
             raise PacketError(f"a packet of kind {kind}, which only a client sends")
+
+    def _next(self) -> Message | None:
+        queue = self._queue
+        while queue:
+            try:
+                time_ns, identifier, flags, length, data = queue.popleft()
+            except IndexError:  # another thread was quicker
+                break
+            found = packets.record_to_frame(identifier, flags, length, data)
+            message = frame_to_message(found, time_ns / 1e9, self.channel, is_rx=not flags & OWN)
+            if self._filters is None or self._matches_filters(message):
+                return message
+        return None
+
+    def frames(self, most: int) -> list[Frame]:
+        """At most so many frames of those that have come and pass the filters, without waiting.
+
+        Raises `CanOperationError` when the server has gone or the bus is closed.
+        """
+        queue = self._queue
+        if not queue and self._reading.acquire(False):
+            try:
+                self._check_open()
+                self._read()
+            except (OSError, EOFError, PacketError, ValueError) as error:
+                raise self._lost(error) from error
+            finally:
+                self._reading.release()
+        found: list[Frame] = []
+        while queue and len(found) < most:
+            time_ns, identifier, flags, length, data = queue.popleft()
+            frame = packets.record_to_frame(identifier, flags, length, data, time_ns / 1e9, not flags & OWN)
+            if self._filters is None or self._matches_filters(frame):  # type: ignore[arg-type]
+                found.append(frame)
+        return found
 
     def _lost(self, error: BaseException) -> CanOperationError:
         self._why = self._why or f"is gone: {error or 'the server has closed the connection'}"
@@ -184,6 +226,41 @@ class ServedBus(VirtualBus):
             raise CanOperationError(str(error)) from error
         self._put(packet, timeout)
         self._sent += 1
+
+    def offer(self, frames: Sequence[Frame]) -> int:
+        """Give frames to the bus together, without waiting: how many it took. Raises as `send`, where it takes none."""
+        if self._why or self._listen_only:
+            raise self._refusal()
+        if self._state == "bus-off":
+            raise self._untaken(self._state)
+        if self._window:
+            frames = frames[: max(0, self._window - (self._sent - self._taken))]
+        if not self._fd:
+            for number, frame in enumerate(frames):
+                if frame.is_fd:
+                    if not number:
+                        raise self._refusal()
+                    frames = frames[:number]
+                    break
+        if not frames:
+            return 0
+        now = time.time_ns()
+        packet = b"".join(packets.packed([packets.frame_record(frame, now) for frame in frames]))
+        with self._sending:
+            try:
+                is_taken = self._stream.offer(packet)
+            except OSError as error:
+                raise self._lost(error) from error
+        self._sent += len(frames) * is_taken
+        return len(frames) * is_taken
+
+    def push(self) -> bool:
+        """Send the rest of what the socket took in part; whether nothing is left of it."""
+        with self._sending:
+            try:
+                return self._stream.push()
+            except OSError:  # the server has gone, as reading says
+                return True
 
     def _wait_for_mailbox(self, timeout: float | None) -> None:
         """Read how far the bus has come; wait when all mailboxes are full."""
@@ -230,6 +307,11 @@ class ServedBus(VirtualBus):
         self._put(packets.packet(packets.RESTART))
 
     # ------------------------------------------------------------------ the rest
+
+    @property
+    def known_state(self) -> str:
+        """The state that the server reported last, of what has been read."""
+        return self._state
 
     def _node_state(self) -> str:
         """The state that the server reported last."""

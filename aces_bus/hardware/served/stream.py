@@ -101,6 +101,25 @@ class ServerConnection:
             self._rest = packet[count:]
             self._push(None)
 
+    def offer(self, packet: bytes) -> bool:
+        """Send a packet without waiting; whether the socket took it. What it left of one goes with `push`."""
+        if not self.push():
+            return False
+        try:
+            self._rest = packet[self._socket.send(packet) :]
+        except BlockingIOError:
+            return False
+        return True
+
+    def push(self) -> bool:
+        """Send the rest of a packet without waiting; whether nothing is left of it."""
+        if self._rest:
+            try:
+                self._rest = self._rest[self._socket.send(self._rest) :]
+            except BlockingIOError:
+                pass
+        return not self._rest
+
     def _push(self, timeout: float | None) -> None:
         while self._rest:
             if not wait(self.number, timeout, writing=True):

@@ -1,0 +1,280 @@
+"""The loop of a robot: one thread on which all that is planned happens, and on which its buses' files are served.
+
+1. It is to the monotonic clock what events are to the virtual one: actions run in order of their instants, equal ones in
+   the order in which they were asked for, on one thread; what is driven by a loop needs no locks.
+2. Nothing on it may wait. What an action raises is reported and does not end it.
+3. `call_soon` is for other threads; everything else may be called from them too, and is handed over by it.
+4. A turn is bounded: what is due and does not fit into `TURN_NS` is left to the next turn, behind the files, and counted.
+
+A turn: what other threads have handed over, what is due, the ends of the turn (what was gathered for a bus leaves
+together), then a wait for the first file that has something, the next instant, or another thread. `select` waits in
+microseconds, where `epoll` rounds up to milliseconds."""
+
+from __future__ import annotations
+
+import heapq
+import os
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from typing import Any, Self, TypeVar
+
+from ..errors import CallerError
+from .clock import RealClock, Timer
+
+T = TypeVar("T")
+Action = Callable[[], object]
+
+#: How long a turn may take (ns) before files are served again: a tenth of the tick of a robot at 500 Hz.
+TURN_NS = 200_000
+#: Files that `select` takes have numbers below this.
+MOST_FILES = 1000
+
+
+class Loop(RealClock):
+    """A thread that does what is planned, when it is due, and serves files.
+
+    with Loop() as loop:
+        loop.call_in(1_000_000, tick)
+
+    `carried` counts the turns that had to leave something to the next one.
+    """
+
+    def __init__(
+        self, name: str = "aces loop", failed: Callable[[BaseException], None] | None = None
+    ) -> None:
+        super().__init__()
+        self.thread_name = name
+        self._failed = failed
+        #: What actions raised, the last few.
+        self.failures: deque[BaseException] = deque(maxlen=16)
+        self.carried = 0
+        self._events: list[tuple[int, int, Any]] = []
+        self._count = 0
+        self._soon: deque[Action] = deque()
+        self._ends: list[Action] = []
+        self._readers: dict[int, Action] = {}
+        self._waker: socket.socket | None = None
+        #: Whether another thread has to wake it.
+        self._is_asleep = False
+        self._stopping = False
+        self._thread: threading.Thread | None = None
+
+    # ------------------------------------------------------------------ planning
+
+    def call_at(self, instant: int, action: Action) -> Timer:
+        """Plan `action` for `instant` (ns); one that has passed is done at once."""
+        timer = Timer(instant, action)
+        self._push(instant, timer)
+        return timer
+
+    def call_in(self, delay: int, action: Action) -> Timer:
+        """Plan `action` for `delay` ns from now."""
+        return self.call_at(self.now() + delay, action)
+
+    def post(self, instant: int, action: Action) -> None:
+        """Plan what will not be cancelled."""
+        self._push(instant, action)
+
+    def _push(self, instant: int, planned: Any) -> None:
+        if self._thread is None or self.is_own_thread:
+            self._count += 1
+            heapq.heappush(self._events, (instant, self._count, planned))
+        else:
+            self.call_soon(lambda: self._push(instant, planned))
+
+    def call_soon(self, action: Action) -> None:
+        """Do it next, on the loop's thread."""
+        self._soon.append(action)
+        if self._is_asleep:  # after the append: who goes to sleep looks again
+            self._wake()
+
+    def at_turn_end(self, action: Action) -> None:
+        """Do it when all else of this turn is done, before the loop waits. For the loop's own thread."""
+        self._ends.append(action)
+
+    def call(self, action: Callable[[], T]) -> T:
+        """Do it on the loop's thread and return what it returns; what it raises is raised here.
+
+        Raises `CallerError` when the loop does not run.
+        """
+        if self.is_own_thread:
+            return action()
+        if self._stopping or self._thread is None:
+            raise self._ended()
+        done: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                done.set_result(action())
+            except BaseException as error:  # it is raised where it was asked for
+                done.set_exception(error)
+
+        self.call_soon(run)
+        while True:
+            try:
+                return done.result(0.5)
+            except FutureTimeout:
+                if done.done():
+                    raise
+                if self._stopping or not self._thread.is_alive():
+                    raise self._ended() from None
+
+    def _ended(self) -> CallerError:
+        return CallerError(f"{self.thread_name} does not run: nothing can be done on it")
+
+    @property
+    def is_own_thread(self) -> bool:
+        """Whether the caller runs on it."""
+        return self._thread is not None and self._thread.ident == threading.get_ident()
+
+    # ------------------------------------------------------------------ files
+
+    @staticmethod
+    def can_watch(number: int) -> bool:
+        """Whether a file of this number can be served."""
+        return 0 <= number < MOST_FILES
+
+    def watch(self, number: int, readable: Action) -> None:
+        """Call `readable` whenever the file of this number has something to read."""
+        if self._thread is None or self.is_own_thread:
+            self._readers[number] = readable
+        else:
+            self.call_soon(lambda: self.watch(number, readable))
+
+    def unwatch(self, number: int) -> None:
+        """Serve the file no more: before it is closed, on the loop's own thread (`call`)."""
+        self._readers.pop(number, None)
+
+    # ------------------------------------------------------------------ running
+
+    def start(self) -> Self:
+        """Begin; raises `CallerError` when it was started before."""
+        if self._thread is not None:
+            raise CallerError(f"{self.thread_name} was started before; make another")
+        self._waker, woken = socket.socketpair()
+        self._waker.setblocking(False)
+        woken.setblocking(False)
+        thread = threading.Thread(target=self._run, args=(woken,), name=self.thread_name, daemon=True)
+        self._thread = thread
+        thread.start()
+        return self
+
+    def stop(self, timeout: float = 5.0) -> None:
+        """End: what is planned does not happen."""
+        self._stopping = True
+        self._wake()
+        if self._thread is not None and not self.is_own_thread:
+            self._thread.join(timeout)
+
+    def __enter__(self) -> Self:
+        return self if self._thread is not None else self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _wake(self) -> None:
+        self._is_asleep = False
+        if self._waker is not None:
+            try:
+                self._waker.send(b"\0")
+            except OSError:  # it is full of the same, or the loop has ended
+                pass
+
+    def _run(self, woken: socket.socket) -> None:
+        self.watch(woken.fileno(), lambda: woken.recv(4096))
+        try:
+            while not self._stopping:
+                self._turn()
+                for action in self._ready():
+                    self._do(action)
+        finally:
+            woken.close()
+            assert self._waker is not None
+            self._waker.close()
+
+    def _turn(self) -> None:
+        """What was handed over, what is due, and the ends."""
+        now = time.monotonic_ns()
+        until = now + TURN_NS
+        soon, events, do = self._soon, self._events, self._do
+        for _ in range(len(soon)):
+            do(soon.popleft())
+            if time.monotonic_ns() > until:
+                break
+        while events and events[0][0] <= now:
+            planned = heapq.heappop(events)[2]
+            if planned.__class__ is Timer:
+                action, planned.action = planned.action, None
+                if action is None:
+                    continue
+            else:
+                action = planned
+            do(action)
+            if time.monotonic_ns() > until:
+                break
+        while self._ends:
+            ends, self._ends = self._ends, []
+            for action in ends:
+                do(action)
+        if soon or (events and events[0][0] <= now):
+            self.carried += 1
+
+    def _do(self, action: Action) -> None:
+        try:
+            action()
+        except BaseException as error:  # an action is the user's code too
+            self.failures.append(error)
+            if self._failed is not None:
+                self._failed(error)
+
+    def _ready(self) -> list[Action]:
+        """Wait for files, the next instant or another thread; what serves the files that have something."""
+        events = self._events
+        while events and events[0][2].__class__ is Timer and events[0][2].action is None:
+            heapq.heappop(events)  # taken back: no reason to wake up
+        left: float | None = None
+        if events:
+            left = max(0, events[0][0] - time.monotonic_ns()) / 1e9
+        self._is_asleep = True
+        if self._soon or self._stopping:  # handed over before that was seen
+            left = 0
+        readers = self._readers
+        try:
+            readable, _, _ = select.select(readers, (), (), left)
+        except (OSError, ValueError):  # a file was closed under us
+            return self._closed()
+        finally:
+            self._is_asleep = False
+        return [readers[number] for number in readable]
+
+    def _closed(self) -> list[Action]:
+        """Take out the files that are closed: reading says to whom they belong."""
+        found: list[Action] = []
+        for number, readable in list(self._readers.items()):
+            try:
+                os.fstat(number)
+            except (OSError, ValueError):
+                self.unwatch(number)
+                found.append(readable)
+        return found
+
+    def wait(self, until: Callable[[], bool], timeout_ns: int) -> bool:
+        """Wait on another thread until `until()` holds; whether it did within `timeout_ns`. It is asked every millisecond.
+
+        Raises `CallerError` on the loop's own thread, which would wait for itself.
+        """
+        if self.is_own_thread:
+            raise CallerError(f"{self.thread_name} cannot wait for itself; plan what is to follow instead")
+        end = time.monotonic_ns() + timeout_ns
+        while not until():
+            left = end - time.monotonic_ns()
+            if left <= 0:
+                return until()
+            time.sleep(min(left, 1_000_000) / 1e9)
+        return True

@@ -1,0 +1,224 @@
+"""`aces bench robot`: what a complete robot costs the machine that drives it, and how punctual it is.
+
+1. The complete Hubo 2+ on served buses, its twins in another process, all guards on: host and twins meet as on a real
+   bus, in real time. What is measured is the host's process alone.
+2. Contenders are processes that run one after another on the same twins: the one loop of a robot, and the same robot with
+   its buses behind a python-can bus that has no file to wait for, which takes threads.
+3. Times of a shared machine vary: ratios carry over, absolute figures are this machine's at this hour.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from . import BenchRow
+
+#: Hz; the second rate is the harder one.
+RATES = (200.0, 500.0)
+#: What is to be reached at 200 Hz: µs of CPU a frame, share of a core, lateness (ms, median and 99 %), cycles missed.
+FRAME_US, SHARE, MEDIAN_MS, LATE_MS = 32.0, 0.38, 0.1, 0.5
+#: The same at 500 Hz: share of a core.
+SHARE_AT_500 = 0.55
+#: How many times less CPU a frame than with threads.
+RATIO = 2.2
+#: Seconds that the other process may take to begin.
+_PATIENCE_S = 60
+#: Simulated seconds in the figure of virtual time, and how many times real time that should be.
+VIRTUAL_S, VIRTUAL_RATIO = 2.0, 3.3
+
+_CALL = "import sys; from aces_tools.benchmarks import robot; robot.{}(*sys.argv[1:])"
+
+
+def run(*, quick: bool = False) -> Iterable[BenchRow]:
+    """All rows: some twenty seconds with `quick`, else a minute and a half."""
+    seconds = 5.0 if quick else 20.0
+    with tempfile.TemporaryDirectory(prefix="aces") as folder, _twins(folder):
+        for rate in RATES[:1] if quick else RATES:
+            found = {way: _hosted(folder, rate, seconds, way) for way in ("threads", "loop")}
+            yield from _rows(rate, seconds, found["loop"], found["threads"])
+    yield _virtual()
+
+
+def _rows(
+    rate: float, seconds: float, ours: dict[str, float], threads: dict[str, float]
+) -> Iterator[BenchRow]:
+    subject = f"complete Hubo 2+ at {rate:g} Hz, {seconds:g} s, {ours['frames_s']:,.0f} frames/s"
+    is_usual = rate == RATES[0]
+    share = SHARE if is_usual else SHARE_AT_500
+    ratio = threads["frame_us"] / ours["frame_us"]
+    yield BenchRow(subject, "CPU a frame, threads", threads["frame_us"], "µs")
+    yield BenchRow(
+        subject, "CPU a frame, one loop", ours["frame_us"], "µs", ratio, f"≥ {RATIO:g} ×", ratio >= RATIO
+    )
+    if is_usual:
+        yield BenchRow(
+            subject, "the same", ours["frame_us"], "µs", None, f"≤ {FRAME_US:g}", ours["frame_us"] <= FRAME_US
+        )
+    yield BenchRow(
+        subject, "of a core", 100 * ours["share"], "%", None, f"≤ {100 * share:g}", ours["share"] <= share
+    )
+    for name, key, most in (("median", "median_ms", MEDIAN_MS), ("99 %", "late_ms", LATE_MS)):
+        yield BenchRow(
+            subject,
+            f"lateness, {name}",
+            ours[key],
+            "ms",
+            threads[key] / ours[key] if ours[key] else None,
+            f"≤ {most:g}" if is_usual else "",
+            ours[key] <= most if is_usual else None,
+        )
+    cycles = f"of {ours['cycles']:,.0f} cycles"
+    yield BenchRow(subject, "missed", ours["missed"], cycles, None, "0", not ours["missed"])
+    yield BenchRow(subject, "requests without an answer", ours["unanswered"], f"of {ours['polls']:,.0f}")
+
+
+# ---------------------------------------------------------------------- the two processes
+
+
+@contextmanager
+def _twins(folder: str) -> Iterator[None]:
+    """The robot's twins on served buses in `folder`, in a process of their own."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", _CALL.format("serve_twins"), folder],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert child.stdout is not None and child.stdin is not None
+    try:
+        if child.stdout.readline() != b"ready\n":
+            raise RuntimeError("the twins' process did not begin")
+        yield
+    finally:
+        child.stdin.close()  # its end
+        child.wait(10)
+
+
+def serve_twins(folder: str) -> None:
+    """Serve the robot's buses with its twins on them, on one thread, until stdin ends."""
+    import threading
+
+    from aces_bus import load_robot
+    from aces_bus.hardware import port_of
+    from aces_bus.hardware.served import BusServer, ServedChannel
+    from aces_bus.robot import simulate
+
+    robot = load_robot("hubo2plus")
+    channels = [ServedChannel(name, bitrate=bus.bitrate or 1_000_000) for name, bus in robot.buses.items()]
+    server = BusServer(channels, unix=folder)
+    twins = simulate(robot, {channel.name: port_of(channel.wire) for channel in channels})
+    twins.open()
+
+    def wait() -> None:
+        sys.stdin.read()
+        server.stop()
+
+    threading.Thread(target=wait, daemon=True).start()
+    print("ready", flush=True)
+    server.serve()
+
+
+def _hosted(folder: str, rate: float, seconds: float, way: str) -> dict[str, float]:
+    """What a host's process measured of itself."""
+    made = subprocess.run(
+        [sys.executable, "-c", _CALL.format("drive"), folder, str(rate), str(seconds), way],
+        stdout=subprocess.PIPE,
+        timeout=_PATIENCE_S + 2 * seconds,
+        check=True,
+    )
+    found: dict[str, float] = json.loads(made.stdout)
+    return found
+
+
+def drive(folder: str, rate: str, seconds: str, way: str) -> None:
+    """Drive the robot for so long, and print what it cost as JSON."""
+    from aces_bus import load_robot
+    from aces_bus.controller import IGNORE, Player, Trajectory
+    from aces_bus.robot import run_real
+
+    if way == "threads":
+        _hide_files()
+    robot = load_robot("hubo2plus")
+    joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
+    rows = [
+        [min(max(0.05 * (n % 2), j.lower or 0.0), j.upper or 0.0) for j in joints]
+        for n in range(round(float(seconds)) + 3)
+    ]
+    trajectory = Trajectory([j.name for j in joints], rows, rate_hz=1.0, interpolation="cubic")
+    player = Player("walk", trajectory, rate_hz=float(rate))
+    buses = {
+        name: {"interface": "aces", "channel": f"unix:{Path(folder) / name}.sock"} for name in robot.buses
+    }
+    sys.setswitchinterval(0.0005)  # as `aces run` has it
+    with run_real(
+        robot, [player], buses=buses, rate_hz=float(rate), real_time=True, reactions={"*": IGNORE}
+    ) as made:
+        made.do("enable")
+        hosts = made.rig.hosts.values()
+        frames = -sum(h.counts.sent + h.counts.received for h in hosts)
+        polls, unanswered = -sum(h.counts.polls for h in hosts), -sum(h.counts.missed for h in hosts)
+        cpu, wall = time.process_time(), time.monotonic()
+        made.start()
+        time.sleep(float(seconds))
+        cpu, wall = time.process_time() - cpu, time.monotonic() - wall
+        (task,) = made.tasks.tasks
+        frames += sum(h.counts.sent + h.counts.received for h in hosts)
+        polls += sum(h.counts.polls for h in hosts)
+        unanswered += sum(h.counts.missed for h in hosts)
+        found = {
+            "frames_s": frames / wall,
+            "frame_us": cpu / frames * 1e6,
+            "share": cpu / wall,
+            "median_ms": task.jitter_ns(0.5) / 1e6,
+            "late_ms": task.jitter_ns(0.99) / 1e6,
+            "cycles": task.ticks,
+            "missed": task.missed,
+            "polls": polls,
+            "unanswered": unanswered,
+        }
+        print(json.dumps(found), flush=True)
+
+
+def _hide_files() -> None:
+    """Have served buses look like a backend without a file to wait for."""
+    from aces_bus.hardware.served import ServedBus
+
+    def fileno(self: Any) -> int:
+        raise NotImplementedError
+
+    ServedBus.fileno = fileno  # type: ignore[method-assign]
+
+
+# ---------------------------------------------------------------------- virtual time
+
+
+def _virtual() -> BenchRow:
+    """How many times faster than real time the same robot runs in virtual time, host and twins in one process."""
+    from aces_bus import load_robot
+    from aces_bus.robot import VirtualRobot
+
+    with VirtualRobot(load_robot("hubo2plus"), rate_hz=RATES[0]) as made:
+        made.advance(0.5)  # what comes first is not what comes always
+        began = time.process_time()
+        made.advance(VIRTUAL_S)
+        ratio = VIRTUAL_S / (time.process_time() - began)
+    return BenchRow(
+        "complete Hubo 2+ at 200 Hz, virtual time",
+        "simulated seconds a second of CPU",
+        ratio,
+        "",
+        ratio,
+        f"≥ {VIRTUAL_RATIO:g} ×",
+        ratio >= VIRTUAL_RATIO,
+    )
+
+
+__all__ = ["drive", "run", "serve_twins"]
