@@ -410,8 +410,8 @@ class SimulatedBus:
         if not is_heard:
             self._destroy(senders, frame, "no acknowledge", -8)
             return None
-        if is_refused:
-            self._destroy(senders, frame, "bit error", 20)  # a classic controller takes FDF for a fault of form
+        if is_refused:  # a classic controller takes FDF for a fault of form
+            self._destroy(senders, frame, "bit error", 20)
             return None
         if self._faults is not None:
             place = self._faults.corrupts(frame_bits(frame).total)
