@@ -98,8 +98,8 @@ class BusEndpoint(Generic[M]):
         self.scanner = make_scanner(list(variants), direction=direction, include_unknown=True)
         self.members: dict[str, M] = {}
         self._routes: dict[type, _Route[M]] = {}
-        #: By member and message: the message, the credentials that it has fields for, the encoder.
-        self._tagged: dict[tuple[str, str], tuple[Message, dict[str, int], Callable[..., Any]]] = {}
+        #: By member and message: what makes the frame or packet of it, credentials included.
+        self._writers: dict[tuple[str, str], Callable[[Mapping[str, Any]], Any]] = {}
         #: A datagram is whole: what it leaves incomplete, the next one does not continue.
         self._feed: Callable[[Any], list[Any]] = (
             self.scanner.datagram
@@ -131,12 +131,12 @@ class BusEndpoint(Generic[M]):
         """Take a device or twin off."""
         self.members.pop(name, None)
         self._routes.clear()
-        self._tagged = {key: known for key, known in self._tagged.items() if key[0] != name}
+        self._writers = {key: write for key, write in self._writers.items() if key[0] != name}
 
     def renumber(self, member: M, **credentials: int) -> None:
         """A member has other credentials from now on."""
         member.credentials = {**member.credentials, **credentials}
-        self._tagged = {key: known for key, known in self._tagged.items() if key[0] != member.name}
+        self._writers = {key: write for key, write in self._writers.items() if key[0] != member.name}
         self._routes.clear()
 
     def _route(self, record: Any) -> _Route[M]:
@@ -227,13 +227,12 @@ class BusEndpoint(Generic[M]):
 
         Raises `UnknownNameError` and `FieldError` as encoders do.
         """
-        known = self._tagged.get((member.name, message))
-        if known is None:
+        write = self._writers.get((member.name, message))
+        if write is None:
             found = member.variant[message]
-            tags = tags_of(member, found)
-            known = self._tagged[member.name, message] = (found, tags, member.variant.encoder.word)
-        found, tags, encode = known
-        return encode(found, {**tags, **fields})
+            write = member.variant.encoder.writer(found, tags_of(member, found))
+            self._writers[member.name, message] = write
+        return write(fields)
 
 
 def tags_of(member: EndpointMember, message: Message) -> dict[str, int]:

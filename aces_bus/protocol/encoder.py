@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from construct import Construct, ConstructError, Default, Renamed
@@ -73,6 +73,29 @@ class Encoder:
             return built
         identifier, data, extended, remote, fd = built
         return Frame(identifier, data, is_extended_id=extended, is_remote_frame=remote, is_fd=fd)
+
+    def writer(
+        self, message: Message, tags: Mapping[str, Any]
+    ) -> Callable[[Mapping[str, Any]], Frame | bytes]:
+        """`word` of one message for one device: its fields `tags` are prepared, and need not be given again."""
+        quick = self._quick.get(message.name)
+
+        def usual(fields: Mapping[str, Any]) -> Frame | bytes:
+            return self.word(message, {**tags, **fields})
+
+        if quick is None or message.framing is not None:
+            return usual
+        known = {**self._unsaid.get(message.name, {}), **tags}
+        extended, remote, fd = message.extended, message.remote, message.fd
+
+        def write(fields: Mapping[str, Any]) -> Frame | bytes:
+            try:
+                identifier, head, body = quick({**known, **fields})
+            except USUAL_FAILURES:
+                return usual(fields)  # construct decides, and explains
+            return Frame(identifier, head + body, None, None, extended, remote, False, fd)
+
+        return write
 
     def _built(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> CanParts | bytes:
         """The packet's bytes; on CAN the parts of the frame."""

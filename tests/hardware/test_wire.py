@@ -248,7 +248,24 @@ def test_a_babbling_node_takes_the_bus(clock: VirtualClock, wire: SimulatedBus) 
     assert node.pending == 0
 
 
-def traffic(faults: Faults, seconds: float = 0.2) -> tuple[list[Any], Any]:
+def at_once(clock: VirtualClock, end: int) -> None:
+    clock.advance_to(end)
+
+
+def in_pieces(clock: VirtualClock, end: int) -> None:
+    """In advances of all lengths, many of them shorter than a frame or an intermission."""
+    rng = random.Random(9)
+    while clock.now() < end:
+        clock.advance_to(min(end, clock.now() + rng.choice((700, 2_000, 7_000, 60_000, 400_000))))
+
+
+def event_by_event(clock: VirtualClock, end: int) -> None:
+    clock.wait(lambda: False, end - clock.now())
+
+
+def traffic(
+    faults: Faults, seconds: float = 0.2, advance: Callable[[VirtualClock, int], None] = at_once
+) -> tuple[list[Any], Any]:
     """Three nodes at about 70 % load: all that was heard, and the load."""
     clock = VirtualClock()
     wire = SimulatedBus(clock, bitrate=1_000_000, faults=faults)
@@ -266,7 +283,7 @@ def traffic(faults: Faults, seconds: float = 0.2) -> tuple[list[Any], Any]:
 
     for number, node in enumerate(nodes):
         planned(node, 0x100 * number)
-    clock.advance(round(seconds * 1e9))
+    advance(clock, round(seconds * 1e9))
     return heard, wire.load
 
 
@@ -278,6 +295,46 @@ def test_the_same_seed_is_the_same_bus() -> None:
     first, again = traffic(FAULTS), traffic(FAULTS)
     assert first == again
     assert traffic(Faults(seed=6, corrupt=0.02, drop=0.02, duplicate=0.02, delay=0.05)) != first
+
+
+@pytest.mark.parametrize("faults", [Faults(), FAULTS])
+@pytest.mark.parametrize("advance", [in_pieces, event_by_event])
+def test_how_time_is_advanced_changes_nothing(
+    faults: Faults, advance: Callable[[VirtualClock, int], None]
+) -> None:
+    """The events that a bus spares in one long advance are those that would have changed nothing."""
+    assert traffic(faults, advance=advance) == traffic(faults)
+
+
+def test_who_sends_between_two_advances_takes_part(clock: VirtualClock, wire: SimulatedBus) -> None:
+    """A program that stops the clock within an intermission may still send the more urgent frame."""
+    heard = ListeningNode(wire)
+    one, other = wire.attach(), wire.attach()
+    one.send(Frame(0x10))
+    one.send(Frame(0x20))
+    clock.advance_to(frame_bits(Frame(0x10)).total * BIT + BIT)
+    other.send(Frame(0x11))
+    clock.advance(1_000_000)
+    assert [frame.arbitration_id for frame in heard.frames()] == [0x10, 0x11, 0x20]
+
+
+def test_a_receiver_that_raises_does_not_stop_the_bus(clock: VirtualClock, wire: SimulatedBus) -> None:
+    """What it raises comes out of the advance; the frames that wait are carried when something more is sent."""
+
+    def ear(frame: Frame, now: int) -> None:
+        if frame.arbitration_id == 1:
+            raise RuntimeError("no room")
+
+    heard = ListeningNode(wire)
+    wire.attach(received=ear)
+    node = wire.attach()
+    node.send(Frame(1))
+    node.send(Frame(2))
+    with pytest.raises(RuntimeError, match="no room"):
+        clock.advance(1_000_000)
+    node.send(Frame(3))
+    clock.advance(1_000_000)
+    assert [frame.arbitration_id for frame in heard.frames()] == [1, 2, 3]
 
 
 def test_faults_do_what_they_say() -> None:

@@ -78,6 +78,25 @@ def test_an_exception_comes_out_and_the_clock_goes_on() -> None:
     assert seen == [2]
 
 
+def test_skipping_to_what_comes_next() -> None:
+    """Time is moved on only where nothing is planned before, within the advance, and not where each event is looked at."""
+    clock = VirtualClock()
+    seen: list[tuple[bool, int]] = []
+
+    def skip(instant: int) -> None:
+        seen.append((clock.skip_to(instant), clock.now()))
+
+    clock.call_at(10, partial(skip, 15))
+    clock.call_at(20, partial(skip, 30))  # another is planned for then
+    clock.call_at(30, partial(skip, 50))  # the advance ends before
+    clock.advance_to(40)
+    assert seen == [(True, 15), (False, 20), (False, 30)]
+    clock.call_at(60, partial(skip, 70))
+    assert clock.step()
+    assert seen[3:] == [(False, 60)]
+    assert not clock.skip_to(80)
+
+
 def test_run_until() -> None:
     """Events happen until the condition holds; without events it says whether it does."""
     clock = VirtualClock()

@@ -29,7 +29,7 @@ from typing import Literal
 from ...errors import CallerError
 from ...frames import Frame
 from ...runtime import VirtualClock
-from .frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, FrameBits, frame_bits
+from .frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, FrameBits, classic_bits, frame_bits
 
 
 @dataclass(frozen=True)
@@ -333,13 +333,44 @@ class SimulatedBus:
         """A node has something to send."""
         if not self._is_busy and not self._is_woken:
             self._is_woken = True
-            self.clock.post(self._idle_from, self._arbitrate)  # or now, if that has passed
+            self.clock.post(self._idle_from, self._carry)  # or now, if that has passed
 
-    def _arbitrate(self) -> None:
-        """The bus is idle: the lowest arbitration field goes first."""
+    def _carry(self) -> None:
+        """The bus is idle: carry frame after frame, as far as nothing else comes between."""
         self._is_woken = False
         if self._is_busy:
             return
+        clock = self.clock
+        while (next_frame := self._arbitrate()) is not None:
+            senders, frame, duration = next_frame
+            end = clock.now() + duration
+            if not clock.skip_to(end):
+                clock.post(end, partial(self._carried, senders, frame, duration))
+                return
+            self._deliver(senders, frame, duration)
+            if not self._goes_on():
+                return
+
+    def _carried(self, senders: list[BusNode], frame: Frame, duration: int) -> None:
+        self._deliver(senders, frame, duration)
+        if self._goes_on():
+            self._carry()
+
+    def _goes_on(self) -> bool:
+        """Behind a frame: whether the bus is idle at once, with more to carry. Otherwise it wakes up when there is more."""
+        for node in self.nodes:
+            if node.waiting:
+                if self.clock.skip_to(self._idle_from):
+                    return True
+                self.wake()
+                break
+        return False
+
+    def _arbitrate(self) -> tuple[list[BusNode], Frame, int] | None:
+        """The lowest arbitration field goes first: its senders, the frame, how long it takes (ns).
+
+        None: nobody sends, or it ends in an error frame.
+        """
         now = self.clock.now()
         best = _NOBODY
         senders: list[BusNode] = []
@@ -359,35 +390,41 @@ class SimulatedBus:
         if not senders:
             if later is not None:
                 self._is_woken = True
-                self.clock.call_at(later, self._arbitrate)
-            return
+                self.clock.call_at(later, self._carry)
+            return None
         frame = senders[0].waiting[0][2]
         self._is_busy = True
         for node in senders:
             node.sending = heappop(node.waiting)
-        bits = frame_bits(frame)
         is_alone = len(senders) == 1
         if not is_alone and any(node.sending and node.sending[2] != frame for node in senders):
-            self._destroy(senders, frame, bits, "bit error", min(bits.total - 1, 20))
-            return
-        listeners = [
-            node
-            for node in self.nodes
-            if not node.listen_only and node.is_connected and node.state != "bus-off" and node not in senders
-        ]
-        if not listeners and is_alone:
-            self._destroy(senders, frame, bits, "no acknowledge", bits.total - 8)
-            return
-        if frame.is_fd and not all(node.fd for node in listeners):
-            self._destroy(
-                senders, frame, bits, "bit error", 20
-            )  # a classic controller takes FDF for a fault of form
-            return
-        if self._faults is not None and (place := self._faults.corrupts(bits.total)) is not None:
-            self._destroy(senders, frame, bits, "bit error", place)
-            return
-        duration = self._duration(bits)
-        self.clock.post(now + duration, partial(self._deliver, senders, frame, duration))
+            self._destroy(senders, frame, "bit error", 20)
+            return None
+        is_heard, is_refused = not is_alone, False
+        for node in self.nodes:
+            if node.listen_only or not node.is_connected or node.state == "bus-off" or node in senders:
+                continue
+            is_heard = True
+            if not node.fd and frame.is_fd:
+                is_refused = True
+        if not is_heard:
+            self._destroy(senders, frame, "no acknowledge", -8)
+            return None
+        if is_refused:  # a classic controller takes FDF for a fault of form
+            self._destroy(senders, frame, "bit error", 20)
+            return None
+        if self._faults is not None:
+            place = self._faults.corrupts(frame_bits(frame).total)
+            if place is not None:
+                self._destroy(senders, frame, "bit error", place)
+                return None
+        return senders, frame, self._duration_of(frame)
+
+    def _duration_of(self, frame: Frame) -> int:
+        """How long a frame is on the wire (ns)."""
+        if self._is_whole and not frame.is_fd:
+            return classic_bits(frame) * self.bit_ns
+        return self._duration(frame_bits(frame))
 
     def _duration(self, bits: FrameBits) -> int:
         if not bits.data and self._is_whole:
@@ -402,37 +439,37 @@ class SimulatedBus:
         pause = INTERMISSION * self.bit_ns
         load.busy_ns += duration + pause
         self._idle_from = now + pause
-        for node in senders:
-            if node.reports and node.sending is not None:
-                report = node.reports.pop(node.sending[1], None)
-                if report is not None:
-                    report("sent", "")
-            node.sending = None
-            if node.transmit_errors:
-                node.count_errors(-1, 0, frame)
-            if node.state == "error-passive":
-                node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
-        self._is_busy = False
-        faults = self._faults
-        for node in self.nodes:
-            if not node.is_connected or node.state == "bus-off" or node in senders:
-                continue
-            if node.receive_errors:
-                node.count_errors(0, -1, frame)
-            if node.received is None:
-                continue
-            if faults is None:
-                node.received(frame, now)
-                continue
-            for delay in faults.arrivals():
-                self._arrive(node, frame, now, delay)
-        for node in senders:
-            if node.hears_sent:
-                node.tell("sent", frame)
-        for node in self.nodes:
-            if node.waiting:
-                self.wake()
-                break
+        self._is_woken = True  # what is sent from here on takes part in the arbitration behind this frame
+        try:
+            for node in senders:
+                if node.reports and node.sending is not None:
+                    report = node.reports.pop(node.sending[1], None)
+                    if report is not None:
+                        report("sent", "")
+                node.sending = None
+                if node.transmit_errors:
+                    node.count_errors(-1, 0, frame)
+                if node.state == "error-passive":
+                    node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
+            self._is_busy = False
+            faults = self._faults
+            for node in self.nodes:
+                if not node.is_connected or node.state == "bus-off" or node in senders:
+                    continue
+                if node.receive_errors:
+                    node.count_errors(0, -1, frame)
+                if node.received is None:
+                    continue
+                if faults is None:
+                    node.received(frame, now)
+                    continue
+                for delay in faults.arrivals():
+                    self._arrive(node, frame, now, delay)
+            for node in senders:
+                if node.hears_sent:
+                    node.tell("sent", frame)
+        finally:
+            self._is_woken = False
 
     def _arrive(self, node: BusNode, frame: Frame, now: int, delay: int) -> None:
         received = node.received
@@ -442,8 +479,10 @@ class SimulatedBus:
         else:
             self.clock.call_in(delay, lambda: received(frame, self.clock.now()))
 
-    def _destroy(self, senders: list[BusNode], frame: Frame, bits: FrameBits, kind: str, place: int) -> None:
-        """A frame that ends in an error frame behind its bit `place`."""
+    def _destroy(self, senders: list[BusNode], frame: Frame, kind: str, place: int) -> None:
+        """A frame that ends in an error frame behind its bit `place` (negative: counted from its end)."""
+        bits = frame_bits(frame)
+        place = min(place, bits.total - 1) if place >= 0 else bits.total + place
         part = FrameBits(min(place, bits.nominal), max(0, min(place - bits.nominal, bits.data)))
         duration = self._duration(part) + ERROR_FRAME * self.bit_ns
 

@@ -57,22 +57,23 @@ def frame_bits(frame: Frame) -> FrameBits:
     >>> frame_bits(Frame(0x123, bytes.fromhex("55AA55AA55AA55AA")))
     FrameBits(nominal=109, data=0)
     """
-    if frame.is_error_frame:
-        return FrameBits(ERROR_FRAME, 0)
-    if frame.is_fd:
+    if frame.is_fd and not frame.is_error_frame:
         return _fd_bits(frame)
-    remote = frame.is_remote_frame
-    return _classic_bits(
-        frame.arbitration_id,
-        frame.is_extended_id,
-        remote,
-        frame.dlc or 0 if remote else len(frame.data),
-        frame.data,
-    )
+    return FrameBits(classic_bits(frame), 0)
+
+
+def classic_bits(frame: Frame) -> int:
+    """The same of a frame that is not CAN FD, whose bits all have the nominal rate."""
+    if frame.is_error_frame:
+        return ERROR_FRAME
+    if frame.is_remote_frame:
+        return _classic_bits(frame.arbitration_id, frame.is_extended_id, True, frame.dlc or 0, b"")
+    data = frame.data
+    return _classic_bits(frame.arbitration_id, frame.is_extended_id, False, len(data), data)
 
 
 @lru_cache(maxsize=1 << 14)
-def _classic_bits(identifier: int, extended: bool, remote: bool, code: int, data: bytes) -> FrameBits:
+def _classic_bits(identifier: int, extended: bool, remote: bool, code: int, data: bytes) -> int:
     """Much that is sent on a bus is sent again: the last 16,384 answers are kept."""
     state, bits, check = _classic_head(identifier, extended, remote, code)
     size = len(data)
@@ -89,7 +90,7 @@ def _classic_bits(identifier: int, extended: bool, remote: bool, code: int, data
             found = table[state << 16 | pair]
             state = found >> 3
             bits += found & 7
-    return FrameBits(bits + (_wide(8, 7)[state << 15 | check] & 7), 0)
+    return bits + (_wide(8, 7)[state << 15 | check] & 7)
 
 
 @lru_cache(maxsize=1 << 12)

@@ -363,12 +363,14 @@ class CanScanner:
         key = key_of(
             frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
         )
-        data = bytes(frame.data)
         asked = self._asked.get(key)
         if asked is None:
             asked = [(wire, message) for wire in self.wires for message in wire.matching(key, wire.asked)]
             if len(self._asked) < REMEMBERED:
                 self._asked[key] = asked
+        if not asked:
+            return
+        data = bytes(frame.data)
         for wire, message in asked:
             if wire.note(message, data, key, frame.timestamp, frame.channel, data):
                 return

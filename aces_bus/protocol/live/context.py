@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,7 +18,11 @@ DEPTH = 8
 DEVICES = 65536
 
 
-@dataclass
+#: What names a device among the raw fields of a message, as one value a field.
+Who = Callable[[Mapping[str, Any]], tuple[Any, ...]]
+
+
+@dataclass(slots=True)
 class Entry:
     """A request that was seen."""
 
@@ -30,13 +34,19 @@ class Entry:
     answered: set[tuple[Any, ...]] = field(default_factory=set)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class RequestLink:
-    """One way in which a message hangs on a request: the fields that both have must be equal."""
+    """One way in which a message hangs on a request: the fields that both have, of which `who` is made, must be equal.
+
+    `to_all` is what stands in them in a request to everybody, None for a field that is as in the reply; empty where there
+    are no such requests.
+    """
 
     request: Request
     shared: tuple[str, ...]
     is_sticky: bool
+    who: Who
+    to_all: tuple[int | None, ...]
 
 
 class Context:
@@ -46,7 +56,8 @@ class Context:
         self, messages: Sequence[Message], names: frozenset[str], broadcast: Mapping[str, int]
     ) -> None:
         self._links: dict[str, list[RequestLink]] = {}
-        self._kinds: dict[str, set[tuple[str, ...]]] = {}
+        #: By request, the sets of fields that replies share with it, each with what makes a device of them.
+        self._kinds: dict[str, dict[tuple[str, ...], Who]] = {}
         self._seen: dict[tuple[Any, ...], list[Entry]] = {}
         self._count = 0
         self._broadcast = broadcast
@@ -64,8 +75,11 @@ class Context:
         links = self._links.setdefault(message.name, [])
         for request in requests:
             shared = tuple(sorted(message.outer_names & request.message.outer_names))
-            links.append(RequestLink(request, shared, is_sticky))
-            self._kinds.setdefault(request.message.name, set()).add(shared)
+            who = _who_of(shared)
+            to_all = tuple(self._broadcast.get(name) for name in shared)
+            is_common = any(name in self._broadcast for name in shared)
+            links.append(RequestLink(request, shared, is_sticky, who, to_all if is_common else ()))
+            self._kinds.setdefault(request.message.name, {})[shared] = who
 
     def reset(self) -> None:
         """Forget what has been asked."""
@@ -76,8 +90,8 @@ class Context:
         """A request has passed."""
         self._count += 1
         entry = Entry(self._count, time, values)
-        for shared in self._kinds[name]:
-            key = (name, channel, shared, tuple(values.get(n) for n in shared))
+        for shared, who in self._kinds[name].items():
+            key = (name, channel, shared, who(values))
             entries = self._seen.setdefault(key, [])
             if len(self._seen) > DEVICES:
                 del self._seen[next(iter(self._seen))]
@@ -95,8 +109,9 @@ class Context:
         found: list[tuple[Entry, RequestLink, bool, Message, Mapping[str, Any]]] = []
         for message, values in candidates:
             for link in self._links[message.name]:
-                for wanted, to_all in self._wanted(link, values):
-                    entry = self._latest(link, channel, wanted, values, message.within, time)
+                who = link.who(values)
+                for wanted, to_all in _wanted(link, who):
+                    entry = self._latest(link, channel, wanted, who, message.within, time)
                     if entry is None:
                         continue
                     found.append((entry, link, to_all, message, values))
@@ -105,7 +120,7 @@ class Context:
         for entry, link, to_all, message, values in found:
             if entry is latest and link.request.accepts(entry.values):
                 if to_all and not link.is_sticky:
-                    entry.answered.add(_who(link, values))
+                    entry.answered.add(link.who(values))
                 else:
                     entry.consumed = not link.is_sticky
                 return message, entry.values
@@ -117,32 +132,26 @@ class Context:
         """The request that a reply with these outer fields would answer: for payloads whose layout is in their request."""
         latest: Entry | None = None
         for link in self._links[message.name]:
-            for wanted, _ in self._wanted(link, values):
-                entry = self._latest(link, channel, wanted, values, message.within, time)
+            who = link.who(values)
+            for wanted, _ in _wanted(link, who):
+                entry = self._latest(link, channel, wanted, who, message.within, time)
                 if entry is not None and link.request.accepts(entry.values):
                     if latest is None or entry.number > latest.number:
                         latest = entry
         return latest.values if latest is not None else None
-
-    def _wanted(self, link: RequestLink, values: Mapping[str, Any]) -> list[tuple[tuple[Any, ...], bool]]:
-        own = _who(link, values)
-        if self._broadcast.keys().isdisjoint(link.shared):
-            return [(own, False)]
-        every = tuple(self._broadcast.get(name, value) for name, value in zip(link.shared, own, strict=True))
-        return [(own, False)] if every == own else [(own, False), (every, True)]
 
     def _latest(
         self,
         link: RequestLink,
         channel: Any,
         wanted: tuple[Any, ...],
-        values: Mapping[str, Any],
+        who: tuple[Any, ...],
         within: float | None,
         time: float | None,
     ) -> Entry | None:
         entries = self._seen.get((link.request.message.name, channel, link.shared, wanted), ())
         for entry in reversed(entries):
-            if entry.consumed or (entry.answered and _who(link, values) in entry.answered):
+            if entry.consumed or (entry.answered and who in entry.answered):
                 continue
             if None not in (within, time, entry.time) and time - entry.time > within:  # type: ignore[operator]
                 return None
@@ -155,6 +164,17 @@ class Context:
         return f"unknown: needs request {'|'.join(names)}"
 
 
-def _who(link: RequestLink, values: Mapping[str, Any]) -> tuple[Any, ...]:
-    """The device that `values` are of."""
-    return tuple(values.get(name) for name in link.shared)
+def _wanted(link: RequestLink, who: tuple[Any, ...]) -> Sequence[tuple[tuple[Any, ...], bool]]:
+    """What a request to the device `who` has in the shared fields, and one to everybody, with whether it is that."""
+    if not link.to_all:
+        return ((who, False),)
+    every = tuple(own if all_ is None else all_ for all_, own in zip(link.to_all, who, strict=True))
+    return ((who, False),) if every == who else ((who, False), (every, True))
+
+
+def _who_of(shared: tuple[str, ...]) -> Who:
+    """The values of these fields, None where there is none; of one field without a loop, as it is for most replies."""
+    if len(shared) == 1:
+        name = shared[0]
+        return lambda values: (values.get(name),)
+    return lambda values: tuple(values.get(name) for name in shared)

@@ -193,9 +193,8 @@ class MotorChannel:
     def count(self, now: int) -> int:
         """What the encoder says."""
         self.sync(now)
-        return int(
-            self.raw(self.joint.q) - self.offset + (1e-6 if self.raw(self.joint.q) >= self.offset else -1e-6)
-        )
+        count = self.raw(self.joint.q) - self.offset
+        return int(count + (1e-6 if count >= 0 else -1e-6))
 
     def zero_here(self, now: int) -> None:
         """The encoder counts from here."""
