@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
@@ -22,7 +22,7 @@ from ..protocol import Variant
 from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
-from .device import Device
+from .device import Device, Poll
 from .events import DeviceEvent, EventLog, Kind
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
@@ -79,6 +79,8 @@ class Host(BusEndpoint[Device]):
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.unknown_devices: Counter[str] = Counter()
         self.slots: deque[PollSlot] = deque()
+        #: Whether some devices are asked before others in each tick.
+        self._has_priorities = False
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
@@ -131,6 +133,7 @@ class Host(BusEndpoint[Device]):
             if self._half and not self._period:
                 slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
+        self._has_priorities = len({slot.priority for slot in self.slots}) > 1
         return member
 
     def postpone(self, device: Device, message: str, duration_s: float) -> None:
@@ -139,6 +142,22 @@ class Host(BusEndpoint[Device]):
         for slot in self.slots:
             if slot.device is device and slot.poll.message == message and slot.due < until:
                 slot.due = until
+
+    def retime(self, device: Device, poll: Poll, other: Poll) -> None:
+        """Poll a device with `other` instead of `poll`: the same request at another period."""
+        for slot in self.slots:
+            if slot.device is device and slot.poll is poll:
+                slot.retime(other)
+
+    def refresh(self, device: Device, polls: Collection[Poll]) -> None:
+        """Poll a device with these in the next tick, within its budget; without ticks now, unless it was asked already."""
+        now = self.clock.now()
+        for slot in list(self.slots):
+            if slot.device is device and slot.poll in polls and slot.waiting is None:
+                slot.due = now
+                if not self._period and not self._half and self._is_open:
+                    self._take_slot(slot, now)
+        self._pump()
 
     def probe(self, protocol: str, **credentials: int) -> Device:
         """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
@@ -243,6 +262,8 @@ class Host(BusEndpoint[Device]):
         self._tick_end = now + self._period
         self._polls_end = now + round(self._period * self.budget) if self._period else NEVER_NS
         self._has_polled = False
+        if self._has_priorities:
+            self.slots = deque(sorted(self.slots, key=lambda slot: -slot.priority))
         if self._half and not self._period:
             for slot in self.slots:
                 if not slot.every_ns or now - slot.asked_at >= slot.every_ns:

@@ -16,7 +16,7 @@ from typing import Protocol as Interface
 
 import msgspec
 
-from ..device.config import DeviceConfig, Joint, Robot
+from ..device.config import DeviceConfig, Joint, Robot, Sensor
 from ..device.drivers import list_drivers
 from ..errors import AcesError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
@@ -43,6 +43,8 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
     _check_joints(robot, written, complain)
     _check_sensors(robot, written, complain)
     _check_names(robot, complain)
+    _check_states(robot, complain)
+    _check_rates(robot, complain)
     if robot.rate_hz is not None and robot.rate_hz > 20_000:
         complain(("rate_hz",), f"{robot.rate_hz:g} Hz is beyond what a bus can carry", True)
 
@@ -361,6 +363,36 @@ def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Comp
                 complain(
                     (*path, "signs"), f"{len(sensor.signs)} signs for {len(sensor.matrix)} rows of matrix"
                 )
+
+
+def _check_states(robot: Robot, complain: Complain) -> None:
+    """A state is of a joint, sensor or device, declared once, and each thing of it in one way."""
+    parts: dict[str, Joint | Sensor] = {**robot.sensors, **robot.joints}
+    owners = {alias: name for name, part in parts.items() for alias in part.aliases}
+    owners |= {name: name for name in (*robot.devices, *parts)}
+    declared: dict[str, str] = {}
+    for name, state in robot.states.items():
+        path = ("states", name)
+        owner, _, rest = name.partition(".")
+        _check_reference(path, "joint, sensor or device", owner, owners, complain)
+        whole = f"{owners.get(owner, owner)}.{rest or 'position'}"
+        if (other := declared.setdefault(whole, name)) != name:
+            complain(path, f"is the state {other}, which is declared already")
+        for one, two in (("estimator", "kalman"), ("history", "history_s")):
+            if getattr(state, one) is not None and getattr(state, two) is not None:
+                complain((*path, two), f"{one} says it already; a state has one of both")
+
+
+def _check_rates(robot: Robot, complain: Complain) -> None:
+    """A device is asked in a tick of its bus: no more often."""
+    for name, device in robot.devices.items():
+        bus = robot.buses.get(device.bus)
+        tick = (bus.rate_hz if bus is not None else None) or robot.rate_hz
+        if device.rate_hz is not None and tick is not None and device.rate_hz > tick:
+            complain(
+                ("devices", name, "rate_hz"),
+                f"{device.rate_hz:g} Hz is more often than its bus ticks ({tick:g} Hz): rate_hz of bus {device.bus}",
+            )
 
 
 def _check_names(robot: Robot, complain: Complain) -> None:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from ..controller import ControllerLike
 from ..device import Robot
+from ..device.config import priority_of
 from ..device.drivers import Driver, load_driver
 from ..errors import CallerError
 from ..frame_table import NO_TIME, to_ns
@@ -20,7 +21,7 @@ from ..runtime import Loop, ThreadTasks, VirtualClock, VirtualTasks
 from ..runtime.tasks import run_at
 from .buses import VirtualRobot, open_gates
 from .rig import Rig, connect, spoken_on
-from .runner import BUSES, Runner
+from .runner import Runner
 
 Load = Callable[[str], Driver]
 
@@ -71,7 +72,8 @@ def run_real(
     failed.append(runner.bus_failed)
     runner.before.append(loop.start)
     if real_time:
-        runner.before.append(lambda: loop.call(lambda: run_at(BUSES)))
+        most = max(priority_of(robot.buses[name]) for name in rig.hosts)
+        runner.before.append(lambda: loop.call(lambda: run_at(most)))
     runner.after.append(loop.stop)
     return runner
 
