@@ -75,6 +75,15 @@ class Bus(msgspec.Struct, frozen=True, kw_only=True):
     half_duplex: Flag | None = None  # serial; None: as its protocol is
     interface: Text | None = None
     channel: Text | None = None
+    allow: (
+        Annotated[
+            tuple[Name, ...],
+            Meta(
+                min_length=1, max_length=100, description='a list of candump\'s filters, such as ["010:7F0"]'
+            ),
+        ]
+        | None
+    ) = None  # CAN: what may be sent; None: all that its devices take
     rate_hz: Hertz | None = None  # its tick; None: the robot's
     priority: Priority | None = None
     doc: Text | None = None

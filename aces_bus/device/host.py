@@ -44,6 +44,8 @@ SILENT_SHARE = 5
 NEVER_NS = 1 << 62
 #: So many unknown devices are told apart; a bus may claim millions.
 UNKNOWN_DEVICES = 10_000
+#: Why a passive host sends nothing.
+LISTENS = "this bus is only listened to"
 #: The share of a tick that polls may fill by default.
 BUDGET = 0.9
 
@@ -52,7 +54,8 @@ class Host(BusEndpoint[Device]):
     """Devices on one bus. Made by `connect`, or by hand: `Host(port, [hubo.variant()], rate_hz=200)`.
 
     `rate_hz` None: no ticks; set-points go out as they are given, nothing is polled unless `poll()` says so. `budget` is
-    the share of a tick that words may fill. `rules` replace the drivers' rules, message by message.
+    the share of a tick that words may fill. `rules` replace the drivers' rules, message by message. `passive`: it listens to
+    what others ask and are answered, and sends nothing, whoever wants it.
     """
 
     def __init__(
@@ -65,8 +68,10 @@ class Host(BusEndpoint[Device]):
         rules: Mapping[str, CoalescingRule] | None = None,
         events: EventLog | None = None,
         name: str = "",
+        passive: bool = False,
     ) -> None:
         super().__init__(port, variants, direction="from device", name=name)
+        self.passive = passive
         if rate_hz is not None and rate_hz <= 0:
             raise CallerError(f"{port.name}: a rate of {rate_hz} Hz is none")
         self.rate_hz, self.budget = rate_hz, budget
@@ -87,7 +92,7 @@ class Host(BusEndpoint[Device]):
         self._deadline_timer: Timer | None = None
         self._is_hearing = False
         self._serial_number = 0
-        self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
+        self._period = 0 if rate_hz is None or passive else round(1e9 / rate_hz)
         self._tick_at = 0
         #: Half duplex: when the next tick is due, and after what instant no poll may end.
         self._tick_end, self._polls_end = 0, NEVER_NS
@@ -151,6 +156,8 @@ class Host(BusEndpoint[Device]):
 
     def refresh(self, device: Device, polls: Collection[Poll]) -> None:
         """Poll a device with these in the next tick, within its budget; without ticks now, unless it was asked already."""
+        if self.passive:
+            return
         now = self.clock.now()
         for slot in list(self.slots):
             if slot.device is device and slot.poll in polls and slot.waiting is None:
@@ -219,8 +226,10 @@ class Host(BusEndpoint[Device]):
     # ------------------------------------------------------------------ opening and ticking
 
     def open(self) -> None:
-        """Start receiving and, with a rate, ticking. Each device's `start` is called."""
+        """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive."""
         super().open()
+        if self.passive:  # no period either: nothing ticks
+            return
         for device in self.members.values():
             device.start()
         if self._period:
@@ -254,8 +263,16 @@ class Host(BusEndpoint[Device]):
         self._woken = False
         self._send_set_points(self.clock.now())
 
+    def _received(self, word: Any, instant: int) -> None:
+        """One word of the port; where others ask, an answer may need what they asked to be understood."""
+        if self.passive and self._is_can:
+            self._note(word)
+        super()._received(word, instant)
+
     def tick(self) -> None:
         """One round: set-points, then polls within the budget."""
+        if self.passive:
+            return
         now = self.clock.now()
         counts = self.counts
         counts.ticks += 1
@@ -286,6 +303,8 @@ class Host(BusEndpoint[Device]):
 
     def poll(self) -> None:
         """Ask everything once, now, whatever the budget: for hosts without a rate."""
+        if self.passive:
+            return
         now = self.clock.now()
         for slot in self.slots:
             if slot.waiting is None:
@@ -344,7 +363,7 @@ class Host(BusEndpoint[Device]):
                 else:
                     used += self.port.wire_ns(word)
                     self._transmit(word, out.device, out.message)
-                out.device.is_driven = True
+                out.device.is_driven = not self.passive
         if self._half and wanted:
             self._pump()
         return used
@@ -353,6 +372,11 @@ class Host(BusEndpoint[Device]):
 
     def ask(self, ticket: Ticket) -> Ticket:
         """Send a ticket's word, again when it is not answered; on a half-duplex line as soon as that is free."""
+        if self.passive:
+            ticket.fail(
+                DeviceError(f"{self.name} {ticket.device.name}: {ticket.message} was not sent: {LISTENS}")
+            )
+            return ticket
         self.counts.asked += bool(ticket.reply)
         if not self._half:
             self._send(ticket, self.clock.now())
@@ -407,6 +431,10 @@ class Host(BusEndpoint[Device]):
         report: Left | None = None,
     ) -> bool:
         """Put a frame or packet on the bus; one that it does not take is reported."""
+        if self.passive:
+            self.counts.not_sent += 1
+            self.tell("not sent", device.name, f"{message}: {LISTENS}")
+            return False
         if not self._is_open or not self.port.send(word, age_ns, urgent=urgent, topic=device, report=report):
             self.counts.not_sent += 1
             self.tell("not sent", device.name, f"{message}: the bus does not take it")

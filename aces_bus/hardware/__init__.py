@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .can import CanGate
     from .datagram import DatagramGate
     from .gate import BusEvent, Received
+    from .lock import BusLock
     from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
@@ -27,6 +28,7 @@ __all__ = [
     "AcesBus",
     "Babbler",
     "BusEvent",
+    "BusLock",
     "BusNode",
     "CanGate",
     "CanPort",
@@ -53,6 +55,7 @@ __getattr__, __dir__ = lazy_names(
         ".can": "CanGate",
         ".datagram": "DatagramGate",
         ".gate": "BusEvent Received",
+        ".lock": "BusLock",
         ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",

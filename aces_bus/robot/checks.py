@@ -16,9 +16,9 @@ from typing import Protocol as Interface
 
 import msgspec
 
-from ..device.config import DeviceConfig, Joint, Robot, Sensor
+from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
 from ..device.drivers import list_drivers
-from ..errors import AcesError, UnknownNameError
+from ..errors import AcesError, CallerError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
@@ -140,10 +140,28 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
                 complain((*path, key), f"{value} bit/s is no bit rate of CAN; 1 Mbit/s is 1_000_000", True)
             elif key == "baud" and value < 50:
                 complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)
+        if bus.allow is not None:
+            _check_allowed((*path, "allow"), bus, complain)
         if bus.channel is not None:
             if (other := channels.setdefault((bus.link, bus.channel), name)) != name:
                 complain((*path, "channel"), f"{bus.channel!r} is the channel of bus {other} already")
     return protocols
+
+
+def _check_allowed(path: tuple[str, ...], bus: Bus, complain: Complain) -> None:
+    from ..recordings.filters import parse_filter
+
+    if bus.link != "can":
+        complain(path, f"belongs to link = 'can'; this bus has link = {bus.link!r}")
+        return
+    try:
+        allowed = parse_filter(*bus.allow or ())
+    except CallerError as error:
+        complain(path, str(error))
+        return
+    for text, one in zip(allowed.texts, allowed.sets, strict=True):
+        if one.interface is not None:
+            complain(path, f'{text!r}: expected id:mask, such as "010:7F0", without an interface in front')
 
 
 def _check_dialect(

@@ -164,13 +164,15 @@ def connect(
     rate_hz: float | None = None,
     budget: float = BUDGET,
     rules: Mapping[str, CoalescingRule] | None = None,
+    passive: bool = False,
     load: Loader = load_driver,
 ) -> Rig:
     """The robot's devices, on these ports (bus name → port), not open yet.
 
     `rate_hz` is the tick of buses whose rate the file does not state (None: no ticks at all); `rules` replace the drivers'
-    rules of coalescing. Raises `CallerError` for a bus without a port, or a state that cannot be asked for so often,
-    `UnknownNameError` for a driver or protocol that is not installed, and for a state that is none.
+    rules of coalescing; `passive` hosts listen to what others ask, and send nothing. Raises `CallerError` for a bus
+    without a port, or a state that cannot be asked for so often, `UnknownNameError` for a driver or protocol that is not
+    installed, and for a state that is none.
     """
     events = EventLog()
     hosts = {
@@ -182,6 +184,7 @@ def connect(
             rules=rules,
             events=events,
             name=name,
+            passive=passive,
         )
         for name, variants in sorted(
             _variants(robot, ports, load).items(), key=lambda one: -priority_of(robot.buses[one[0]])

@@ -56,18 +56,24 @@ def run_real(
     buses: Mapping[str, Mapping[str, Any]] | None = None,
     rate_hz: float | None = None,
     real_time: bool = False,
+    passive: bool | None = None,
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
     """A runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system allows it.
 
     What raises on the buses' thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise.
-    `buses` says where each is, see `gate_of`. Other options are `Runner`'s.
+    `buses` says where each is, see `gate_of`. With `drives=False` it is `passive` unless that is False: it sends nothing at
+    all, and states are what others ask for. Other options are `Runner`'s.
     """
+    if passive is None:
+        passive = not options.get("drives", True)
+    elif passive and options.setdefault("drives", False):
+        raise CallerError("a run that is passive sends no set-points: drives=False")
     failed: list[Callable[[BaseException], None]] = []
     loop = Loop(failed=lambda error: failed[0](error))
-    ports = open_gates(robot, loop, buses, load=load)
-    rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, load=load)
+    ports = open_gates(robot, loop, buses, passive=passive, load=load)
+    rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, passive=passive, load=load)
     runner = Runner(rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), **options)
     failed.append(runner.bus_failed)
     runner.before.append(loop.start)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -416,30 +415,44 @@ def stand(
 
 
 def test_on_a_served_bus(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
-    """Through a real bus values are read, with another program on it, and without a word on stderr."""
-    others: list[int] = []
-    robot = chosen_robot(leg)
-
-    def another() -> None:
-        from argparse import Namespace
-
-        from aces_tools.robot_arg import open_robot
-
-        options = Namespace(bus=[], interface="aces", baud=None, virtual=False)
-        from aces_tools.device import alone
-
-        with open_robot(alone(robot, "JMC1"), options, rate_hz=100) as live:
-            heard = live.clock.wait(lambda: live.rig["KNEE.position"].instant is not None, 10_000_000_000)
-            others.append(heard)
-
-    thread = threading.Thread(target=another)
-    thread.start()
-    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
-    thread.join(20)
-    assert others == [True]
+    """Through a real bus values are read, without a word on stderr; what is asked needs `--ask`."""
+    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces", "--ask")
     assert (got.status, got.out) == (0, "YAW.position  0 rad\n")
     assert got.err == ""
     assert aces("device", "JMC0", "parameters", "-r", leg, "-i", "aces").status == 0  # only asks: no --tx
+
+
+def test_a_looker_sees_what_another_program_asks(
+    aces: Aces, leg: str, stand: SimulatedRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a program that drives, `get` and `watch` show its answers and send nothing; whoever would ask, too, is refused
+    by that program's name.
+    """
+    from argparse import Namespace
+
+    from aces_tools.device import alone
+    from aces_tools.robot_arg import open_robot
+
+    monkeypatch.setattr("sys.argv", ["/usr/bin/aces", "run", "walk.py"])
+    options = Namespace(bus=[], interface="aces", baud=None, virtual=False)
+    command = ("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+    twin = stand.simulation["JMC0"]
+    with open_robot(alone(chosen_robot(leg), "JMC0"), options, rate_hz=50) as live:
+        assert live.clock.wait(lambda: live.rig["YAW"].instant is not None, 20_000_000_000)
+        got = aces(*command)
+        watched = aces("device", "YAW", "watch", "position", "--for", "0.2s", "-r", leg, "-i", "aces")
+        refused = aces(*command, "--ask")
+        host = live.rig.hosts["can"]
+        live.clock.call(host.close)  # type: ignore[attr-defined]
+        assert twin.requests == host.counts.sent
+        assert [event.kind for event in live.rig.events.last if event.device] == []
+    assert (got.status, got.out, got.err) == (0, "YAW.position  0 rad\n", "")
+    assert watched.status == 0
+    assert refused.status == 2
+    assert "is driven by aces run (pid " in refused.err
+    alone_again = aces(*command)
+    assert alone_again.status == 1
+    assert alone_again.messages == ["nothing was heard of JMC0: no other program asks it; --ask does"]
 
 
 def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
@@ -455,7 +468,7 @@ def test_a_device_that_is_not_there(
     """`get` says who does not answer and what to look at; `set` and actions do nothing; status 1."""
     stand.simulation["JMC0"].fault("silent")
     monkeypatch.setattr(device_do, "HEARD_S", 1.0)
-    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces", "--ask")
     assert (got.status, got.out) == (1, "YAW.position  unknown\n")
     (silent,) = [line for line in got.messages if line.startswith("JMC0: silent:")]
     assert "is it powered, on bus can, and board 0x00? `aces discover`" in silent
