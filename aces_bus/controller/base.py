@@ -225,12 +225,12 @@ class LawController(Controller):
         """Whether what a law raised only says that something is not known: `waiting` then has it.
 
         A number that is unknown cannot be computed with (TypeError); a history that is still too short is an error of the
-        state, and excused until the first set-points. All else is the law's own fault.
+        state, and excused until the first set-points, unless waiting does not help. All else is the law's own fault.
         """
         if isinstance(error, TypeError) and "Unknown" in str(error):
             self.waiting = ", ".join(self.unknown_states()) or "a value is unknown"
             return True
-        if isinstance(error, AcesError) and not self._has_given:
+        if isinstance(error, AcesError) and not self._has_given and not getattr(error, "is_permanent", False):
             self.waiting = str(error)
             return True
         return False

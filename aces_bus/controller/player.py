@@ -89,7 +89,8 @@ class Player(Controller):
         self.reason = ""
         self.rounds_done = 0
         self.gaps = 0
-        self._gap_ns = round(max(largest_gap_s, 2 / rate_hz) * 1e9)
+        self._largest_gap_s = largest_gap_s
+        self._gap_ns = self._longest_gap()
         self._patience_ns = round(patience_s * 1e9)
         self._all: Mapping[str, StateLike] = {}
         self._wish: Literal["run", "halt"] | None = None
@@ -110,6 +111,10 @@ class Player(Controller):
                     "in degrees? then read it with unit='deg'; else say largest=math.inf"
                 )
         return names
+
+    def _longest_gap(self) -> int:
+        """The time between two steps (ns) that is no gap."""
+        return round(max(self._largest_gap_s, 2 / self.rate_hz) * 1e9)
 
     def _rewind(self) -> None:
         self._values: list[float] | None = None  # the last set-points
@@ -171,6 +176,7 @@ class Player(Controller):
         """A run begins, at the motion's beginning; unless `autorun` is off."""
         super().start(now)
         self._rewind()
+        self._gap_ns = self._longest_gap()
         self.mode, self.reason, self.rounds_done = "halted", "", 0
         self._wish = "run" if self.autorun else None
 

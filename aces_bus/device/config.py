@@ -58,6 +58,9 @@ Kind = Annotated[
     Meta(description='an entry of the protocol\'s configuration tables, such as 3 or "hand"'),
 ]
 Settings = Annotated[dict[str, Any], Meta(description="a table of the driver's own settings")]
+Hertz = Annotated[float, Meta(gt=0, description="a number above 0 (Hz)")]
+Seconds = Annotated[float, Meta(gt=0, description="a number above 0 (s)")]
+Priority = Annotated[int, Meta(ge=1, le=99, description="a whole number from 1 to 99, the highest")]
 
 
 class Bus(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,6 +75,17 @@ class Bus(msgspec.Struct, frozen=True, kw_only=True):
     half_duplex: Flag | None = None  # serial; None: as its protocol is
     interface: Text | None = None
     channel: Text | None = None
+    allow: (
+        Annotated[
+            tuple[Name, ...],
+            Meta(
+                min_length=1, max_length=100, description='a list of candump\'s filters, such as ["010:7F0"]'
+            ),
+        ]
+        | None
+    ) = None  # CAN: what may be sent; None: all that its devices take
+    rate_hz: Hertz | None = None  # its tick; None: the robot's
+    priority: Priority | None = None
     doc: Text | None = None
     source: Text | None = None
 
@@ -94,9 +108,20 @@ class DeviceConfig(msgspec.Struct, frozen=True, kw_only=True):
     dialect: Name | None = None
     model: Text | None = None  # its maker's name for it
     active: Flag = True
+    rate_hz: Hertz | None = None  # how often it is asked and given set-points; None: in each tick of its bus
+    priority: Priority | None = None
     settings: Settings = msgspec.field(default_factory=dict[str, Any])
     doc: Text | None = None
     source: Text | None = None
+
+
+#: The priority of a bus, and of a device among those of its bus, where the file states none.
+BUSES = 50
+
+
+def priority_of(config: Bus | DeviceConfig) -> int:
+    """The stated priority, or `BUSES`."""
+    return BUSES if config.priority is None else config.priority
 
 
 class Gains(msgspec.Struct, frozen=True, kw_only=True):
@@ -202,13 +227,64 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
     source: Text | None = None
 
 
+class KalmanConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """A Kalman filter as a state's estimator; see `aces_bus.state.Kalman` for the units of both numbers."""
+
+    measurement_std: Ratio
+    process_density: Ratio
+    model: Annotated[
+        Literal["velocity", "acceleration"], Meta(description='"velocity" or "acceleration"')
+    ] = "velocity"
+
+
+class StateConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """What is kept and estimated of one state: `name` is a controller's name for it, "RHP", an alias or "RHP.velocity".
+
+    `estimator` continues a line ("velocity"), a parabola ("acceleration") or the last value ("hold") beyond the samples;
+    `period_s` is how often its device is asked for it, `history` how many samples are kept, `history_s` for how long.
+    """
+
+    name: str
+    estimator: (
+        Annotated[
+            Literal["hold", "velocity", "acceleration"],
+            Meta(description='"hold", "velocity" or "acceleration" (or a table kalman)'),
+        ]
+        | None
+    ) = None
+    kalman: KalmanConfig | None = None
+    interpolation: (
+        Annotated[
+            Literal["hold", "linear", "cubic"] | Annotated[int, Meta(ge=0, le=9)],
+            Meta(description='"hold", "linear", "cubic" or an order from 0 to 9'),
+        ]
+        | None
+    ) = None
+    history: Positive | None = None
+    history_s: Seconds | None = None
+    period_s: Seconds | None = None
+    stale_after_s: Seconds | None = None
+    doc: Text | None = None
+    source: Text | None = None
+
+
+class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """Rate and priority of a controller or logger, by its name, instead of its own."""
+
+    name: str
+    rate_hz: Hertz | None = None
+    priority: Priority | None = None
+    doc: Text | None = None
+    source: Text | None = None
+
+
 class Robot(msgspec.Struct, frozen=True, kw_only=True):
     """A whole robot. Mappings keep the file's order; it is the order of joints in trajectories and tables."""
 
     name: Name
     doc: Text | None = None
     source: Text | None = None
-    rate_hz: Annotated[float, Meta(gt=0, description="a number above 0 (Hz)")] | None = None
+    rate_hz: Hertz | None = None
     buses: Mapping[str, Bus]
     devices: Mapping[str, DeviceConfig]
     joints: Mapping[str, Joint]
@@ -219,6 +295,8 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
             description='a table of what faults lead to, such as { silent = "hold", "alarm@FT_RF" = "degrade" }'
         ),
     ] = {}
+    states: Mapping[str, StateConfig] = msgspec.field(default_factory=dict[str, StateConfig])
+    controllers: Mapping[str, ControllerConfig] = msgspec.field(default_factory=dict[str, ControllerConfig])
 
     def joint(self, name: str) -> Joint:
         """The joint of this name or alias; raises `UnknownNameError`."""

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..errors import CallerError, UnknownNameError
@@ -144,6 +144,11 @@ class Device(EndpointMember):
         self._given: dict[str, dict[str, Any]] = {}
         self._paths: dict[str, dict[str, None]] = {}
         self._slots: dict[str, list[tuple[str, str, int | None]]] = {}
+        #: The messages that give each signal; the periods (s) that were asked for, by request.
+        self._sources: dict[str, AbstractSet[str]] = {}
+        self._periods: dict[tuple[str, ...], float] = {}
+        #: With a rate of its own: its period, and when it is due (ns).
+        self._every = self._due = 0
         #: Signals without a stated stale age, and the messages that give them.
         self._usual_age: list[tuple[Signal, AbstractSet[str]]] = []
         self._dirty: set[str] = set()
@@ -222,14 +227,14 @@ class Device(EndpointMember):
         upper: float | None = None,
         stale_s: float | None = None,
         owner: str | None = None,
-        is_read: bool = False,
+        read_from: Collection[str] = (),
         doc: str = "",
         source: str = "",
     ) -> Signal:
         """A new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
 
         `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
-        `to_si` and `from_si` convert. `is_read`: the driver itself updates it from what it receives. Values that are set
+        `to_si` and `from_si` convert. `read_from`: the messages from which the driver itself updates it. Values that are set
         beyond `lower` or `upper` are limited, and that is reported.
         """
         whole = f"{owner or self.name}.{name}"
@@ -265,11 +270,14 @@ class Device(EndpointMember):
             doc=doc,
             source=source,
         )
-        if of or is_read:
-            self.readable.add(whole)
         sources = (of,) if isinstance(of, str) else of or ()
+        messages = {*read_from, *(one.partition(".")[0] for one in sources)}
+        if messages:
+            self.readable.add(whole)
+            self._sources[whole] = messages
+        made.request = lambda: self.refresh(whole)
         if stale_s is None:
-            self._usual_age.append((made, {one.partition(".")[0] for one in sources}))
+            self._usual_age.append((made, messages))
         for one in sources:
             message, path = self._field(one)
             self._updates.setdefault(message, []).append((_reader(path, to_si), made))
@@ -296,6 +304,51 @@ class Device(EndpointMember):
             periods = [p.every_s or tick for p in self.polls if not messages.isdisjoint(p.replies)]
             if periods:
                 made.stale_after_ns = round(max(self.stale_s, 5 * min(periods)) * 1e9)
+
+    def polls_of(self, name: str) -> list[Poll]:
+        """The polls whose answers give the signal of this whole name; none where it comes by itself."""
+        messages = self._sources.get(name, frozenset[str]())
+        return [poll for poll in self.polls if not messages.isdisjoint(poll.replies)]
+
+    def refresh(self, name: str) -> None:
+        """Ask for a signal with the next tick, from any thread; nothing where it comes by itself."""
+        self.clock.call_soon(lambda: self.host.refresh(self, self.polls_of(name)))
+
+    def refresh_every(self, name: str, period_s: float) -> None:
+        """Ask for a signal every `period_s`, and for what the same message gives; of several periods the shortest counts.
+
+        Raises `CallerError` where the device is not asked for it, or in ticks that are further apart.
+        """
+        polls, rate = self.polls_of(name), self.host.rate_hz
+        if not polls:
+            raise CallerError(
+                f"state {name}: a period of {period_s:g} s, but {self.name} is not asked for it"
+            )
+        if rate is not None and period_s * rate < 0.999:
+            raise CallerError(
+                f"state {name}: a period of {period_s:g} s, but bus {self.host.name} asks every {1 / rate:g} s"
+                f" (rate_hz = {rate:g})"
+            )
+        for poll in polls:
+            key = poll.message, *sorted(map(repr, poll.fields.items()))
+            self._periods[key] = every = min(period_s, self._periods.get(key, period_s))
+            self._retime(poll, every)
+
+    def tick_at(self, rate_hz: float) -> None:
+        """Ask for what is asked in each tick, and send set-points, so often instead."""
+        self._every = round(1e9 / rate_hz)
+        for poll in self.polls:
+            if poll.every_s is None:
+                self._retime(poll, 1 / rate_hz)
+
+    def _retime(self, poll: Poll, every_s: float) -> None:
+        """Poll so often; what it gives may be as old as five such periods."""
+        slower = replace(poll, every_s=every_s)
+        for name, one in self.signals.items():
+            if one.stale_after_ns is not None and poll in self.polls_of(name):
+                one.stale_after_ns = max(one.stale_after_ns, round(5e9 * every_s))
+        self.polls = [slower if one is poll else one for one in self.polls]
+        self.host.retime(self, poll, slower)
 
     def __getitem__(self, name: str) -> Signal:
         """The signal of this name, with or without its owner where that is clear; raises `UnknownNameError`."""
@@ -361,8 +414,10 @@ class Device(EndpointMember):
 
     def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick."""
-        if not self._given:
+        if not self._given or now < self._due:
             return []
+        if self._every:
+            self._due = now + self._every - round(0.5e9 / (self.host.rate_hz or 1e9))  # a tick may be early
         out: list[Setpoint] = []
         for message, given in self._given.items():
             if message not in self._dirty and message not in self.streams:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
@@ -22,7 +22,7 @@ from ..protocol import Variant
 from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
-from .device import Device
+from .device import Device, Poll
 from .events import DeviceEvent, EventLog, Kind
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
@@ -44,6 +44,8 @@ SILENT_SHARE = 5
 NEVER_NS = 1 << 62
 #: So many unknown devices are told apart; a bus may claim millions.
 UNKNOWN_DEVICES = 10_000
+#: Why a passive host sends nothing.
+LISTENS = "this bus is only listened to"
 #: The share of a tick that polls may fill by default.
 BUDGET = 0.9
 
@@ -52,7 +54,8 @@ class Host(BusEndpoint[Device]):
     """Devices on one bus. Made by `connect`, or by hand: `Host(port, [hubo.variant()], rate_hz=200)`.
 
     `rate_hz` None: no ticks; set-points go out as they are given, nothing is polled unless `poll()` says so. `budget` is
-    the share of a tick that words may fill. `rules` replace the drivers' rules, message by message.
+    the share of a tick that words may fill. `rules` replace the drivers' rules, message by message. `passive`: it listens to
+    what others ask and are answered, and sends nothing, whoever wants it.
     """
 
     def __init__(
@@ -65,8 +68,10 @@ class Host(BusEndpoint[Device]):
         rules: Mapping[str, CoalescingRule] | None = None,
         events: EventLog | None = None,
         name: str = "",
+        passive: bool = False,
     ) -> None:
         super().__init__(port, variants, direction="from device", name=name)
+        self.passive = passive
         if rate_hz is not None and rate_hz <= 0:
             raise CallerError(f"{port.name}: a rate of {rate_hz} Hz is none")
         self.rate_hz, self.budget = rate_hz, budget
@@ -79,13 +84,15 @@ class Host(BusEndpoint[Device]):
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.unknown_devices: Counter[str] = Counter()
         self.slots: deque[PollSlot] = deque()
+        #: Whether some devices are asked before others in each tick.
+        self._has_priorities = False
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
         self._deadline_timer: Timer | None = None
         self._is_hearing = False
         self._serial_number = 0
-        self._period = 0 if rate_hz is None else round(1e9 / rate_hz)
+        self._period = 0 if rate_hz is None or passive else round(1e9 / rate_hz)
         self._tick_at = 0
         #: Half duplex: when the next tick is due, and after what instant no poll may end.
         self._tick_end, self._polls_end = 0, NEVER_NS
@@ -131,6 +138,7 @@ class Host(BusEndpoint[Device]):
             if self._half and not self._period:
                 slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
+        self._has_priorities = len({slot.priority for slot in self.slots}) > 1
         return member
 
     def postpone(self, device: Device, message: str, duration_s: float) -> None:
@@ -139,6 +147,24 @@ class Host(BusEndpoint[Device]):
         for slot in self.slots:
             if slot.device is device and slot.poll.message == message and slot.due < until:
                 slot.due = until
+
+    def retime(self, device: Device, poll: Poll, other: Poll) -> None:
+        """Poll a device with `other` instead of `poll`: the same request at another period."""
+        for slot in self.slots:
+            if slot.device is device and slot.poll is poll:
+                slot.retime(other)
+
+    def refresh(self, device: Device, polls: Collection[Poll]) -> None:
+        """Poll a device with these in the next tick, within its budget; without ticks now, unless it was asked already."""
+        if self.passive:
+            return
+        now = self.clock.now()
+        for slot in list(self.slots):
+            if slot.device is device and slot.poll in polls and slot.waiting is None:
+                slot.due = now
+                if not self._period and not self._half and self._is_open:
+                    self._take_slot(slot, now)
+        self._pump()
 
     def probe(self, protocol: str, **credentials: int) -> Device:
         """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
@@ -200,8 +226,10 @@ class Host(BusEndpoint[Device]):
     # ------------------------------------------------------------------ opening and ticking
 
     def open(self) -> None:
-        """Start receiving and, with a rate, ticking. Each device's `start` is called."""
+        """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive."""
         super().open()
+        if self.passive:  # no period either: nothing ticks
+            return
         for device in self.members.values():
             device.start()
         if self._period:
@@ -235,14 +263,24 @@ class Host(BusEndpoint[Device]):
         self._woken = False
         self._send_set_points(self.clock.now())
 
+    def _received(self, word: Any, instant: int) -> None:
+        """One word of the port; where others ask, an answer may need what they asked to be understood."""
+        if self.passive and self._is_can:
+            self._note(word)
+        super()._received(word, instant)
+
     def tick(self) -> None:
         """One round: set-points, then polls within the budget."""
+        if self.passive:
+            return
         now = self.clock.now()
         counts = self.counts
         counts.ticks += 1
         self._tick_end = now + self._period
         self._polls_end = now + round(self._period * self.budget) if self._period else NEVER_NS
         self._has_polled = False
+        if self._has_priorities:
+            self.slots = deque(sorted(self.slots, key=lambda slot: -slot.priority))
         if self._half and not self._period:
             for slot in self.slots:
                 if not slot.every_ns or now - slot.asked_at >= slot.every_ns:
@@ -265,6 +303,8 @@ class Host(BusEndpoint[Device]):
 
     def poll(self) -> None:
         """Ask everything once, now, whatever the budget: for hosts without a rate."""
+        if self.passive:
+            return
         now = self.clock.now()
         for slot in self.slots:
             if slot.waiting is None:
@@ -323,7 +363,7 @@ class Host(BusEndpoint[Device]):
                 else:
                     used += self.port.wire_ns(word)
                     self._transmit(word, out.device, out.message)
-                out.device.is_driven = True
+                out.device.is_driven = not self.passive
         if self._half and wanted:
             self._pump()
         return used
@@ -332,6 +372,11 @@ class Host(BusEndpoint[Device]):
 
     def ask(self, ticket: Ticket) -> Ticket:
         """Send a ticket's word, again when it is not answered; on a half-duplex line as soon as that is free."""
+        if self.passive:
+            ticket.fail(
+                DeviceError(f"{self.name} {ticket.device.name}: {ticket.message} was not sent: {LISTENS}")
+            )
+            return ticket
         self.counts.asked += bool(ticket.reply)
         if not self._half:
             self._send(ticket, self.clock.now())
@@ -386,6 +431,10 @@ class Host(BusEndpoint[Device]):
         report: Left | None = None,
     ) -> bool:
         """Put a frame or packet on the bus; one that it does not take is reported."""
+        if self.passive:
+            self.counts.not_sent += 1
+            self.tell("not sent", device.name, f"{message}: {LISTENS}")
+            return False
         if not self._is_open or not self.port.send(word, age_ns, urgent=urgent, topic=device, report=report):
             self.counts.not_sent += 1
             self.tell("not sent", device.name, f"{message}: the bus does not take it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from .config import priority_of
 from .device import Device, Poll
 from .station import tags_of
 from .ticket import Ticket
@@ -48,6 +49,7 @@ class PollSlot:
         "due",
         "every_ns",
         "poll",
+        "priority",
         "replies",
         "timeout_ns",
         "waiting",
@@ -55,13 +57,19 @@ class PollSlot:
     )
 
     def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
-        self.device, self.poll, self.word = device, poll, word
+        self.device, self.word = device, word
+        self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
-        self.every_ns = 0 if poll.every_s is None else round(poll.every_s * 1e9)
+        self.retime(poll)
         self.timeout_ns = round(poll.timeout_s * 1e9)
         self.replies = poll.replies
         self.due = self.asked_at = 0
         self.waiting: Ticket | None = None
         #: What it costs on the wire, with its answer; learnt.
         self.cost_ns = cost_ns
+
+    def retime(self, poll: Poll) -> None:
+        """Have this poll's period."""
+        self.poll = poll
+        self.every_ns = 0 if poll.every_s is None else round(poll.every_s * 1e9)

@@ -128,6 +128,8 @@ class RegisterDevice(Device):
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, RegisterSpan] = {}
+        #: The register that each signal is read from.
+        self._registers: dict[str, RegisterCodec] = {}
         #: Set-points that were given: register → raw number.
         self.goals: dict[str, int] = {}
         self._fresh: dict[str, None] = {}
@@ -186,7 +188,23 @@ class RegisterDevice(Device):
             to_si = value_of if scale == 1 else lambda raw: value_of(raw) * scale
         self._watches.setdefault(of, []).append((to_si, signal))
         self.readable.add(signal.name)
+        self._registers[signal.name] = codec
         return signal
+
+    def polls_of(self, name: str) -> list[Poll]:
+        """The polls that read the signal's register."""
+        codec = self._registers.get(name)
+        return (
+            []
+            if codec is None
+            else [
+                poll
+                for poll in self.polls
+                if poll.message == self._read_message
+                and poll.fields["start"] <= codec.address
+                and codec.address + codec.size <= poll.fields["start"] + poll.fields["count"]
+            ]
+        )
 
     # ------------------------------------------------------------------ by name
 

@@ -59,6 +59,7 @@ class Signal:
         "listeners",
         "lower",
         "name",
+        "request",
         "setter",
         "source",
         "stale_after_ns",
@@ -82,6 +83,8 @@ class Signal:
         self.name, self.clock, self.unit = name, clock, unit
         self.stale_after_ns = stale_after_ns
         self.setter = setter
+        #: Asks the device for a new value, from any thread; None: it cannot be asked.
+        self.request: Callable[[], None] | None = None
         self.lower, self.upper = lower, upper
         self.doc, self.source = doc, source
         #: The last value received, however old; `UNKNOWN` before.

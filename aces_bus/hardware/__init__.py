@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .datagram import DatagramGate
     from .gate import Received
     from .gate_events import BusEvent
+    from .lock import BusLock
     from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
@@ -28,6 +29,7 @@ __all__ = [
     "AcesBus",
     "Babbler",
     "BusEvent",
+    "BusLock",
     "BusNode",
     "CanGate",
     "CanPort",
@@ -55,6 +57,7 @@ __getattr__, __dir__ = lazy_names(
         ".datagram": "DatagramGate",
         ".gate": "Received",
         ".gate_events": "BusEvent",
+        ".lock": "BusLock",
         ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",

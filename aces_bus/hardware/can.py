@@ -30,7 +30,7 @@ from .backends import (
     reader_of,
     silence,
 )
-from .gate import POLL_S, Gate, Received
+from .gate import POLL_S, ContentFilter, Gate, Received
 from .queues import Report
 from .simulated.bus import arbitration
 
@@ -61,7 +61,7 @@ class CanGate(Gate[Frame]):
         for item in inbox.get(1.0): ...
 
     `open_bus` is a function that gives a python-can bus, or python-can's own keywords. `reopen`: a lost bus is opened
-    again, for ever. `send_rate` limits what is sent, in frames/s.
+    again, for ever. `send_rate` limits what is sent, in frames/s; `allow` says which frames may be sent at all (None: all).
     """
 
     items = unit = "frames"
@@ -75,6 +75,7 @@ class CanGate(Gate[Frame]):
         listen_only: bool = False,
         reopen: bool = True,
         send_rate: float | None = None,
+        allow: ContentFilter[Frame] | None = None,
         clock: Clock | None = None,
     ) -> None:
         if send_rate is not None and send_rate <= 0:
@@ -89,7 +90,7 @@ class CanGate(Gate[Frame]):
             self._open = _opener(options, listen_only=listen_only)
         channel = str(options.get("channel") or self._interface) if options else "can"
         super().__init__(name or channel, listen_only=listen_only, reopen=reopen, clock=clock)
-        self.send_rate = send_rate
+        self.send_rate, self.allow = send_rate, allow
         self._pause = 0 if send_rate is None else round(1e9 / send_rate)
         if send_rate is not None:
             self.together = 1
@@ -319,10 +320,15 @@ class CanGate(Gate[Frame]):
         before all others, instead of those that wait with the same `topic`, and waits for a lost bus. `report` gets
         what became of it. False: the bus is lost, and the frame is dropped.
 
-        Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.
+        Raises `CallerError` when this gate only listens, is not open, has `OUTBOX` frames waiting, or may not send such a
+        frame (which is an event "not sent", too).
         """
         self._check_may_send()
         made = frame if isinstance(frame, Frame) else message_to_frame(frame)
+        if self.allow is not None and not self.allow.matches(made):
+            refused = f"{self._name_of(made)} is not among the identifiers that may be sent here (allow)"
+            self._tell("not sent", refused, 1)
+            raise CallerError(f"{self.name}: {refused}")
         return self._queue(
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
         )

@@ -29,6 +29,7 @@ import msgspec
 from ..errors import CallerError
 from ..runtime import Clock, Loop, RealClock
 from .gate_events import BusEvent, BusEvents, GateCounters, Handler, Kind
+from .lock import BusLock
 from .queues import AGE_S, LIMIT, Fate, Inbox, Listener, Outbox, OutboxItem, Report
 
 Item = TypeVar("Item")
@@ -91,6 +92,8 @@ class Gate(ABC, Generic[Item]):
     def __init__(self, name: str, *, listen_only: bool, reopen: bool, clock: Clock | None) -> None:
         self.name, self.listen_only, self.reopen = name, listen_only, reopen
         self.clock: Clock = clock if clock is not None else RealClock()
+        #: What is taken before the bus is opened, so that one program of this machine drives it; None: nothing.
+        self.lock: BusLock | None = None
         self.counters = GateCounters()
         self.events = BusEvents()
         self.state: Literal["new", "open", "lost", "closed"] = "new"
@@ -188,9 +191,19 @@ class Gate(ABC, Generic[Item]):
     def _open_first(self) -> None:
         if self.state != "new":
             raise CallerError(f"{self.name}: this gate was started before; make another")
-        self._bus = self._opened()
+        if self.lock is not None:
+            self.lock.take()
+        try:
+            self._bus = self._opened()
+        except BaseException:
+            self._unlock()
+            raise
         self.state = "open"
         self._tell("opened", self._describe(self._bus))
+
+    def _unlock(self) -> None:
+        if self.lock is not None:
+            self.lock.release()
 
     def _thread(self, target: Callable[[], None], what: str) -> threading.Thread:
         thread = threading.Thread(target=target, name=f"{self.name} {what}", daemon=True)
@@ -255,6 +268,7 @@ class Gate(ABC, Generic[Item]):
         self._tell_refused()
         self._close(self._bus)
         self._bus = None
+        self._unlock()
         self.state = "closed"
         for inbox in self._inboxes:
             inbox.end()

@@ -17,14 +17,19 @@ from ..device.port import Port
 from ..errors import CallerError
 from ..hardware.can import CanGate
 from ..hardware.datagram import DatagramGate
+from ..hardware.lock import BusLock
 from ..hardware.ports import port_of
 from ..hardware.serial import SerialGate
+from ..hardware.served.address import is_served
 from ..hardware.simulated.bus import NO_FAULTS, Faults, SimulatedBus
 from ..hardware.simulated.datagrams import SimulatedDatagrams
 from ..hardware.simulated.serial_line import Noise, SimulatedSerialLine
 from ..protocol import Protocol
 from ..runtime import Loop, VirtualClock
 from .rig import Rig, Simulation, connect, simulate, spoken_on
+
+#: python-can's interfaces of buses that only one process has, unless their channel is an address.
+IN_PROCESS = ("aces", "virtual")
 
 
 def is_half_duplex(bus: Bus, protocol: Protocol) -> bool:
@@ -33,12 +38,12 @@ def is_half_duplex(bus: Bus, protocol: Protocol) -> bool:
 
 
 def gate_of(
-    bus: Bus, protocol: Protocol, options: Mapping[str, Any] | None = None
+    bus: Bus, protocol: Protocol, options: Mapping[str, Any] | None = None, *, listen_only: bool = False
 ) -> CanGate | SerialGate | DatagramGate:
     """The gate of a robot's bus. `options` are python-can's (CAN), `channel` and `baud` (serial), or `channel` HOST:PORT.
 
     They take precedence over what the file says; a datagram bus with `bind` (HOST:PORT) waits there for the first
-    sender. Raises `CallerError` when neither says where the bus is.
+    sender. It sends what the file allows. Raises `CallerError` when neither says where the bus is.
     """
     chosen = dict(options or {})
     channel = chosen.pop("channel", None) or bus.channel
@@ -50,14 +55,21 @@ def gate_of(
         whole = {"channel": channel, **({"interface": bus.interface} if bus.interface else {})}
         if rate:
             whole["bitrate"] = rate
-        return CanGate({**whole, **chosen}, name=bus.name)
+        if bus.allow is None:
+            return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only)
+        from ..recordings.filters import parse_filter  # NumPy: slow to import
+
+        allow = parse_filter(*bus.allow)
+        return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, allow=allow)
     if bus.link == "serial":
         baud = int(chosen.pop("baud", None) or bus.baud or protocol.baud or 115_200)
         half = is_half_duplex(bus, protocol)
-        return SerialGate(str(channel), baud=baud, half_duplex=half, name=bus.name, **chosen)
+        return SerialGate(
+            str(channel), baud=baud, half_duplex=half, name=bus.name, listen_only=listen_only, **chosen
+        )
     if bind is not None:
-        return DatagramGate(_address(bus, bind), name=bus.name)
-    return DatagramGate(peer=_address(bus, str(channel)), name=bus.name)
+        return DatagramGate(_address(bus, bind), name=bus.name, listen_only=listen_only)
+    return DatagramGate(peer=_address(bus, str(channel)), name=bus.name, listen_only=listen_only)
 
 
 def _address(bus: Bus, text: str) -> tuple[str, int]:
@@ -72,13 +84,23 @@ def open_gates(
     loop: Loop,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     *,
+    passive: bool = False,
     load: Callable[[str], Driver] = load_driver,
 ) -> dict[str, Port]:
-    """A port for each bus of a robot that has active devices; `options` by bus, see `gate_of`. Nothing is opened yet."""
+    """A port for each bus of a robot that has active devices; `options` by bus, see `gate_of`. Nothing is opened yet.
+
+    They are for who drives: opening one takes the bus's `BusLock`. `passive` ones only listen, and take it for serial lines,
+    which have one reader. Buses within this process have no lock.
+    """
     ports: dict[str, Port] = {}
     for name, protocol in spoken_on(robot, load).items():
         bus = robot.buses[name]
-        gate = gate_of(bus, protocol, (options or {}).get(name))
+        said = (options or {}).get(name) or {}
+        gate = gate_of(bus, protocol, said, listen_only=passive)
+        channel = str(said.get("channel") or bus.channel or said.get("bind"))
+        is_inside = said.get("interface", bus.interface) in IN_PROCESS and not is_served(channel)
+        if not is_inside and (bus.link == "serial" or not passive):
+            gate.lock = BusLock(channel, name)
         ports[name] = port_for(gate, bus, loop)
     return ports
 

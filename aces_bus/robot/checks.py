@@ -17,10 +17,10 @@ from typing import Protocol as Interface
 import msgspec
 
 from ..controller.reactions import CONTROL_KINDS, WORDS
-from ..device.config import DeviceConfig, Joint, Robot
+from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
 from ..device.drivers import list_drivers
 from ..device.events import Kind
-from ..errors import AcesError, UnknownNameError
+from ..errors import AcesError, CallerError, UnknownNameError
 from ..protocol import Protocol, list_protocols, load_protocol
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
@@ -48,6 +48,8 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
     _check_sensors(robot, written, complain)
     _check_names(robot, complain)
     _check_reactions(robot, complain)
+    _check_states(robot, complain)
+    _check_rates(robot, complain)
     if robot.rate_hz is not None and robot.rate_hz > 20_000:
         complain(("rate_hz",), f"{robot.rate_hz:g} Hz is beyond what a bus can carry", True)
 
@@ -161,10 +163,28 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
                 complain((*path, key), f"{value} bit/s is no bit rate of CAN; 1 Mbit/s is 1_000_000", True)
             elif key == "baud" and value < 50:
                 complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)
+        if bus.allow is not None:
+            _check_allowed((*path, "allow"), bus, complain)
         if bus.channel is not None:
             if (other := channels.setdefault((bus.link, bus.channel), name)) != name:
                 complain((*path, "channel"), f"{bus.channel!r} is the channel of bus {other} already")
     return protocols
+
+
+def _check_allowed(path: tuple[str, ...], bus: Bus, complain: Complain) -> None:
+    from ..recordings.filters import parse_filter
+
+    if bus.link != "can":
+        complain(path, f"belongs to link = 'can'; this bus has link = {bus.link!r}")
+        return
+    try:
+        allowed = parse_filter(*bus.allow or ())
+    except CallerError as error:
+        complain(path, str(error))
+        return
+    for text, one in zip(allowed.texts, allowed.sets, strict=True):
+        if one.interface is not None:
+            complain(path, f'{text!r}: expected id:mask, such as "010:7F0", without an interface in front')
 
 
 def _check_dialect(
@@ -384,6 +404,36 @@ def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Comp
                 complain(
                     (*path, "signs"), f"{len(sensor.signs)} signs for {len(sensor.matrix)} rows of matrix"
                 )
+
+
+def _check_states(robot: Robot, complain: Complain) -> None:
+    """A state is of a joint, sensor or device, declared once, and each thing of it in one way."""
+    parts: dict[str, Joint | Sensor] = {**robot.sensors, **robot.joints}
+    owners = {alias: name for name, part in parts.items() for alias in part.aliases}
+    owners |= {name: name for name in (*robot.devices, *parts)}
+    declared: dict[str, str] = {}
+    for name, state in robot.states.items():
+        path = ("states", name)
+        owner, _, rest = name.partition(".")
+        _check_reference(path, "joint, sensor or device", owner, owners, complain)
+        whole = f"{owners.get(owner, owner)}.{rest or 'position'}"
+        if (other := declared.setdefault(whole, name)) != name:
+            complain(path, f"is the state {other}, which is declared already")
+        for one, two in (("estimator", "kalman"), ("history", "history_s")):
+            if getattr(state, one) is not None and getattr(state, two) is not None:
+                complain((*path, two), f"{one} says it already; a state has one of both")
+
+
+def _check_rates(robot: Robot, complain: Complain) -> None:
+    """A device is asked in a tick of its bus: no more often."""
+    for name, device in robot.devices.items():
+        bus = robot.buses.get(device.bus)
+        tick = (bus.rate_hz if bus is not None else None) or robot.rate_hz
+        if device.rate_hz is not None and tick is not None and device.rate_hz > tick:
+            complain(
+                ("devices", name, "rate_hz"),
+                f"{device.rate_hz:g} Hz is more often than its bus ticks ({tick:g} Hz): rate_hz of bus {device.bus}",
+            )
 
 
 def _check_names(robot: Robot, complain: Complain) -> None:

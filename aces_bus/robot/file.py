@@ -5,7 +5,8 @@
 3. A file is read, never run; its size is limited.
 4. `print_robot` writes one line an entry: read again, the text gives an equal robot. What is unknown is not written.
 
-The file's four tables hold one entry a bus, device, joint and sensor; an entry's keys are the fields of its struct.
+The file's tables hold one entry a bus, device, joint, sensor, state and controller; an entry's keys are the fields of its
+struct.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
-from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
+from ..device.config import Bus, ControllerConfig, DeviceConfig, Joint, Robot, Sensor, StateConfig
 from ..errors import CallerError
 from .checks import check, near
 from .toml_lines import KeyLines
@@ -38,11 +39,13 @@ LARGEST: Final = 2**20
 MOST: Final = 1000
 #: Tables and lists within one another, in a value.
 DEEPEST: Final = 8
-ENTRIES: Final[Mapping[str, type[Bus] | type[DeviceConfig] | type[Joint] | type[Sensor]]] = {
+ENTRIES: Final[Mapping[str, type[msgspec.Struct]]] = {
     "buses": Bus,
     "devices": DeviceConfig,
     "joints": Joint,
     "sensors": Sensor,
+    "states": StateConfig,
+    "controllers": ControllerConfig,
 }
 #: Where one of these is wrong, what depends on them is not looked at.
 BASIC: Final = {"link", "protocol", "dialect", "bus", "credentials", "channels", "kind", "device", "channel"}
@@ -222,7 +225,8 @@ class _Reader:
 
     def _struct(self, kind: type[T], path: tuple[str, ...], content: Any, **given: str) -> T | None:
         """One table as a struct; None when a key that it needs is missing or wrong."""
-        what = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__.lower()}"
+        noun = kind.__name__.removesuffix("Config")
+        what = f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun.lower()}"
         infos = [field for field in _fields(kind) if field.name not in given]
         if not isinstance(content, dict):
             names = " = …, ".join(field.name for field in infos if field.required) or infos[0].name
@@ -343,18 +347,9 @@ _ESCAPED: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\
 def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
     """The robot's TOML file; `notes` become comments at its head."""
     lines = [f"# {note}".rstrip() for note in notes]
-    lines += [
-        f"{name} = {_toml(value)}"
-        for name, value in _stated(robot).items()
-        if name not in ("buses", "devices", "joints", "sensors")
-    ]
-    sections: tuple[tuple[str, Mapping[str, msgspec.Struct]], ...] = (
-        ("buses", robot.buses),
-        ("devices", robot.devices),
-        ("joints", robot.joints),
-        ("sensors", robot.sensors),
-    )
-    for section, entries in sections:
+    lines += [f"{name} = {_toml(value)}" for name, value in _stated(robot).items() if name not in ENTRIES]
+    for section in ENTRIES:
+        entries: Mapping[str, msgspec.Struct] = getattr(robot, section)
         if entries:
             lines += ["", f"[{section}]"]
             lines += [f"{_toml_key(name)} = {_toml(entry, ('name',))}" for name, entry in entries.items()]

@@ -15,7 +15,7 @@ from functools import cache, cached_property
 from typing import Any
 
 from ..device.coalesce import CoalescingRule
-from ..device.config import DeviceConfig, Joint, Robot, Sensor
+from ..device.config import DeviceConfig, Joint, Robot, Sensor, StateConfig, priority_of
 from ..device.device import Device
 from ..device.drivers import Driver, load_driver
 from ..device.events import DeviceEvent, EventLog
@@ -28,11 +28,13 @@ from ..device.twin import Twin, Twins, World
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Variant, load_protocol
 from ..runtime import EventClock
-from ..state import UNKNOWN, State
+from ..state import UNKNOWN, ConstantAcceleration, ConstantVelocity, Hold, Kalman, State
 
 Loader = Callable[[str], Driver]
 #: What a joint's name alone means, by the joint's `command`.
 MAIN = {"position": "position", "speed": "velocity", "current": "current", "duty": "duty"}
+#: What a robot's file calls estimators.
+ESTIMATORS = {"hold": Hold(), "velocity": ConstantVelocity(), "acceleration": ConstantAcceleration()}
 #: The suffix of what was set, as a state.
 SETPOINT = ".setpoint"
 
@@ -83,6 +85,23 @@ class Rig:
     def __getitem__(self, name: str) -> Signal:
         """The signal of this name, see `whole`; raises `UnknownNameError`."""
         return self.signals[self.whole(name)]
+
+    def is_there(self, name: str) -> bool:
+        """Whether a state that the robot's file names is of an active device; raises `UnknownNameError` as `whole`."""
+        owner = name.partition(".")[0]
+        whole = self.aliases.get(owner, owner)
+        part = self.robot.joints.get(whole) or self.robot.sensors.get(whole)
+        if part is not None and (not part.active or part.device not in self.devices):
+            return False
+        if whole in self.robot.devices and whole not in self.devices:
+            return False
+        return bool(self.whole(name))
+
+    def refresh_every(self, name: str, period_s: float) -> None:
+        """Ask for a signal so often; see `Device.refresh_every`."""
+        whole = self.whole(name)
+        owner = next(device for device in self.devices.values() if whole in device.signals)
+        owner.refresh_every(whole, period_s)
 
     def device(self, name: str) -> Device:
         """The device of this name, or the one that has this joint or sensor; raises `UnknownNameError`."""
@@ -145,32 +164,49 @@ def connect(
     rate_hz: float | None = None,
     budget: float = BUDGET,
     rules: Mapping[str, CoalescingRule] | None = None,
+    passive: bool = False,
     load: Loader = load_driver,
 ) -> Rig:
     """The robot's devices, on these ports (bus name → port), not open yet.
 
-    `rate_hz` is the tick (None: no ticks); `rules` replace the drivers' rules of coalescing. Raises `CallerError` for a
-    bus without a port, `UnknownNameError` for a driver or protocol that is not installed.
+    `rate_hz` is the tick of buses whose rate the file does not state (None: no ticks at all); `rules` replace the drivers'
+    rules of coalescing; `passive` hosts listen to what others ask, and send nothing. Raises `CallerError` for a bus
+    without a port, or a state that cannot be asked for so often, `UnknownNameError` for a driver or protocol that is not
+    installed, and for a state that is none.
     """
     events = EventLog()
     hosts = {
         name: Host(
-            ports[name], variants, rate_hz=rate_hz, budget=budget, rules=rules, events=events, name=name
+            ports[name],
+            variants,
+            rate_hz=rate_hz and (robot.buses[name].rate_hz or rate_hz),
+            budget=budget,
+            rules=rules,
+            events=events,
+            name=name,
+            passive=passive,
         )
-        for name, variants in _variants(robot, ports, load).items()
+        for name, variants in sorted(
+            _variants(robot, ports, load).items(), key=lambda one: -priority_of(robot.buses[one[0]])
+        )
     }
     if not hosts:
         raise CallerError(f"robot {robot.name} has no active device")
     rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)
-    for config, driver in _driven(robot, load):
+    for config, driver in sorted(_driven(robot, load), key=lambda one: -priority_of(one[0])):
         host = hosts[config.bus]
         device = driver.device(host, config, robot, host.variants[driver.protocol])
+        if config.rate_hz is not None:
+            device.tick_at(config.rate_hz)
         host.add(device)
         rig.devices[config.name] = device
         rig.signals.update(device.signals)
     parts: list[Joint | Sensor] = [*robot.joints.values(), *robot.sensors.values()]
     for part in parts:
         rig.aliases.update(dict.fromkeys(part.aliases, part.name))
+    for name, state in robot.states.items():
+        if state.period_s is not None and rig.is_there(name):
+            rig.refresh_every(name, state.period_s)
     return rig
 
 
@@ -314,12 +350,52 @@ def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str
 # ---------------------------------------------------------------------- signals as states
 
 
-class States(Mapping[str, State]):
-    """The states of a rig by name, see `Rig.whole`, and of set-points: "RHY.setpoint". Each keeps `history` samples."""
+#: What a run may say of a state: keywords of `State`.
+DECLARED = ("estimator", "interpolation", "history", "history_s", "period_s", "stale_after_s")
 
-    def __init__(self, rig: Rig, *, history: int = 512) -> None:
+
+def _options_of(config: StateConfig) -> dict[str, Any]:
+    """What a robot's file says of a state, as keywords of `State`."""
+    options = {key: getattr(config, key) for key in DECLARED if getattr(config, key) is not None}
+    if config.estimator is not None:
+        options["estimator"] = ESTIMATORS[config.estimator]
+    elif config.kalman is not None:
+        kalman = config.kalman
+        options["estimator"] = Kalman(kalman.measurement_std, kalman.process_density, kalman.model)
+    return options
+
+
+class States(Mapping[str, State]):
+    """The states of a rig by name, see `Rig.whole`, and of set-points: "RHY.setpoint".
+
+    Each keeps `history` samples, and is what the robot's file says of it; `declared` (name → keywords of `State`) has
+    precedence, such as `{"RHY": {"estimator": Kalman(0.01, 1.0), "history_s": 2.0}}`. Raises `UnknownNameError` for a name
+    or keyword that is none, `CallerError` as `Device.refresh_every`, and for a state that is declared twice.
+    """
+
+    def __init__(
+        self, rig: Rig, *, history: int = 512, declared: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> None:
         self.rig, self.history = rig, history
         self._made: dict[str, State] = {}
+        self._declared: dict[str, dict[str, Any]] = {}
+        for name, config in rig.robot.states.items():
+            if rig.is_there(name):
+                self._declared[rig.whole(name)] = _options_of(config)
+        names: dict[str, str] = {}
+        for name, options in (declared or {}).items():
+            whole = rig.whole(name)
+            if (other := names.setdefault(whole, name)) != name:
+                raise CallerError(f"states: {name} and {other} are one state, {whole}")
+            for key in options:
+                if key not in DECLARED:
+                    raise UnknownNameError(f"option of state {name}", key, DECLARED)
+            if options.get("period_s") is not None:
+                rig.refresh_every(whole, options["period_s"])
+            known = self._declared.get(whole, {})
+            if "history" in options or "history_s" in options:
+                known = {key: value for key, value in known.items() if key not in ("history", "history_s")}
+            self._declared[whole] = {**known, **options}
 
     def whole(self, name: str) -> str:
         """The full name of a state; raises `UnknownNameError` with those that exist."""
@@ -341,7 +417,18 @@ class States(Mapping[str, State]):
         source: Any = self.rig.signals[whole]
         # What is only set has its set-points for values; all else has what was received.
         is_received = whole in self._readable or not source.is_writable
-        return State.of(source, history=self.history, sampled=is_received)
+        options = dict(self._declared.get(whole, ()))
+        if options.get("history_s") is None:
+            options.setdefault("history", self.history)
+        else:
+            options.setdefault("period_s", self._period_s(whole))
+        return State.of(source, sampled=is_received, **options)
+
+    def _period_s(self, whole: str) -> float | None:
+        """How often a signal is asked for."""
+        device = next(one for one in self.rig.devices.values() if whole in one.signals)
+        tick = 1 / device.host.rate_hz if device.host.rate_hz else None
+        return min((poll.every_s or tick or 0.0 for poll in device.polls_of(whole)), default=None) or tick
 
     @cached_property
     def _readable(self) -> set[str]:

@@ -42,7 +42,7 @@ from .rig import Rig, States
 T = TypeVar("T")
 
 #: Priorities of components by default: buses above control above logging.
-BUSES, CONTROL, LOGGING = 50, 40, 5
+CONTROL, LOGGING = 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
 #: Events after which a stop that was not confirmed is sent again.
@@ -116,7 +116,8 @@ class Runner:
     find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how. "hold" ends after `hold_s`
     (None: with `release`, or the run), then what was held is switched off. `at_end` "hold" leaves what runs as it is at the
     end. `guard` False leaves limits and dead-man away (the drivers' own limits stay). `drives` False: set-points are counted
-    and not sent (a replay).
+    and not sent (a replay). `states` declares states (name → keywords of `State`), see `States`. Rates and priorities of the
+    robot's file replace the controllers' own.
     """
 
     def __init__(
@@ -134,10 +135,11 @@ class Runner:
         at_end: Literal["disable", "hold"] = "disable",
         drives: bool = True,
         history: int = 512,
+        states: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         self.rig, self.clock = rig, rig.clock
         self.drives, self.hold_s, self.at_end = drives, hold_s, at_end
-        self.states = States(rig, history=history)
+        self.states = States(rig, history=history, declared=states)
         self.loggers = list(loggers)
         if tasks is None:
             tasks = ThreadTasks(self.clock) if isinstance(self.clock, Loop) else VirtualTasks(self.clock)
@@ -190,20 +192,45 @@ class Runner:
             sources=(*rig.robot.buses, *rig.robot.devices, *names),
             own=own_reactions,
         )
+        components: list[ControllerLike | RunLogger] = [*controllers, *self.loggers]
+        for component in components:
+            self._timed(component)
         for controller in controllers:
             supervisor = self._supervised(controller, {**declared, **(reactions or {})}, guard, on_trip)
             self.supervisors.append(supervisor)
-            tasks.add(
-                controller.name, self._stepper(supervisor), rate_hz=controller.rate_hz, priority=CONTROL
-            )
+            self._add_task(controller, self._stepper(supervisor), CONTROL)
         for logger in self.loggers:
             listeners = getattr(logger, "listeners", None)
             if isinstance(listeners, Listeners):
                 listeners.add(self._tell_all)
-            tasks.add(logger.name, logger.step, rate_hz=logger.rate_hz, priority=LOGGING)
+            self._add_task(logger, logger.step, LOGGING)
         rig.on_event(self._happened)
 
     # ------------------------------------------------------------------ making
+
+    def _add_task(
+        self, component: ControllerLike | RunLogger, step: Callable[[int], Any], priority: int
+    ) -> None:
+        said = self.rig.robot.controllers.get(component.name)
+        stated = None if said is None else said.priority
+        self.tasks.add(
+            component.name, step, rate_hz=component.rate_hz, priority=priority if stated is None else stated
+        )
+
+    def _timed(self, component: ControllerLike | RunLogger) -> None:
+        """Give a component the rate that the robot's file states for it."""
+        said = self.rig.robot.controllers.get(component.name)
+        if said is None or said.rate_hz is None or said.rate_hz == component.rate_hz:
+            return
+        try:
+            if isinstance(component, Supervisor):
+                raise AttributeError  # its guard was made for a rate
+            component.rate_hz = said.rate_hz  # type: ignore[misc]
+        except AttributeError:
+            raise CallerError(
+                f"{component.name}: the robot's file says {said.rate_hz:g} Hz, and it was made for"
+                f" {component.rate_hz:g} Hz only"
+            ) from None
 
     def _supervised(
         self,

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from ..controller import ControllerLike
 from ..device import Robot
+from ..device.config import priority_of
 from ..device.drivers import Driver, load_driver
 from ..errors import CallerError
 from ..frame_table import NO_TIME, to_ns
@@ -20,7 +21,7 @@ from ..runtime import Loop, ThreadTasks, VirtualClock, VirtualTasks
 from ..runtime.tasks import run_at
 from .buses import VirtualRobot, open_gates
 from .rig import Rig, connect, spoken_on
-from .runner import BUSES, Runner
+from .runner import Runner
 
 Load = Callable[[str], Driver]
 
@@ -55,23 +56,30 @@ def run_real(
     buses: Mapping[str, Mapping[str, Any]] | None = None,
     rate_hz: float | None = None,
     real_time: bool = False,
+    passive: bool | None = None,
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
     """A runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system allows it.
 
     What raises on the buses' thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise.
-    `buses` says where each is, see `gate_of`. Other options are `Runner`'s.
+    `buses` says where each is, see `gate_of`. With `drives=False` it is `passive` unless that is False: it sends nothing at
+    all, and states are what others ask for. Other options are `Runner`'s.
     """
+    if passive is None:
+        passive = not options.get("drives", True)
+    elif passive and options.setdefault("drives", False):
+        raise CallerError("a run that is passive sends no set-points: drives=False")
     failed: list[Callable[[BaseException], None]] = []
     loop = Loop(failed=lambda error: failed[0](error))
-    ports = open_gates(robot, loop, buses, load=load)
-    rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, load=load)
+    ports = open_gates(robot, loop, buses, passive=passive, load=load)
+    rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, passive=passive, load=load)
     runner = Runner(rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), **options)
     failed.append(runner.bus_failed)
     runner.before.append(loop.start)
     if real_time:
-        runner.before.append(lambda: loop.call(lambda: run_at(BUSES)))
+        most = max(priority_of(robot.buses[name]) for name in rig.hosts)
+        runner.before.append(lambda: loop.call(lambda: run_at(most)))
     runner.after.append(loop.stop)
     return runner
 

@@ -80,6 +80,7 @@ class SignalSource(Protocol):
     listeners: list[Callable[[Any, int], None]]
     last: Any
     instant: int | None
+    request: Callable[[], None] | None
 
     @property
     def is_writable(self) -> bool:

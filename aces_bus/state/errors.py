@@ -6,7 +6,12 @@ from ..errors import CallerError
 
 
 class StateError(CallerError):
-    """A state was asked for what it cannot know or do: says which state, what was asked, what there is, what next."""
+    """A state was asked for what it cannot know or do: says which state, what was asked, what there is, what next.
+
+    `is_permanent`: waiting does not help, as for the future without an estimator, or a past longer than the history.
+    """
+
+    is_permanent = False
 
 
 def raise_first(error: type[CallerError], *faults: tuple[bool, str]) -> None:

@@ -149,7 +149,11 @@ class TimeSeries(ABC):
             instant = origin + round(t * 1e9)
         except (OverflowError, ValueError, TypeError):
             instant = origin + self.in_ns(t)  # says what is wrong with it
-        return self.at(instant)
+        try:
+            return self.at(instant)
+        except StateError as error:
+            error.is_permanent = error.is_permanent or t > 0
+            raise
 
     def get(self, t: float, default: Any = UNKNOWN) -> Any:
         """`q[t]`, or `default` where that is unknown or outside of what can be known."""
@@ -171,10 +175,13 @@ class TimeSeries(ABC):
         origin, span = self.origin, self.span
         if origin is None or span is None:
             return StateError(f"state {self.name!r}: it has no sample yet")
-        return StateError(
+        error = StateError(
             f"state {self.name!r} has no value at t = {(instant - origin) / 1e9:+.9g} s: its history reaches from "
             f"{(span[0] - origin) / 1e9:.9g} to {(span[1] - origin) / 1e9:.9g} s; {hint}"
         )
+        forgotten = self.forgotten
+        error.is_permanent = forgotten is not None and instant < forgotten
+        return error
 
     # ---- quantities made from it ----------------------------------------------------------------------------------
 

@@ -125,6 +125,7 @@ class State(TimeSeries):
         """A state fed by a device's signal: its name, unit, clock and staleness, unless `options` say otherwise."""
         options.setdefault("unit", source.unit)
         options.setdefault("clock", source.clock)
+        options.setdefault("request", source.request)
         if source.stale_after_ns is not None:
             options.setdefault("stale_after_s", source.stale_after_ns / 1e9)
         if source.is_writable:
@@ -268,7 +269,7 @@ class State(TimeSeries):
         return self._target
 
     def refresh(self) -> None:
-        """Ask the device for a new sample; nothing where samples come by themselves."""
+        """Ask the device for a new sample, from any thread; nothing where samples come by themselves."""
         if self.request is not None:
             self.request()
 
@@ -292,7 +293,11 @@ class State(TimeSeries):
             instant = origin + round(t * 1e9)
         except (OverflowError, ValueError, TypeError):
             instant = origin + self.in_ns(t)  # says what is wrong with it
-        return self.at(instant)
+        try:
+            return self.at(instant)
+        except StateError as error:
+            error.is_permanent = error.is_permanent or t > 0
+            raise
 
     def at(self, instant: int) -> Any:
         """The value at an instant (ns): a sample, between two the interpolation, beyond them the estimator's."""
@@ -370,9 +375,13 @@ class State(TimeSeries):
         return _NAN if value is UNKNOWN else value
 
     def _no_value(self, instant: int) -> StateError:
-        return self._outside(
-            instant, "give the state an estimator to go beyond it, or keep more with history=… (samples)"
+        where = (
+            ""
+            if self._source is None
+            else f': in the robot\'s file, [states] "{self.name}" = {{ estimator = "velocity" }}, or states={{…}} of the run'
         )
+        hint = "give the state an estimator to go beyond it, or keep more with history=… (samples)"
+        return self._outside(instant, hint + where)
 
     @property
     def last(self) -> Any:

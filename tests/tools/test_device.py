@@ -416,19 +416,48 @@ def stand(
 
 
 def test_on_a_served_bus(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
-    """Through a real bus values are read, another program sees it, and nothing is written on stderr.
-
-    The other one only listens: two that ask at the same instant with the same identifier disturb each other until both are
-    bus-off, here as on a real bus.
-    """
+    """Through a real bus values are read, another program sees it, and nothing is written on stderr; asking needs `--ask`."""
     with can.Bus("unix:leg0", interface="aces") as other:
-        got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+        got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces", "--ask")
         seen = other.recv(10)
     assert seen is not None
     assert seen.arbitration_id == 0x001  # the question; its answers come after it
     assert (got.status, got.out) == (0, "YAW.position  0 rad\n")
     assert got.err == ""
     assert aces("device", "JMC0", "parameters", "-r", leg, "-i", "aces").status == 0  # only asks: no --tx
+
+
+def test_a_looker_sees_what_another_program_asks(
+    aces: Aces, leg: str, stand: SimulatedRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a program that drives, `get` and `watch` show its answers and send nothing; whoever would ask, too, is refused
+    by that program's name.
+    """
+    from argparse import Namespace
+
+    from aces_tools.device import alone
+    from aces_tools.robot_arg import open_robot
+
+    monkeypatch.setattr("sys.argv", ["/usr/bin/aces", "run", "walk.py"])
+    options = Namespace(bus=[], interface="aces", baud=None, virtual=False)
+    command = ("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+    twin = stand.simulation["JMC0"]
+    with open_robot(alone(chosen_robot(leg), "JMC0"), options, rate_hz=50) as live:
+        assert live.clock.wait(lambda: live.rig["YAW"].instant is not None, 20_000_000_000)
+        got = aces(*command)
+        watched = aces("device", "YAW", "watch", "position", "--for", "0.2s", "-r", leg, "-i", "aces")
+        refused = aces(*command, "--ask")
+        host = live.rig.hosts["can"]
+        live.clock.call(host.close)  # type: ignore[attr-defined]
+        assert twin.requests == host.counts.sent
+        assert [event.kind for event in live.rig.events.last if event.device] == []
+    assert (got.status, got.out, got.err) == (0, "YAW.position  0 rad\n", "")
+    assert watched.status == 0
+    assert refused.status == 2
+    assert "is driven by aces run (pid " in refused.err
+    alone_again = aces(*command)
+    assert alone_again.status == 1
+    assert alone_again.messages == ["nothing was heard of JMC0: no other program asks it; --ask does"]
 
 
 def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
@@ -444,7 +473,7 @@ def test_a_device_that_is_not_there(
     """`get` says who does not answer and what to look at; `set` and actions do nothing; status 1."""
     stand.simulation["JMC0"].fault("silent")
     monkeypatch.setattr(device_do, "HEARD_S", 1.0)
-    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces")
+    got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces", "--ask")
     assert (got.status, got.out) == (1, "YAW.position  unknown\n")
     (silent,) = [line for line in got.messages if line.startswith("JMC0: silent:")]
     assert "is it powered, on bus can, and board 0x00? `aces discover`" in silent

@@ -278,8 +278,8 @@ def served(tmp_path: Path) -> Iterator[tuple[str, ...]]:
 
 
 def test_real_buses_move_only_with_tx(aces: Aces, robot: Path, knee: Path, served: tuple[str, ...]) -> None:
-    """Without --tx the devices are asked and set-points only counted; with it the joint moves, and is stopped."""
-    only = aces("run", "-r", robot, knee, *served, "--for", "0.2s")
+    """With --ask the devices are asked and set-points only counted; with --tx the joint moves, and is stopped."""
+    only = aces("run", "-r", robot, knee, *served, "--for", "0.2s", "--ask")
     assert only.status == 0
     assert only.summary["set_points"] > 0
     assert only.err.splitlines()[-1].endswith("(set-points were not sent)")
@@ -290,6 +290,21 @@ def test_real_buses_move_only_with_tx(aces: Aces, robot: Path, knee: Path, serve
     rows = numbers(log)
     assert rows[-1][1] > 0.02
     assert any("late" in message and "(median)" in message for message in moved.messages)
+
+
+def test_without_tx_and_ask_nothing_is_sent(
+    aces: Aces, robot: Path, knee: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that only looks on puts no frame on the bus, says what it has not heard, and how to ask."""
+    monkeypatch.setattr("aces_bus.robot.runner.RECEIVE_S", 0.2)
+    options = {"interface": "aces", "channel": str(tmp_path), "bitrate": 1_000_000}
+    with Loop() as loop, simulate(boards(), {"line": port_of(CanGate(options), loop)}) as twins:
+        only = aces(
+            "run", "-r", robot, knee, "-i", "aces", "--bus", f"line={tmp_path}", "--for", "0.2s", "--home"
+        )
+        assert sum(twin.requests for twin in twins.twins.values()) == 0
+    assert only.messages[0] == "nothing was heard of JMC1, JMC2: no other program asks; --ask does"
+    assert only.status == 1
 
 
 def test_what_is_missing_is_named_and_nothing_moves(

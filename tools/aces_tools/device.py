@@ -2,7 +2,8 @@
 
   aces device -r hubo2plus              its devices, their joints and sensors
   aces device RHY                       what one has: signals, actions
-  aces device RHY get                   all its values, once
+  aces device RHY get                   all its values, once, as others ask for them
+  aces device RHY get --ask             the same, asked for by itself
   aces device RHY get position velocity
   aces device RHY watch position        kept up to date; in a pipe a line each
   aces device RHY home --tx             an action, with its progress
@@ -12,8 +13,10 @@
 
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
 simulated devices answer, in virtual time, and nothing else is needed. On real
-buses, whatever changes a device needs --tx. Values are in SI units. A joint's
-name is enough: its device is found. Nothing is sent to other devices.
+buses `get` and `watch` listen to what another program asks, unless --ask has
+them ask; whatever changes a device needs --tx. One program of a machine asks and
+drives on a bus: a second is refused. Values are in SI units. A joint's name is
+enough: its device is found. Nothing is sent to other devices.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from .device_do import Doing, checked, signals_of
 from .device_text import parse_pairs
 from .devices import show_device, show_devices
 from .live import LivePatience
-from .options import EVERY, FOR, JSON, TX, Arguments, argument, flag
+from .options import ASK, EVERY, FOR, JSON, TX, Arguments, argument, flag
 from .robot_arg import ROBOT_OR_TWINS, chosen_robot, open_robot
 
 #: The rate of the host where the robot's file says none (Hz).
@@ -59,6 +62,7 @@ ARGUMENTS: Arguments = (
         "values", nargs="*", metavar="SIGNAL|NAME=VALUE", help="signals to read; values to set; arguments"
     ),
     TX.but(help="really change something; nothing else makes it"),
+    ASK.but(help="get, watch: ask the device; without, only listen to what other programs ask"),
     flag("--enable", help="set: enable the device before, and stop it after"),
     FOR.but(help="set: keep it up so long (default: 2s); watch: end after so long"),
     EVERY.but(help="watch: between two lines (default: 0.1s)"),
@@ -92,9 +96,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not asks and not arguments.tx and not arguments.virtual:
         say(f"{action!r} changes {config.name}: nothing was sent; add --tx")
         return 1
+    passive = action in ("get", "watch") and not (arguments.ask or arguments.tx)
     with (
         LivePatience() as patience,
-        open_robot(alone(robot, config.name), arguments, rate_hz=robot.rate_hz or RATE) as live,
+        open_robot(
+            alone(robot, config.name), arguments, rate_hz=robot.rate_hz or RATE, passive=passive
+        ) as live,
     ):
         from .live import DeviceEventLines
 
@@ -124,6 +131,8 @@ def _check_options(arguments: argparse.Namespace, action: str) -> None:
         raise CallerError(f"--enable is for 'set', not for {action!r}")
     if arguments.duration is not None and action not in ("set", "watch"):
         raise CallerError(f"--for is for 'set' and 'watch', not for {action!r}")
+    if arguments.ask and action not in ("get", "watch"):
+        raise CallerError(f"--ask is for 'get' and 'watch', not for {action!r}")
     if arguments.every is not None and action != "watch":
         raise CallerError(f"--every is for 'watch', not for {action!r}")
 

@@ -152,7 +152,10 @@ class Doing:
             width = max(len(one.name) for one in signals)
             for one in signals:
                 print(f"{one.name:<{width}}  {reading(one)}")
-        return 1 if any(one.instant is None for one in signals) else 0
+        missing = any(one.instant is None for one in signals)
+        if missing and self.device.host.passive and self.device.last_heard is None:
+            say(f"nothing was heard of {self.device.name}: no other program asks it; --ask does")
+        return 1 if missing else 0
 
     def watch(self, every: int, duration: int | None) -> int:
         """Again and again: a table that is kept up to date on a terminal, else a line each time."""

@@ -183,6 +183,7 @@ LOOP = argument(
     "--loop", type=at_least(0), default=1, metavar="N", help="so many times; 0: until Ctrl-C (default: 1)"
 )
 TX = flag("--tx", help="really send; nothing else makes it")
+ASK = flag("--ask", help="ask the devices; without (and without --tx) only listen to what others ask")
 OUTPUT = argument("-o", "--output", metavar="FILE", help="write there instead of on standard output")
 JSON = flag("--json", help="JSON on standard output, for programs")
 QUIET = flag("-q", "--quiet", help="print only the summary")

@@ -279,6 +279,33 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
             for s in robot.sensors.values()
         ],
     )
+    yield (
+        ("state", "estimator", "interpolation", "history", "asked every", "stale after"),
+        [
+            tuple(
+                map(
+                    printable,
+                    (
+                        s.name,
+                        s.estimator or ("" if s.kalman is None else f"kalman, {s.kalman.model}"),
+                        _cell(s.interpolation),
+                        f"{s.history_s:g} s" if s.history_s is not None else _cell(s.history),
+                        "" if s.period_s is None else f"{s.period_s:g} s",
+                        "" if s.stale_after_s is None else f"{s.stale_after_s:g} s",
+                    ),
+                )
+            )
+            for s in robot.states.values()
+        ],
+    )
+    yield (
+        ("bus, device, controller", "rate", "priority"),
+        [
+            (printable(one.name), "" if one.rate_hz is None else f"{one.rate_hz:g} Hz", _cell(one.priority))
+            for one in (*robot.buses.values(), *robot.devices.values(), *robot.controllers.values())
+            if one.rate_hz is not None or one.priority is not None
+        ],
+    )
 
 
 def _cell(value: Any) -> str:

@@ -117,8 +117,10 @@ def open_robot(
     *,
     rate_hz: float | None,
     rules: Mapping[str, Any] | None = None,
+    passive: bool = False,
 ) -> Generator[Opened]:
-    """The robot on its buses, or in virtual time with its twins; closed again at the end.
+    """The robot on its buses, or in virtual time with its twins; closed again at the end. `passive`: real buses are only
+    listened to.
 
     Raises `CallerError` naming the bus that cannot be opened.
     """
@@ -137,8 +139,8 @@ def open_robot(
 
     with ExitStack() as stack:
         loop = stack.enter_context(Loop())
-        ports = open_gates(robot, loop, options)
-        rig = connect(robot, ports, rate_hz=rate_hz, rules=rules)
+        ports = open_gates(robot, loop, options, passive=passive)
+        rig = connect(robot, ports, rate_hz=rate_hz, rules=rules, passive=passive)
         stack.callback(rig.close)
         for name, host in rig.hosts.items():
             open_host(name, host, channel_of(robot, name, options))

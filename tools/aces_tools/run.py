@@ -2,7 +2,8 @@
 
   aces run -r hubo2plus wave.py --virtual          with simulated devices
   aces run -r hubo2plus walk_100hz.txt --virtual --log walk.csv
-  aces run -r hubo2plus walk.py -i socketcan       sends no set-points
+  aces run -r hubo2plus walk.py -i socketcan       listens, and sends nothing
+  aces run -r hubo2plus walk.py -i socketcan --ask asks, and sends no set-points
   aces run -r hubo2plus walk.py -i socketcan --tx  and now it moves
   aces run -r hubo2plus walk.py --replay walk.blf  what it would have done
   aces run -r hubo2plus walk.py:knee hold.py --for 10s --log a.mcap:L*,LFFT.fz
@@ -24,6 +25,7 @@ import argparse
 from aces_bus.errors import CallerError
 
 from .options import (
+    ASK,
     FOR,
     LOOP,
     QUIET,
@@ -53,6 +55,7 @@ USAGE = "%(prog)s -r ROBOT CONTROLLER… [options]"
 ARGUMENTS: Arguments = (
     argument("items", nargs="*", metavar="CONTROLLER", help="FILE.py, FILE.py:NAME, or a file of set-points"),
     TX.but(help="really move it; without, set-points are shown and not sent"),
+    ASK,
     argument("--replay", metavar="FILE", help="take a recording (CAN) for its buses; nothing is sent"),
     FOR.but(help="run so long: 10s, 2min (default: to the end)"),
     RATE.but(metavar="HZ", help="of buses, players and logs (default: the robot's)"),
@@ -114,8 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise CallerError(
             f"{'--virtual' if arguments.virtual else '--replay'} has no buses; leave --bus and -i away"
         )
-    if arguments.replay and (arguments.tx or arguments.home):
-        raise CallerError("--replay moves nothing; leave --tx and --home away")
+    if arguments.replay and (arguments.tx or arguments.home or arguments.ask):
+        raise CallerError("--replay moves nothing; leave --tx, --ask and --home away")
     robot = chosen_robot(arguments.robot)
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)

@@ -135,6 +135,10 @@ class Cia402(ObjectAccess[DriveAxis]):
             for place in one.places:
                 self._takers.setdefault(place.index, one.number)
 
+    def polls_of(self, name: str) -> list[Poll]:
+        """Sync has all that is in PDOs sent, where the node waits for it."""
+        return list(self.polls) if name in self.readable and name != self.network.name else []
+
     # ------------------------------------------------------------------ up
 
     def start(self) -> Job:

@@ -60,7 +60,7 @@ class ForceTorqueBoard(SensorBoard):
         digits = [(f"{name}_digits", name, "", 1.0) for name, _ in _AXES]
         self.axes(force, self._force, digits, turned=not matrix)
         if force is not None and matrix:
-            self.made_of[self._force] = self.products(force, _AXES)
+            self.products(force, self._force, _AXES)
 
     def heard(self, record: Any, instant: int) -> None:
         """What a matrix makes of digits; readings at the end of their range."""

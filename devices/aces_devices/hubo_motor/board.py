@@ -262,6 +262,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         lower, upper = self._limits(axis, joint) if target is not None else (None, None)
         rate = self.host.rate_hz
         fresh = self.stale_s if rate is None else max(self.stale_s, 5 / rate)
+        encoders = shape.encoder_reply(axis.channel)
         axis.position = self.add_signal(
             "position",
             owner=joint.name,
@@ -271,7 +272,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
             lower=lower,
             upper=upper,
             stale_s=fresh,
-            is_read=True,
+            read_from=encoders,
             doc="encoder; set: where the board is to go",
             source="hubo-ach; HuboCan; acesHubo",
         )
@@ -280,7 +281,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
             owner=joint.name,
             unit="rad/s",
             stale_s=fresh,
-            is_read=True,
+            read_from=encoders,
             doc="from two encoder positions and their instants",
         )
 
@@ -318,9 +319,10 @@ class MotorBoard(MotorDevice[MotorAxis]):
         ):
             told = _SEARCH_STATUS
         stale_s = max(0.1, 5 * self.settings.status_s)
+        replies = shape.status.reply if shape.status is not None else ()
         for name, doc in told.items():
             axis.signals[name] = self.add_signal(
-                name, owner=axis.name, stale_s=stale_s, doc=doc, is_read=True
+                name, owner=axis.name, stale_s=stale_s, doc=doc, read_from=replies
             )
 
     def _limits(self, axis: MotorAxis, joint: Joint) -> tuple[float, float]:

@@ -94,7 +94,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
             self.add_signal("temperature", owner=joint.name, of=of, source="RoboWorld2018", **temperature)
             for name, doc in STATUS.items():
                 axis.signals[name] = self.add_signal(
-                    name, owner=joint.name, stale_s=5 * STATUS_S, doc=doc, is_read=True
+                    name, owner=joint.name, stale_s=5 * STATUS_S, doc=doc, read_from=REPLIES
                 )
         self.add_signal(
             "temperature", of="TemperatureD15.board_temperature", doc="the board's", **temperature

@@ -128,6 +128,11 @@ class Shape:
     reports_drive: bool = True
     position_bits: int = 24
 
+    def encoder_reply(self, channel: int) -> tuple[str, ...]:
+        """The messages that have a channel's position."""
+        asks = [ask for ask in self.encoders if ask.first <= channel]
+        return max(asks, key=lambda ask: ask.first).reply if asks else ()
+
 
 _A, _AB = ("PositionGainA",), ("PositionGainA", "PositionGainB")
 _TA, _TAB = ("TorqueGainA",), ("TorqueGainA", "TorqueGainB")

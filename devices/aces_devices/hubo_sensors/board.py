@@ -77,7 +77,7 @@ class SensorBoard(Device):
             sensor, "ImuD08", [(s, n, "", 1.0) for s, n in zip(short, names, strict=True)], turned=turned
         )
         if sensor is not None and sensor.matrix is not None:
-            self.made_of["ImuD08"] = self.products(sensor, MOTION[: len(sensor.matrix)])
+            self.products(sensor, "ImuD08", MOTION[: len(sensor.matrix)])
 
     def lacks(self, *actions: str) -> None:
         """Offer fewer actions than the class: these mean nothing to this board."""
@@ -94,6 +94,10 @@ class SensorBoard(Device):
         period = every or (1 / self.host.rate_hz if self.host.rate_hz else 0.0)
         #: How old a value may be (s).
         self.fresh_s = max(0.1, 5 * period)
+
+    def polls_of(self, name: str) -> list[Poll]:
+        """In D08 one request has all sent, in several messages."""
+        return list(self.polls) if self.is_old and name in self.readable else super().polls_of(name)
 
     def sensor_of(self, *kinds: str) -> Sensor | None:
         """The board's sensor of this kind, if the robot's file has one."""
@@ -124,10 +128,8 @@ class SensorBoard(Device):
                 source=self.facts,
             )
 
-    def products(
-        self, sensor: Sensor, named: Sequence[tuple[str, str]]
-    ) -> Callable[[Sequence[int], int], None]:
-        """A signal for each (name, unit), made of all digits by the sensor's matrix; the function that updates them."""
+    def products(self, sensor: Sensor, message: str, named: Sequence[tuple[str, str]]) -> None:
+        """A signal for each (name, unit), made of all digits of a message by the sensor's matrix."""
         matrix = sensor.matrix or ()
         if len(matrix) != len(named):
             raise CallerError(f"{self.name}: {sensor.name} needs a matrix of {len(named)} rows")
@@ -135,16 +137,20 @@ class SensorBoard(Device):
         rows: list[tuple[tuple[float, ...], Signal]] = []
         for (name, unit), row, sign in zip(named, matrix, signs, strict=False):
             made = self.add_signal(
-                name, unit=unit, owner=sensor.name, stale_s=self.fresh_s, source=self.facts
+                name,
+                unit=unit,
+                owner=sensor.name,
+                stale_s=self.fresh_s,
+                read_from=(message,),
+                source=self.facts,
             )
-            self.readable.add(made.name)
             rows.append((tuple(sign * factor for factor in row), made))
 
         def update(digits: Sequence[int], instant: int) -> None:
             for row, made in rows:
                 made.update(sum(f * d for f, d in zip(row, digits, strict=False)), instant)
 
-        return update
+        self.made_of[message] = update
 
     def alarm(self, what: str, is_on: bool) -> None:
         """Tell a fault when it begins and when it is over."""

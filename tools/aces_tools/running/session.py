@@ -1,6 +1,6 @@
 """One run, from opening the buses to the summary.
 
-1. Until `--tx` is said nothing that moves is sent on a real bus: the devices are asked, and set-points are shown.
+1. Until `--tx` is said nothing that moves is sent on a real bus, and nothing at all until `--ask`: set-points are shown.
 2. What is to be driven and is not there is found before anything moves.
 3. However it ends, the runner's own end comes first: controllers, motion, buses, logs; then the summary, last on stderr.
 """
@@ -92,6 +92,7 @@ class Session:
             rate_hz=self.rate_hz,
             real_time=asked.real_time,
             drives=asked.tx,
+            passive=not (asked.ask or asked.tx),
             **options,
         )
 
@@ -160,7 +161,9 @@ class Session:
     def _prepare(self, runner: Runner, missing: Sequence[str]) -> bool:
         """Home and enable what is driven; False when some of it is not there."""
         asked = self.arguments
-        if missing:
+        if missing and self.is_real and not (asked.ask or asked.tx):
+            say(f"nothing was heard of {', '.join(missing)}: no other program asks; --ask does")
+        elif missing:
             say(f"no answer from {', '.join(missing)}: powered, on this bus, and of this number?")
         if not runner.drives:
             return True

@@ -1,0 +1,114 @@
+"""Who drives a bus: a lock between the programs of one machine, so that two never drive one robot by accident.
+
+1. It is advisory: it binds those who take it, whatever user they run as. Who only listens takes none.
+2. The system holds it: it is gone when its program is, kill -9 included. What is left of it is a file that says nothing.
+3. Who is refused is told by whom: program and process.
+
+The lock is `flock(2)` on a file in a folder of the temporary files that all users share, named after the bus's channel.
+Where there is no `flock` (Windows) there is no lock.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import sys
+import tempfile
+from pathlib import Path
+from urllib.parse import quote
+
+from ..errors import CallerError
+from ..plain_text import printable
+from .served.address import is_served, parse_address
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]
+
+#: Characters of a program's name in a lock, and of a channel's in a file's name.
+NAME_LENGTH, FILE_LENGTH = 100, 150
+
+
+class BusLock:
+    """The right to drive the bus at `channel` ("can0", "/dev/ttyUSB0"); `name` is what messages call the bus."""
+
+    def __init__(self, channel: str, name: str) -> None:
+        self.channel, self.name = _whole(channel), name
+        self._file: int | None = None
+
+    def take(self) -> None:
+        """Take it. Raises `CallerError` with the program that has it, or where the lock's file cannot be had."""
+        if fcntl is None or self._file is not None:
+            return
+        path = lock_folder() / _file_name(self.channel)
+        try:
+            file = _opened(path)
+        except OSError as error:
+            raise CallerError(f"bus {self.name}: {path} cannot be opened: {error.strerror}") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = printable(os.read(file, 2 * NAME_LENGTH).decode(errors="replace")) or "another program"
+            os.close(file)
+            raise CallerError(
+                f"bus {self.name} ({self.channel}) is driven by {holder}: two programs cannot drive it; end that one, or"
+                " only listen (without --ask and --tx; in Python passive=True)"
+            ) from None
+        os.ftruncate(file, 0)
+        os.write(file, f"{_program()} (pid {os.getpid()})".encode())
+        self._file = file
+
+    def release(self) -> None:
+        """Let others have it."""
+        if self._file is not None:
+            os.ftruncate(self._file, 0)
+            os.close(self._file)
+            self._file = None
+
+
+def lock_folder() -> Path:
+    """The folder of all users' locks, made where it is not there. Raises `CallerError` where it cannot be used."""
+    folder = Path(tempfile.gettempdir(), "aces-locks")
+    try:
+        folder.mkdir(exist_ok=True)
+        found = os.lstat(folder)
+        if found.st_uid == os.getuid():
+            folder.chmod(0o1777)
+    except OSError as error:
+        raise CallerError(f"{folder}: cannot be made: {error.strerror}") from error
+    if not stat.S_ISDIR(found.st_mode):
+        raise CallerError(f"{folder} is not a folder; remove it")
+    return folder
+
+
+def _opened(path: Path) -> int:
+    """The lock's file; one that is there is not created, which Linux refuses for a file of another user in such a folder."""
+    try:
+        return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        if os.fstat(file).st_uid == os.getuid():
+            os.fchmod(file, 0o666)
+        return file
+
+
+def _whole(channel: str) -> str:
+    """One name for one line: what `/dev/serial/by-id/…` leads to, the path of a served bus."""
+    if is_served(channel):
+        return str(parse_address(channel))
+    return os.path.realpath(channel) if channel.startswith("/") else channel
+
+
+def _file_name(channel: str) -> str:
+    name = quote(channel, safe="")
+    if len(name) > FILE_LENGTH:
+        name = f"{name[:80]}-{hashlib.sha256(name.encode()).hexdigest()}"
+    return name
+
+
+def _program() -> str:
+    """What this program is called: `aces run`, `walk.py`."""
+    words = [os.path.basename(sys.argv[0] or "python"), *sys.argv[1:2]]
+    return " ".join(word for word in words if not word.startswith("-"))[:NAME_LENGTH]

@@ -1,0 +1,127 @@
+"""One program of a machine drives a bus."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from aces_bus.errors import CallerError
+from aces_bus.frames import Frame
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.lock import BusLock, lock_folder
+from aces_bus.recordings.filters import parse_filter
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="locks are flock's")
+
+HOLDER = """
+import sys
+from aces_bus.hardware.lock import BusLock
+lock = BusLock(sys.argv[2], "lower")
+lock.take()
+print("taken", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Temporary files of this test's own."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_the_second_is_refused_by_the_firsts_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With program and process; when the first lets go, the second has it. Other channels are free."""
+    monkeypatch.setattr("sys.argv", ["/usr/bin/aces", "run", "walk.py"])
+    first, second = BusLock("can0", "lower"), BusLock("can0", "legs")
+    first.take()
+    first.take()
+    BusLock("can1", "upper").take()
+    with pytest.raises(CallerError) as refused:
+        second.take()
+    assert str(refused.value).startswith(
+        f"bus legs (can0) is driven by aces run (pid {os.getpid()}): two programs"
+    )
+    first.release()
+    first.release()
+    second.take()
+
+
+def test_one_line_has_one_name(folder: Path) -> None:
+    """A link to a serial port is that port; a served bus is its path."""
+    (folder / "ttyUSB0").touch()
+    (folder / "by-id").symlink_to(folder / "ttyUSB0")
+    lock = BusLock(str(folder / "by-id"), "servos")
+    lock.take()
+    with pytest.raises(CallerError, match="is driven by"):
+        BusLock(str(folder / "ttyUSB0"), "servos").take()
+    BusLock("tcp:localhost:29536/can0" + "x" * 300, "far").take()
+
+
+def test_all_users_have_one_folder() -> None:
+    """Whoever made folder and file, others may take the lock: as in /tmp, nobody can remove another's file."""
+    BusLock("can0", "lower").take()
+    assert stat.S_IMODE(lock_folder().stat().st_mode) == 0o1777
+    assert [stat.S_IMODE(file.stat().st_mode) for file in lock_folder().iterdir()] == [0o666]
+
+
+def test_a_link_in_the_folder_is_not_followed(folder: Path) -> None:
+    """What somebody has put there leads nowhere."""
+    (folder / "precious").write_text("keep")
+    (lock_folder() / "can0").symlink_to(folder / "precious")
+    with pytest.raises(CallerError, match="cannot be opened"):
+        BusLock("can0", "lower").take()
+    assert (folder / "precious").read_text() == "keep"
+
+
+def test_a_killed_program_holds_nothing(folder: Path) -> None:
+    """kill -9 of who drives frees the bus."""
+    words = [sys.executable, "-c", HOLDER, "drive", "can0"]
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "taken\n"
+        lock = BusLock("can0", "lower")
+        with pytest.raises(CallerError, match=rf"is driven by drive \(pid {process.pid}\)"):
+            lock.take()
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate(timeout=60)
+    lock.take()
+
+
+def test_a_gate_has_it_from_its_start_to_its_end(folder: Path) -> None:
+    """A second gate is refused before its bus is opened; a bus that cannot be opened keeps no lock."""
+    options = {"interface": "aces", "channel": str(folder)}
+    first, second = CanGate(options), CanGate(options)
+    first.lock, second.lock = BusLock("can0", "lower"), BusLock("can0", "lower")
+    with first, pytest.raises(CallerError, match="is driven by"):
+        second.start()
+    broken = CanGate({"interface": "aces", "channel": "unix:" + str(folder / "no.sock")})
+    broken.lock = BusLock("can0", "lower")
+    with pytest.raises(Exception, match="no server answers"):
+        broken.start()
+    with second:
+        pass
+    BusLock("can0", "lower").take()
+
+
+def test_only_what_is_allowed_leaves(folder: Path) -> None:
+    """An identifier that is not on the list is refused by its number, and is an event."""
+    options = {"interface": "aces", "channel": str(folder)}
+    events: list[tuple[str, str]] = []
+    with CanGate(options, name="lower", allow=parse_filter("010:7F0", "123:7FF")) as gate:
+        gate.on_event(lambda event: events.append((event.kind, event.detail)))
+        assert gate.send(Frame(0x01F, b""))
+        assert gate.send(Frame(0x123, b""))
+        with pytest.raises(CallerError, match=r"lower: 0x124 is not among the identifiers that may be sent"):
+            gate.send(Frame(0x124, b""))
+        assert gate.counters.given == 2
+    assert events[0] == ("not sent", "0x124 is not among the identifiers that may be sent here (allow)")
