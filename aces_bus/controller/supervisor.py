@@ -63,6 +63,7 @@ HARMLESS = (
     "answers",
     "alarm over",
     "late reply",
+    "duplicate reply",
     "limited",
     "clipped",
     "late",

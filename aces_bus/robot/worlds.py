@@ -54,20 +54,24 @@ def run_real(
     *,
     buses: Mapping[str, Mapping[str, Any]] | None = None,
     rate_hz: float | None = None,
+    transmit: bool = False,
     real_time: bool = False,
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
     """A runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system allows it.
 
-    What raises on the buses' thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise.
+    Without `transmit` controllers run, and their set-points are counted and not sent; nothing is enabled or stopped. What
+    raises on the buses' thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise.
     `buses` says where each is, see `gate_of`. Other options are `Runner`'s.
     """
     failed: list[Callable[[BaseException], None]] = []
     loop = Loop(failed=lambda error: failed[0](error))
     ports = open_gates(robot, loop, buses, load=load)
     rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, load=load)
-    runner = Runner(rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), **options)
+    runner = Runner(
+        rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), drives=transmit, **options
+    )
     failed.append(runner.bus_failed)
     runner.before.append(loop.start)
     if real_time:

@@ -83,7 +83,7 @@ class Session:
             buses=options,
             rate_hz=self.rate_hz,
             real_time=asked.real_time,
-            drives=asked.tx,
+            transmit=asked.tx,
             loggers=self.loggers,
         )
 
