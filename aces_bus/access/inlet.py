@@ -2,12 +2,13 @@
 
 1. They reach states on the clock's thread only. However many come, one action waits there, with the newest value of each
    state: a flood costs nothing below.
-2. A state that refuses one (read-only, not a number) is counted, and reported once for each state until it takes one.
+2. A state that refuses one (read-only, not a number, another's) is counted, and reported once for each state until it
+   takes one.
+3. Whose set-point a state of a robot takes is its only writer until `give_up`; another writer's is refused.
 """
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -65,14 +66,24 @@ class Inlet:
     """Takes set-points (`put`) and sample requests (`ask`) from any thread. `taken` and `refused` count set-points."""
 
     def __init__(
-        self, clock: Soon, states: Mapping[str, Any], events: AccessEvents, name: str, *, plans: bool = True
+        self,
+        clock: Soon,
+        states: Mapping[str, Any],
+        events: AccessEvents,
+        name: str,
+        *,
+        plans: bool = True,
+        all_states: object = None,
     ) -> None:
         self.clock, self.states, self.events, self.name = clock, states, events, name
+        #: The states that these are some of; a robot's know who writes them.
+        self.all_states = all_states
         #: Whether it plans on the clock by itself; else its owner calls `flush` on the clock's thread.
         self.plans = plans
         self.taken = self.refused = 0
         #: When the last one was taken (ns); None before the first.
         self.taken_at: int | None = None
+        self._writers: dict[str, Callable[[float], None]] = {}
         self._waiting: dict[str, float] = {}
         self._asked: set[str] = set()
         self._complained: set[str] = set()
@@ -80,11 +91,10 @@ class Inlet:
         self._lock = threading.Lock()
 
     def put(self, values: Mapping[str, float]) -> None:
-        """Set-points, by state; those of states that are not there, or not finite, are refused."""
-        good = {name: v for name, v in values.items() if name in self.states and math.isfinite(v)}
+        """Set-points, by state; those of states that are not there are refused, what else is wrong with them later."""
+        good = {name: v for name, v in values.items() if name in self.states}
         for name in values.keys() - good.keys():
-            known = name in self.states
-            self._refuse(name[:80], "not a finite number" if known else "no such state")
+            self._refuse(name[:80], "no such state")
         if good:
             with self._lock:
                 self._waiting.update(good)
@@ -112,7 +122,7 @@ class Inlet:
             self._is_planned = False
         for name, value in waiting.items():
             try:
-                self.states[name].set(value)
+                self._writer(name)(value)
             except Exception as error:  # a driver's own, too; the others are set nevertheless
                 self._refuse(name, str(error))
             else:
@@ -124,6 +134,22 @@ class Inlet:
                 self.states[name].refresh()
             except Exception as error:
                 self._refuse(name, str(error))
+
+    def _writer(self, name: str) -> Callable[[float], None]:
+        """What takes this writer's set-points of a state."""
+        found = self._writers.get(name)
+        if found is None:
+            state = self.states[name]
+            claim = getattr(self.all_states, "writer", None)
+            found = self._writers[name] = state.set if claim is None else claim(name, self.name)
+        return found
+
+    def give_up(self) -> None:
+        """Be nobody's writer any more."""
+        self._writers.clear()
+        door = getattr(self.all_states, "door", None)
+        if door is not None:
+            door.give_up(self.name)
 
     def _refuse(self, name: str, why: str) -> None:
         self.refused += 1

@@ -70,7 +70,7 @@ class UdpStates:
         self.events = AccessEvents()
         self.gets = self.samples = self.sets = self.junk = self.unanswered = 0
         self._asked = dict(ports)
-        self._inlet = Inlet(clock, self.states, self.events, "udp")
+        self._inlet = Inlet(clock, self.states, self.events, "udp", all_states=states)
         self._sockets: dict[str, socket.socket] = {}
         self._thread: threading.Thread | None = None
         self._timer: Timer | None = None
@@ -126,6 +126,7 @@ class UdpStates:
         for one in self._sockets.values():
             one.close()
         self._sockets = {}
+        self._inlet.give_up()
 
     def __enter__(self) -> Self:
         return self.open()

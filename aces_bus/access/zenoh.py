@@ -189,6 +189,7 @@ class Publisher:
         self._clock = clock
         self._options = dict(options or {})
         self._bound: dict[str, Any] = {}
+        self._all: Mapping[str, Any] = {}
         self._session: Any = None
         self._publisher: Any = None
         self._threads: list[threading.Thread] = []
@@ -209,7 +210,7 @@ class Publisher:
         for name in self.states:
             if name not in states:
                 raise UnknownNameError(f"state ({self.name} is to publish it)", name, states)
-        self._bound = {name: states[name] for name in self.states}
+        self._bound, self._all = {name: states[name] for name in self.states}, states
         rig = getattr(states, "rig", None)
         self.robot = self.robot or str(getattr(getattr(rig, "robot", None), "name", "")) or "robot"
         if self._clock is None:
@@ -240,7 +241,9 @@ class Publisher:
         if self.allow_set:
             # Virtual time has one thread, and it is not zenoh's: there, each step takes what has come.
             plans = not isinstance(self._clock, VirtualClock)
-            self._inlet = Inlet(self._clock, self._bound, self.events, self.name, plans=plans)
+            self._inlet = Inlet(
+                self._clock, self._bound, self.events, self.name, plans=plans, all_states=self._all
+            )
             self._threads.append(subscribe(self._session.declare_subscriber, f"{key}/set", self._set))
         # Last: whoever is answered knows of the others by then, as zenoh tells them in order.
         self._threads.append(subscribe(self._session.declare_queryable, f"{key}/about", self._tell_about))
@@ -274,6 +277,8 @@ class Publisher:
         if session is not None:
             atexit.unregister(self.stop)
             closed(session, self._threads)
+            if self._inlet is not None:
+                self._inlet.give_up()
 
     def _watch(self, now: int) -> None:
         """The dead-man of rule 3."""

@@ -4,10 +4,11 @@
    and within the acceleration, unless that would lead past a limit of position. A joint that begins outside of its limits
    is led inside by the same rules, and never further out.
 2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and reported once a while.
-3. When no set-points come for `dead_man_s`, or `trip` is called, the declared action follows: "hold" (come to a stand
+3. What is no finite number does not leave, and feeds no dead-man; five of them in a row for one state trip.
+4. When no set-points come for `dead_man_s`, or `trip` is called, the declared action follows: "hold" (come to a stand
    within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
    and acts). The dead-man's hold ends with the next set-points; every other trip is latched until `release`.
-4. Nothing here waits or raises for a value.
+5. Nothing here waits or raises for a value.
 
 Theory. With velocities in units of a·dt, stopping from w takes whole steps: the largest w that still stops within the
 distance m (in units of a·dt²) is m/(n+1) + n/2 with n the largest whole number of n(n+1)/2 ≤ m. That bounds the velocity
@@ -19,9 +20,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import msgspec
 
@@ -39,6 +40,8 @@ ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
 TOLD_EVERY_NS = 1_000_000_000
 #: Trips that are kept for a cycle.
 MOST_PENDING = 1_000
+#: So many set-points of one state in a row that are no finite numbers stop motion.
+NOT_FINITE_TRIPS = 5
 #: States of one guard; a controller may make names up for ever.
 MOST_LINES = 10_000
 _INFINITY = math.inf
@@ -83,6 +86,19 @@ class Trip(msgspec.Struct, frozen=True):
     latched: bool = True
 
 
+class SetpointDoor(Protocol):
+    """What a guard asks of the door that its set-points leave by (`Door`)."""
+
+    @property
+    def whole(self) -> Callable[[str], str]:
+        """The whole name of a signal; raises `UnknownNameError`."""
+        ...
+
+    def claim(self, name: str, owner: str, *, is_supervised: bool = False) -> None:
+        """The signal is this owner's; raises `CallerError` where it has another."""
+        ...
+
+
 def _reach(distance: float, quantum: float) -> float:
     """The largest step towards something `distance` away that can still stop there; `quantum` is a·dt²."""
     if distance <= 0.0:
@@ -100,6 +116,7 @@ class _Line:
         "asked",
         "clipped",
         "given",
+        "in_a_row",
         "lower",
         "name",
         "rate",
@@ -118,6 +135,7 @@ class _Line:
         self.asked = 0.0
         self.step = 0.0  # of the last cycle, per second
         self.clipped = Clipped()
+        self.in_a_row = 0  # not finite
         self.told_ns = -TOLD_EVERY_NS
 
     def pass_on(self, wanted: float, dt: float) -> float:
@@ -255,22 +273,32 @@ class Guard:
         self._dead_man = None if dead_man_s is None else round(dead_man_s * 1e9)
         self._lines = {one: _Line(one, limit) for one, limit in bounds.items()}
         self._states: Mapping[str, StateLike] = {}
+        self._door: SetpointDoor | None = None
+        #: The lines by all names that they were given set-points by, and by the whole names of their signals.
+        self._by_name = dict(self._lines)
+        self._by_signal: dict[str, _Line] = {}
         self._last: int | None = None  # ns of the last call that gave set-points
         self._heard: int | None = None  # ns of the last set-points that came
         self._pending: deque[tuple[str, Action | None]] = deque(maxlen=2 * MOST_PENDING)
 
     def bind(self, states: Mapping[str, StateLike]) -> None:
-        """Take the states whose present values the first set-points start from."""
+        """Take the states whose present values the first set-points start from.
+
+        Those of a rig also say which names are one signal, and have the door that this guard's set-points leave by.
+        """
         self._states = states
+        self._door = getattr(states, "door", None)
+        if self._door is not None:
+            self._by_signal = {self._door.whole(name): line for name, line in self._lines.items()}
 
     def clipped(self, state: str) -> Clipped:
         """What was changed of a state's set-points."""
-        return self._lines[state].clipped if state in self._lines else Clipped()
+        return self._by_name[state].clipped if state in self._by_name else Clipped()
 
     @property
     def clips(self) -> dict[str, Clipped]:
         """The same for all states of which something was changed."""
-        return {one: line.clipped for one, line in self._lines.items() if line.clipped.total}
+        return {line.name: line.clipped for line in self._lines.values() if line.clipped.total}
 
     def forget(self) -> None:
         """Begin anew: the next set-points start from the present values. A trip stays."""
@@ -308,8 +336,8 @@ class Guard:
             reason, self.tripped = self.tripped.reason, None
             self.listeners.tell(ControlEvent("late", now, self.name, f"set-points again after: {reason}"))
         dt = self._elapsed(now)
-        self._heard = self._last = now
-        lines = self._lines
+        self._last = now
+        lines = self._by_name
         out: dict[str, float] = {}
         for name, wanted in setpoints.items():
             line = lines.get(name)
@@ -322,15 +350,25 @@ class Guard:
             except TypeError:
                 is_finite = False
             if not is_finite:
-                line.clipped.not_finite += 1
-                self._tell(line, now, "not finite")
+                self._refuse(line, now)
                 continue
+            line.in_a_row = 0
             if line.given is None:
                 self._anchor(line)
             out[name] = given = line.pass_on(wanted, dt)
             if given != wanted:
                 self._tell(line, now, "clipped")
-        return out
+        if out or self._heard is None:  # what is no number feeds no dead-man
+            self._heard = now
+        return self.tick(now) if self._pending else out
+
+    def _refuse(self, line: _Line, now: int) -> None:
+        """What is no finite number does not leave, and stops motion when there is nothing else."""
+        line.clipped.not_finite += 1
+        line.in_a_row += 1
+        self._tell(line, now, "not finite")
+        if line.in_a_row == NOT_FINITE_TRIPS:
+            self.trip(f"{line.name}: {line.in_a_row} set-points in a row were not finite numbers")
 
     def tick(self, now: int) -> Mapping[str, float]:
         """A cycle without set-points: whether the dead-man acts, and what goes down if it holds."""
@@ -355,14 +393,16 @@ class Guard:
         dt = self._elapsed(now)
         self._last = now
         out: dict[str, float] = {}
-        for name, line in self._lines.items():
+        for line in self._lines.values():
             given = line.stand(dt)
             if given is not None:
-                out[name] = given
+                out[line.name] = given
         return out
 
     def _anchor(self, line: _Line) -> None:
-        """The first set-point of a state starts from where it is."""
+        """The first set-point of a state starts from where it is; from then on its signal is this controller's."""
+        if self._door is not None:
+            self._door.claim(line.name, self.name, is_supervised=True)
         present = known_value(self._states.get(line.name))
         if present is None:
             self.unanchored += 1
@@ -370,8 +410,16 @@ class Guard:
             line.given = line.asked = present
 
     def _unknown_line(self, name: str) -> _Line | None:
+        whole = name if self._door is None else self._door.whole(name)
+        line = self._by_signal.get(whole)
+        if line is not None:  # another name of a signal that has bounds
+            if line.given is None:
+                line.name = name
+            self._by_name[name] = line
+            return line
         if self.unlisted == "pass" and len(self._lines) < MOST_LINES:
-            return self._lines.setdefault(name, _Line(name, Bounds()))
+            line = self._by_name[name] = self._by_signal[whole] = self._lines[name] = _Line(name, Bounds())
+            return line
         if name in self.refused or len(self.refused) < MOST_LINES:
             self.refused[name] = self.refused.get(name, 0) + 1
         return None

@@ -56,6 +56,7 @@ HARMLESS = (
     "answers",
     "alarm over",
     "late reply",
+    "duplicate reply",
     "limited",
     "clipped",
     "late",

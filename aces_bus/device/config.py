@@ -37,6 +37,7 @@ Acceleration = Annotated[
 ]
 Number = Annotated[float, Meta(description="a number")]
 Ratio = Annotated[float, Meta(gt=0, description="a number above 0")]
+Error = Annotated[float, Meta(ge=0, description="a number in rad (m for a prismatic joint), or 0 for never")]
 Gear = Annotated[
     tuple[Ratio, Ratio], Meta(description="two numbers above 0: [drive, driven], such as [10, 25]")
 ]
@@ -185,6 +186,8 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     max_speed: Speed | None = None
     nominal_acceleration: Acceleration | None = None
     max_acceleration: Acceleration | None = None
+    following_error: Error | None = None  # how far from where it was sent counts as not following; 0: never
+    following_time_s: Ratio | None = None
     max_duty: Ratio | None = None  # the protocol's unit
     max_current: Ratio | None = None  # A
     gains: Gains | None = None

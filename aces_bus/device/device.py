@@ -19,6 +19,7 @@ and overrides `setup`, `heard`, `check` or adds methods where that is not enough
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
@@ -110,7 +111,7 @@ class Device(EndpointMember):
     stale_s: ClassVar[float] = 0.1
     attributes = EndpointMember.attributes | {
         *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
-        *("missed_at", "awaiting", "answered", "timed_out"),
+        *("missed_at", "awaiting", "answered", "timed_out", "epoch"),
     }
 
     def __init_subclass__(cls) -> None:
@@ -132,6 +133,8 @@ class Device(EndpointMember):
         self.is_silent = False
         #: Whether it was given set-points or commands to move since it was last stopped.
         self.is_driven = False
+        #: Counts how often its set-points were dropped: whoever leads a joint begins anew, where that is.
+        self.epoch = 0
         self.misses = 0
         self.missing_since = self.missed_at = 0
         #: Tickets that wait for an answer, oldest first; the host's.
@@ -194,6 +197,14 @@ class Device(EndpointMember):
     def no_reply(self, ticket: Ticket) -> None:
         """A request was not answered."""
 
+    def takes(self, signal: Signal) -> bool | None:
+        """Whether a set-point of this signal would leave now; False: it is refused; None: it waits for a hold-off to end."""
+        return None if self._held and self.is_held else True
+
+    def is_followed(self, signal: Signal) -> bool:
+        """Whether the joint is meant to be where this signal is set to: not while it is off, or gives way on purpose."""
+        return self.is_driven and self.takes(signal) is True
+
     # ------------------------------------------------------------------ signals
 
     def _declare(self, spec: SignalSpec) -> None:
@@ -248,16 +259,9 @@ class Device(EndpointMember):
             self._paths.setdefault(message, {})[path] = None
 
             def give(value: Any, message: str = message, path: str = path) -> None:
-                self.want(message, path, from_si(self._limited(made, value)))
+                self.want(message, path, from_si(value))
 
             setter = give
-        elif setter is not None:
-            given = setter
-
-            def give_other(value: Any) -> None:
-                given(self._limited(made, value))
-
-            setter = give_other
         age = stale_s if stale_s is not None else self.stale_s
         made = Signal(
             whole,
@@ -270,6 +274,8 @@ class Device(EndpointMember):
             doc=doc,
             source=source,
         )
+        if setter is not None:
+            made.limit = self._limited
         sources = (of,) if isinstance(of, str) else of or ()
         messages = {*read_from, *(one.partition(".")[0] for one in sources)}
         if messages:
@@ -362,6 +368,8 @@ class Device(EndpointMember):
 
     def _limited(self, of: Signal, value: Any) -> Any:
         low, high = of.lower, of.upper
+        if isinstance(value, float) and not math.isfinite(value):
+            raise CallerError(f"{of.name}: {value!r} is not a set-point; give a finite number")
         if low is not None and value < low:
             self.tell_event("limited", f"{of.name}: {value:g} is below {low:g} {of.unit}")
             return low
@@ -376,6 +384,7 @@ class Device(EndpointMember):
             one.forget()
         self._given.clear()
         self._dirty.clear()
+        self.epoch += 1
 
     def rebooted(self, detail: str) -> None:
         """The device has lost its state."""
@@ -407,10 +416,17 @@ class Device(EndpointMember):
         """Forget the set-points of a message: a stream ends until new ones are given."""
         self._given.pop(message, None)
         self._dirty.discard(message)
+        self.epoch += 1
 
     def hold(self, message: str, duration_s: float) -> None:
         """Send none of a message for a while; set-points given meanwhile are kept."""
         self._held[message] = self.clock.now() + round(duration_s * 1e9)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether set-points are held back for a while."""
+        now = self.clock.now()
+        return any(until > now for until in self._held.values())
 
     def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick."""

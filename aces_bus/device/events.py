@@ -21,7 +21,9 @@ Kind = Literal[
     "rebooted",  # lost its state
     "alarm",  # the device reports a fault
     "alarm over",
-    "limited",  # a set-point was beyond its limits
+    "limited",  # a set-point was beyond its limits, or further away than one tick leads
+    "refused",  # set-points are not taken any more: again and again they were no numbers
+    "following error",  # a joint is not where it was sent
     "not sent",  # the bus does not take words, or words did not leave in time
     "not stopped",  # has not stopped yet
     "overrun",  # a tick's words did not fit into the tick

@@ -86,6 +86,8 @@ class Host(BusEndpoint[Device]):
         self.slots: deque[PollSlot] = deque()
         #: Whether some devices are asked before others in each tick.
         self._has_priorities = False
+        #: Called in each tick, and when set-points were given without one, before these are gathered.
+        self.before_set_points: list[Callable[[int], None]] = []
         #: Requests to everybody, and when each was last sent.
         self._asked_all: dict[Any, int] = {}
         self._deadlines: list[tuple[int, int, Ticket]] = []
@@ -340,6 +342,8 @@ class Host(BusEndpoint[Device]):
 
     def _send_set_points(self, now: int) -> int:
         """What is wanted, as few words; how long they occupy the bus (ns)."""
+        for step in self.before_set_points:
+            step(now)
         wanted: dict[str, list[Setpoint]] = {}
         for device in self.members.values():
             for want in device.wants(now):

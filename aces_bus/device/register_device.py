@@ -379,8 +379,11 @@ class RegisterDevice(Device):
         if message == self._sync_message:
             self.goals.clear()
             self._fresh.clear()
+            self.epoch += 1
         elif self.goals.pop(message, None) is None:
             super().drop(message)
+        else:
+            self.epoch += 1
 
     def wants(self, now: int) -> list[Setpoint]:
         """What is to be sent in this tick."""

@@ -54,8 +54,11 @@ class Signal:
     __slots__ = (
         "clock",
         "doc",
+        "door",
+        "given",
         "instant",
         "last",
+        "limit",
         "listeners",
         "lower",
         "name",
@@ -92,6 +95,12 @@ class Signal:
         #: When that was measured (ns of `clock`).
         self.instant: int | None = None
         self.listeners: list[Listener] = []
+        #: Called with what is handed to the driver.
+        self.given: list[Listener] = []
+        #: What a device makes of a set-point beyond `lower` or `upper`; None: the signal cannot be set.
+        self.limit: Callable[[Signal, Any], Any] | None = None
+        #: Where set-points go on a robot, instead of straight to the driver: limits, rates, owners.
+        self.door: Callable[[Any], None] | None = None
 
     def update(self, value: Any, instant: int) -> None:
         """Take a new value and call the listeners."""
@@ -136,10 +145,22 @@ class Signal:
         return self.setter is not None
 
     def set(self, value: Any) -> None:
-        """Give a set-point, in `unit`; it is sent with the next tick. Raises `CallerError` for what is read-only."""
+        """Give a set-point, in `unit`; it is sent with the next tick, or led there at the joint's rate.
+
+        Raises `CallerError` for what is read-only, has another owner, or is no finite number.
+        """
         if self.setter is None:
             raise CallerError(f"{self.name} is read-only")
+        if self.door is not None:
+            self.door(value)
+            return
+        if self.limit is not None:
+            value = self.limit(self, value)
         self.setter(value)
+        if self.given:
+            now = self.clock.now()
+            for listener in self.given:
+                listener(value, now)
 
     def __repr__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""

@@ -12,8 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, TypeVar
 
+from ..controller.door import Door, following_of
+from ..controller.guard import bounds_of
 from ..device.coalesce import CoalescingRule
 from ..device.config import DeviceConfig, Joint, Robot, Sensor, StateConfig, priority_of
 from ..device.device import Device
@@ -30,6 +32,7 @@ from ..protocol import Protocol, Variant, load_protocol
 from ..runtime import EventClock
 from ..state import UNKNOWN, ConstantAcceleration, ConstantVelocity, Hold, Kalman, State
 
+T = TypeVar("T")
 Loader = Callable[[str], Driver]
 #: What a joint's name alone means, by the joint's `command`.
 MAIN = {"position": "position", "speed": "velocity", "current": "current", "duty": "duty"}
@@ -54,6 +57,8 @@ class Rig:
     devices: dict[str, Device] = field(default_factory=dict[str, Device])
     signals: dict[str, Signal] = field(default_factory=dict[str, Signal])
     aliases: dict[str, str] = field(default_factory=dict[str, str])
+    #: Where all set-points leave; `connect` makes it.
+    door: Door = field(init=False, repr=False)
     _whole: dict[str, str] = field(default_factory=dict[str, str], repr=False)
 
     def whole(self, name: str) -> str:
@@ -110,6 +115,15 @@ class Rig:
         found = self.devices.get(name) or (None if part is None else self.devices.get(part.device))
         if found is None:
             raise UnknownNameError(f"device of {self.robot.name}", name, self.devices)
+        return found
+
+    def by_signal(self, of_joints: Mapping[str, T]) -> dict[str, T]:
+        """What is known of joints, by the whole names of their main signals; joints that are not connected are left out."""
+        found: dict[str, T] = {}
+        for name, of in of_joints.items():
+            whole = f"{name}.{MAIN[self.robot.joints[name].command]}"
+            if whole in self.signals:
+                found[whole] = of
         return found
 
     def on_event(self, handler: Callable[[DeviceEvent], None]) -> None:
@@ -204,6 +218,13 @@ def connect(
     parts: list[Joint | Sensor] = [*robot.joints.values(), *robot.sensors.values()]
     for part in parts:
         rig.aliases.update(dict.fromkeys(part.aliases, part.name))
+    rig.door = Door(
+        rig.clock,
+        rig.devices.values(),
+        rig.by_signal(bounds_of(robot)),
+        rig.by_signal(following_of(robot)),
+        rig.whole,
+    )
     for name, state in robot.states.items():
         if state.period_s is not None and rig.is_there(name):
             rig.refresh_every(name, state.period_s)
@@ -412,6 +433,16 @@ class States(Mapping[str, State]):
                 state = self._of_signal(whole) if base == whole else self[base].setpoint
             self._made[whole] = self._made[name] = state
         return state
+
+    @property
+    def door(self) -> Door:
+        """Where set-points leave."""
+        return self.rig.door
+
+    def writer(self, name: str, owner: str) -> Callable[[float], None]:
+        """What `owner` alone gives this state's set-points to from now on; raises as `Door.claim`."""
+        self.door.claim(self.whole(name), owner)
+        return self.door.writer(self.whole(name))
 
     def _of_signal(self, whole: str) -> State:
         source: Any = self.rig.signals[whole]

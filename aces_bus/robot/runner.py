@@ -115,7 +115,7 @@ class Runner:
     `tasks`: threads or events. `reactions` add to the robot file's, and these to the supervisor's; those that name functions
     find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how. "hold" ends after `hold_s`
     (None: with `release`, or the run), then what was held is switched off. `at_end` "hold" leaves what runs as it is at the
-    end. `guard` False leaves limits and dead-man away (the drivers' own limits stay). `drives` False: set-points are counted
+    end. `guard` False leaves its limits and dead-man away (the door's stay). `drives` False: set-points are counted
     and not sent (a replay). `states` declares states (name → keywords of `State`), see `States`. Rates and priorities of the
     robot's file replace the controllers' own.
     """
@@ -248,11 +248,7 @@ class Runner:
             return controller
         bounds: Mapping[str, Bounds] = {}
         if guard:
-            known = bounds_of(self.rig.robot)
-            bounds = {
-                **known,
-                **{alias: known[name] for alias, name in self.rig.aliases.items() if name in known},
-            }
+            bounds = self.rig.by_signal(bounds_of(self.rig.robot))
         made = Guard(
             bounds,
             period_s=period,
@@ -321,7 +317,7 @@ class Runner:
         for name, value in given.items():
             give = setters.get(name)
             if give is None:
-                give = setters[name] = self.states[name].set
+                give = setters[name] = self.rig.door.writer(self.states.whole(name))
             give(value)
 
     # ------------------------------------------------------------------ errors
@@ -539,8 +535,13 @@ class Runner:
     ) -> list[str]:
         """Have devices do something ("enable", "home") and wait; those that have it, by name.
 
-        `devices` None: all of the robot's; names may be those of joints. Raises `DeviceError` with who failed.
+        `devices` None: all of the robot's; names may be those of joints. Raises `DeviceError` with who failed, `CallerError`
+        where this run sends nothing that changes a device.
         """
+        if not self.drives:
+            raise CallerError(
+                f"{action!r} changes devices, and this run sends nothing that does (transmit=True)"
+            )
         some = self.rig.devices.values() if devices is None else devices
         found = dict.fromkeys(self.rig.device(one) if isinstance(one, str) else one for one in some)
         able = [device for device in found if action in device.actions]
@@ -577,9 +578,9 @@ class Runner:
                 self.states.whole(name)  # says best what is wrong with it
             supervisor.bind(self.states)
             for name in supervisor.writes:
-                state = self.states[name]
-                if not state.is_writable:
+                if not self.states[name].is_writable:
                     raise CallerError(f"{supervisor.name} gives set-points for {name}, which is read-only")
+                self.rig.door.claim(name, supervisor.name, is_supervised=True)
         for logger in self.loggers:
             try:
                 logger.bind(self.states)

@@ -55,6 +55,7 @@ def run_real(
     *,
     buses: Mapping[str, Mapping[str, Any]] | None = None,
     rate_hz: float | None = None,
+    transmit: bool = False,
     real_time: bool = False,
     passive: bool | None = None,
     load: Load = load_driver,
@@ -62,19 +63,22 @@ def run_real(
 ) -> Runner:
     """A runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system allows it.
 
-    What raises on the buses' thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise.
-    `buses` says where each is, see `gate_of`. With `drives=False` it is `passive` unless that is False: it sends nothing at
-    all, and states are what others ask for. Other options are `Runner`'s.
+    Without `transmit` controllers run, and their set-points are counted and not sent; nothing is enabled or stopped, and it
+    is `passive` unless that is False: it sends nothing at all, and states are what others ask for. What raises on the buses'
+    thread (a driver's fault) is an event, "bug", which stops motion unless declared otherwise. `buses` says where each is,
+    see `gate_of`. Other options are `Runner`'s.
     """
     if passive is None:
-        passive = not options.get("drives", True)
-    elif passive and options.setdefault("drives", False):
-        raise CallerError("a run that is passive sends no set-points: drives=False")
+        passive = not transmit
+    elif passive and transmit:
+        raise CallerError("a run that is passive sends nothing: leave transmit=True or passive=True away")
     failed: list[Callable[[BaseException], None]] = []
     loop = Loop(failed=lambda error: failed[0](error))
     ports = open_gates(robot, loop, buses, passive=passive, load=load)
     rig = connect(robot, ports, rate_hz=rate_hz or robot.rate_hz or 100, passive=passive, load=load)
-    runner = Runner(rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), **options)
+    runner = Runner(
+        rig, controllers, tasks=ThreadTasks(loop, real_time=real_time), drives=transmit, **options
+    )
     failed.append(runner.bus_failed)
     runner.before.append(loop.start)
     if real_time:

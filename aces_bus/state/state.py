@@ -113,6 +113,7 @@ class State(TimeSeries):
         self._uneven = self._restarts = self._failed = 0
         self._target: State | None = None
         self._source: SignalSource | None = None
+        self._is_told = False
 
         self._observe: Observe | None = None
         self._estimate: Estimate | None = None
@@ -140,11 +141,18 @@ class State(TimeSeries):
             self.push(source.last, source.instant)
         source.listeners.append(self.push)
         self._source = source
+        given: list[Listener] | None = getattr(source, "given", None)
+        if given is not None:  # it says what was really handed down
+            given.append(self._was_given)
+            self._is_told = True
 
     def disconnect(self) -> None:
         """Follow nothing any more; what is known stays."""
         if self._source is not None:
             self._source.listeners.remove(self.push)
+            if self._is_told:
+                getattr(self._source, "given").remove(self._was_given)  # noqa: B009
+                self._is_told = False
             self._source = None
 
     # ---- samples come in ------------------------------------------------------------------------------------------
@@ -239,6 +247,9 @@ class State(TimeSeries):
         """Give a set-point, in `unit`. Raises `StateError` when it is read-only or the value is not a finite number."""
         if not self.is_writable:
             raise StateError(f"state {self.name!r} is read-only")
+        if self._is_told and self.setter is not None:
+            self.setter(value)
+            return
         try:
             is_number = -_INFINITY < value < _INFINITY
         except TypeError:
@@ -247,11 +258,14 @@ class State(TimeSeries):
             raise StateError(f"state {self.name!r}: {value!r} is not a set-point; give a finite number")
         if self.setter is not None:
             self.setter(value)
-        now = self._now()
+        self._was_given(value, self._now())
+
+    def _was_given(self, value: float, instant: int) -> None:
+        """A set-point has left."""
         if self._target is not None:
-            self._target.push(value, now)
+            self._target.push(value, instant)
         if not self.is_sampled:
-            self.push(value, now)
+            self.push(value, instant)
 
     @property
     def setpoint(self) -> State:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from aces_bus import load_robot
 from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
+from aces_bus.controller.guard import NOT_FINITE_TRIPS
 from aces_bus.errors import CallerError
 from tests.controller.fakes import fakes
 
@@ -86,10 +87,33 @@ def test_what_is_not_finite_never_gets_through(value: Any) -> None:
     guard = Guard({"A": Bounds(), "B": Bounds()}, period_s=0.01)
     guard.listeners.add(heard.append)
     for n in range(50):
-        assert guard.apply(n * 10 * MS, {"A": value, "B": 1.0}) == {"B": 1.0}
-    assert guard.clipped("A").not_finite == 50
+        wanted = 2.0 if n % 5 == 4 else value
+        assert guard.apply(n * 10 * MS, {"A": wanted, "B": 1.0}).keys() == (
+            {"A", "B"} if n % 5 == 4 else {"B"}
+        )
+    assert guard.clipped("A").not_finite == 40
     assert [event.kind for event in heard] == ["not finite"]
     assert "A" in heard[0].detail
+
+
+def test_five_in_a_row_that_are_not_finite_trip() -> None:
+    """At the fifth, at once, whatever other states get; and they alone feed no dead-man."""
+    guard = Guard({"A": Bounds(), "B": Bounds()}, period_s=0.01, action="disable")
+    for n in range(NOT_FINITE_TRIPS):
+        assert guard.tripped is None
+        given = guard.apply(n * 10 * MS, {"A": math.nan, "B": 1.0})
+    assert given == {}
+    assert guard.tripped is not None
+    assert (guard.tripped.action, guard.tripped.reason) == (
+        "disable",
+        "A: 5 set-points in a row were not finite numbers",
+    )
+    fed = Guard({name: Bounds() for name in "ABCDEFGH"}, period_s=0.01, dead_man_s=0.05)
+    for n in range(7):
+        fed.apply(n * 10 * MS, {"ABCDEFGH"[n]: math.inf})
+    assert fed.tick(70 * MS) == {}
+    assert fed.tripped is not None
+    assert fed.tripped.reason == "no set-points for 70 ms"
 
 
 def test_unlisted_states_are_refused_or_passed() -> None:

@@ -86,7 +86,7 @@ def test_a_run_looks_on_beside_a_master() -> None:
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
         ports = open_gates(robot, loop, {"line": options}, load=drivers)
         with connect(robot, ports, rate_hz=50, load=drivers) as master:
-            run = run_real(robot, [look], buses={"line": options}, drives=False, load=drivers)
+            run = run_real(robot, [look], buses={"line": options}, load=drivers)
             ended = run.run(20.0, until=lambda: len(seen) > 3)
             assert ended.reason == ""
             assert ended.tripped == {}
@@ -94,8 +94,8 @@ def test_a_run_looks_on_beside_a_master() -> None:
             assert master["A.left"].last == 0
     assert 0.0 in seen
     assert set(seen) <= {0.0, UNKNOWN}  # a slow machine may find it stale
-    with pytest.raises(CallerError, match="drives=False"):
-        run_real(robot, [], buses={"line": options}, passive=True, drives=True, load=drivers)
+    with pytest.raises(CallerError, match="transmit=True"):
+        run_real(robot, [], buses={"line": options}, passive=True, transmit=True, load=drivers)
 
 
 def test_gates_of_a_looker_cannot_send_and_take_no_lock() -> None:

@@ -46,6 +46,7 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
                 robot,
                 [player],
                 buses=options,
+                transmit=True,
                 rate_hz=RATE,
                 reactions={"*": IGNORE},  # a busy machine is no fault
             ) as run,

@@ -60,7 +60,7 @@ def test_one_controller_runs_on_real_buses_too() -> None:
     robot = robot_of(ROBOT)
     options = {"interface": "aces", "channel": "test-runner", "bitrate": 500_000}
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers) as twins:
-        run = run_real(robot, [follower()], buses={"line": options}, load=drivers)
+        run = run_real(robot, [follower()], buses={"line": options}, transmit=True, load=drivers)
         ended = run.run(5.0, until=lambda: twins["A"].left > 900)  # type: ignore[attr-defined]
         assert ended.seconds < 5
         assert run.tasks.tasks[0].ticks >= 1

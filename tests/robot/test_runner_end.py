@@ -72,7 +72,7 @@ def test_a_controller_that_does_not_come_back_is_stopped() -> None:
             if twins["A"].left > 0:  # type: ignore[attr-defined]
                 release.wait(20)
 
-        run = run_real(robot, [Drive(hang)], buses={"line": options}, load=drivers)
+        run = run_real(robot, [Drive(hang)], buses={"line": options}, transmit=True, load=drivers)
         run.handlers.append(lambda event: release.set() if event.kind == "trip" else None)
         ended = run.run(20.0)
         assert ended.seconds < 5
@@ -184,7 +184,7 @@ def test_a_bus_that_cannot_be_opened_is_named_and_leaves_nothing_behind() -> Non
     """The error names the bus; no thread stays."""
     before = threading.active_count()
     options = {"interface": "aces", "channel": "unix:/no/such.sock", "bitrate": 500_000}
-    run = run_real(robot_of(ROBOT), [Drive()], buses={"line": options}, load=drivers)
+    run = run_real(robot_of(ROBOT), [Drive()], buses={"line": options}, transmit=True, load=drivers)
     with pytest.raises(CallerError, match="bus line"):
         run.run(1.0)
     assert threading.active_count() == before
@@ -217,7 +217,7 @@ def test_what_a_guard_changes_is_among_the_events() -> None:
     run = run_virtual(robot_of(ROBOT), [Wild()], load=drivers)
     run.run(0.2)
     assert "not finite" in {event.kind for event in run.events}
-    assert run.supervisors[0].guard.clips["A.left"].not_finite > 5
+    assert run.supervisors[0].guard.clips["A.left"].not_finite == 5
 
 
 def test_only_what_a_controller_drives_is_enabled() -> None:
@@ -236,7 +236,7 @@ def test_steps_are_given_the_instants_that_they_were_due() -> None:
     robot = robot_of(ROBOT)
     options = {"interface": "aces", "channel": "test-due", "bitrate": 500_000}
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
-        run = run_real(robot, [Drive(seen.append)], buses={"line": options}, load=drivers)
+        run = run_real(robot, [Drive(seen.append)], buses={"line": options}, transmit=True, load=drivers)
         run.run(5.0, until=lambda: len(seen) > 6)
     assert {(b - a) % 20_000_000 for a, b in pairwise(seen)} == {0}
 
@@ -246,7 +246,7 @@ def test_what_raises_on_the_buses_thread_stops_motion() -> None:
     robot = robot_of(ROBOT)
     options = {"interface": "aces", "channel": "test-bug", "bitrate": 500_000}
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
-        run = run_real(robot, [Drive()], buses={"line": options}, load=drivers)
+        run = run_real(robot, [Drive()], buses={"line": options}, transmit=True, load=drivers)
 
         def broken(record: Any, instant: int) -> None:
             if run.set_points:
@@ -280,7 +280,7 @@ def test_users_code_is_never_on_a_receive_thread() -> None:
             if twins["A"].left > 0:  # type: ignore[attr-defined]
                 twins["A"].fault("silent")
 
-        run = run_real(robot, [Where(silence)], buses={"line": options}, load=drivers)
+        run = run_real(robot, [Where(silence)], buses={"line": options}, transmit=True, load=drivers)
         ended = run.run(10.0)
     assert "silent" in ended.tripped["drive"]
     assert threads == {"step": {"drive"}, "handle": {"aces loop"}}
@@ -292,7 +292,11 @@ def test_every_deadline_is_a_step_or_missed() -> None:
     options = {"interface": "aces", "channel": "test-count", "bitrate": 500_000}
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
         run = run_real(
-            robot, [Drive(lambda now: threading.Event().wait(0.05))], buses={"line": options}, load=drivers
+            robot,
+            [Drive(lambda now: threading.Event().wait(0.05))],
+            buses={"line": options},
+            transmit=True,
+            load=drivers,
         )
         ended = run.run(0.5)
     (task,) = run.tasks.tasks

@@ -199,10 +199,22 @@ def test_set(virtual: Any) -> None:
 
 
 def test_a_set_point_beyond_its_limits_is_told(virtual: Any) -> None:
-    """It is limited, and stderr says to what."""
-    made = virtual("YAW", "set", "position=9", "--enable", "--for", "0.1s")
-    assert made.status == 0
-    assert any("limited: YAW.position: 9 is above 1.5 rad" in line for line in made.messages)
+    """It is limited, stderr says to what, stdout what was really set, and the status is 1."""
+    made = virtual("YAW", "set", "position=900", "--enable")
+    assert made.status == 1
+    assert any("limited: YAW.position: 900 is above 1.5 rad" in line for line in made.messages)
+    assert made.messages[-1] == "YAW.position: limited: 900 is not within -1.5 to 1.5 rad"
+    assert made.out.startswith("YAW.position: set to 1.5 rad, is 1.")
+
+
+def test_a_position_is_led_there(virtual: Any) -> None:
+    """It takes its time, at 1 rad/s where the file states no speed; when --for is too short for it, that is said."""
+    short = virtual("YAW", "set", "position=1.2", "--enable", "--for", "0.5s")
+    assert short.status == 1
+    assert short.messages[-1].startswith("YAW.position: limited in speed: only at 0.")
+    whole = virtual("YAW", "set", "position=1.2", "--enable")
+    assert whole.status == 0
+    assert whole.out.startswith("YAW.position: set to 1.2 rad, is 1.")
 
 
 def test_set_without_enabling(virtual: Any) -> None:
@@ -416,7 +428,7 @@ def stand(
 
 
 def test_on_a_served_bus(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
-    """Through a real bus values are read, another program sees it, and nothing is written on stderr; asking needs `--ask`."""
+    """Through a real bus values are read, another program sees it, and nothing is written on stderr."""
     with can.Bus("unix:leg0", interface="aces") as other:
         got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces", "--ask")
         seen = other.recv(10)

@@ -162,7 +162,7 @@ def test_a_trajectory_is_played_to_its_end(aces: Aces, robot: Path, tmp_path: Pa
     assert result.status == 0
     assert "seconds=0.740 " in result.err  # of the virtual clock, to the millisecond
     assert log.read_text().splitlines()[0] == "time,RHP,RKN,RKN.setpoint"
-    assert numbers(log)[-1][3] == pytest.approx(0.3)
+    assert numbers(log)[-1][3] == pytest.approx(0.3, abs=0.01)  # the last one that left
 
 
 def test_home_and_enable_come_before_motion(aces: Aces, robot: Path, knee: Path) -> None:

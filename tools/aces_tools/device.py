@@ -12,10 +12,11 @@
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
 
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
-simulated devices answer, in virtual time, and nothing else is needed. On real
-buses `get` and `watch` listen to what another program asks, unless --ask has
-them ask; whatever changes a device needs --tx. One program of a machine asks and
-drives on a bus: a second is refused. Values are in SI units. A joint's name is
+simulated devices answer, in virtual time, and nothing else is needed. A position
+is led there at the joint's nominal speed, within its limits. On real buses `get`
+and `watch` listen to what another program asks, unless --ask has them ask;
+whatever changes a device needs --tx. One program of a machine asks and drives on
+a bus: a second is refused. Values are in SI units. A joint's name is
 enough: its device is found. Nothing is sent to other devices.
 """
 
@@ -47,8 +48,8 @@ VERBS = ("get", "watch", "set")
 EPILOG = """\
 exit status:
   0  done
-  1  a value stayed unknown, a set-point cannot have been followed, an action
-     failed or was interrupted, a device was NOT switched off at the end, or
+  1  a value stayed unknown, a set-point was limited or cannot have been
+     followed, an action failed or was interrupted, a device was NOT switched off at the end, or
      --tx is missing
   2  a wrong call, or a bus that cannot be opened
 """
@@ -64,7 +65,7 @@ ARGUMENTS: Arguments = (
     TX.but(help="really change something; nothing else makes it"),
     ASK.but(help="get, watch: ask the device; without, only listen to what other programs ask"),
     flag("--enable", help="set: enable the device before, and stop it after"),
-    FOR.but(help="set: keep it up so long (default: 2s); watch: end after so long"),
+    FOR.but(help="set: keep it up so long (default: until it is there, and 2s); watch: end after so long"),
     EVERY.but(help="watch: between two lines (default: 0.1s)"),
     JSON.but(help="JSON; watch: an object a line"),
     ROBOT_OR_TWINS,

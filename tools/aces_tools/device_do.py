@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from .robot_arg import Opened
 
 
+#: How fast a position is led whose joint states no speed: rad/s, m/s.
+PACE = 1.0
 #: Seconds in which `get` must receive a signal, and a device must answer before anything is sent to it.
 HEARD_S, ANSWERS_S = 2.0, 1.0
 #: How long `set` keeps it up without --for (ns); how long an action may take at most (ns); a look at what happens (ns).
@@ -223,13 +225,30 @@ class Doing:
         try:
             if self.arguments.enable:
                 self.finish(self.live.clock.call(getattr(device, "enable")), stops=False)  # noqa: B009
-            self.live.clock.call(lambda: _give(targets))
-            self.wait(lambda: False, SET_FOR if duration is None else duration)
+            self.live.clock.call(lambda: self._give(targets))
+            if duration is None:
+                door = self.live.rig.door
+                self.wait(lambda: not door.goals or bool(door.tripped), LONGEST)
+                duration = SET_FOR
+            self.wait(lambda: False, duration)
             return self._show_set(targets)
         except DeviceError as error:
             self.events.report(without=("no reply",))
             say(f"{self.arguments.name} set: {error}")
             return 1
+
+    def _give(self, targets: list[tuple[Signal, Any]]) -> None:
+        """Hand set-points down; positions are led no faster than a person can follow: the joint's nominal speed."""
+        door, robot = self.live.rig.door, self.live.robot
+        for one, value in targets:
+            owner, _, quantity = one.name.partition(".")
+            joint = robot.joints.get(owner)
+            if joint is not None and quantity == "position":
+                door.pace(one.name, joint.nominal_speed or joint.max_speed or PACE)
+            try:
+                one.set(value)
+            except (TypeError, ValueError, ArithmeticError) as error:
+                raise CallerError(f"{one.name} cannot be set to {value!r}: {error}") from None
 
     def _is_there(self) -> bool:
         """Whether the device has answered; one that is never polled may be there."""
@@ -245,7 +264,9 @@ class Doing:
         else:
             for one, value in targets:
                 now = f", is {reading(one)}" if one.name in device.readable else ""
-                print(f"{one.name}: set to {shown_value(json_value(value))} {one.unit}".rstrip() + now)
+                given = self.live.rig.door.given(one.name)
+                taken = shown_value(json_value(value if given is None else given))
+                print(f"{one.name}: set to {taken} {one.unit}".rstrip() + now)
         owners = {one.name.partition(".")[0] for one, _ in targets}
         idle = [o for o in owners if (e := device.signals.get(f"{o}.enabled")) and e.value is False]
         if idle and not self.arguments.enable:
@@ -257,8 +278,31 @@ class Doing:
         if missing:
             say(f"{device.name}: was not sent; its word needs {', '.join(missing)} too: set both at once")
             return 1
+        if self._is_changed(targets):
+            return 1
         # What it has not taken is reported at the end.
         return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
+
+    def _is_changed(self, targets: list[tuple[Signal, Any]]) -> bool:
+        """Whether a set-point was limited, has not been led all the way, or was refused; which is said."""
+        door = self.live.rig.door
+        changed = False
+        for one, value in targets:
+            goal, given = door.goal(one.name), door.given(one.name)
+            if door.counts(one.name).position:
+                limits = (
+                    f"{one.lower:g} to {one.upper:g}" if None not in (one.lower, one.upper) else "its limits"
+                )
+                say(f"{one.name}: limited: {value:g} is not within {limits} {one.unit}".rstrip())
+            elif goal is not None:
+                so_far = "where it was" if given is None else f"{given:.4g} {one.unit}".rstrip()
+                say(
+                    f"{one.name}: limited in speed: only at {so_far} on the way to {goal:g}; say --for longer"
+                )
+            elif one.name not in door.tripped:
+                continue
+            changed = True
+        return changed
 
     def stop(self) -> None:
         """Stop what moves, whatever was interrupted. Raises `NotStoppedError`."""
@@ -322,14 +366,6 @@ class Doing:
         if awaited.error is not None:
             raise awaited.error
         return awaited.result
-
-
-def _give(targets: list[tuple[Signal, Any]]) -> None:
-    for one, value in targets:
-        try:
-            one.set(value)
-        except (TypeError, ValueError, ArithmeticError) as error:
-            raise CallerError(f"{one.name} cannot be set to {value!r}: {error}") from None
 
 
 def _width(one: Signal) -> int:

@@ -186,6 +186,13 @@ class DriveAxis:
         self.outputs[0x607A] = self.position_raw or 0
         self._is_fresh = False
 
+    @property
+    def takes(self) -> bool | None:
+        """Whether it is enabled, in its mode; None: nothing is known of the drive yet."""
+        if self.statusword is None or self.mode_shown is None:
+            return None
+        return self.state == "operation enabled" and self.mode_shown == MODES[self.wanted]
+
     def _set(self, scale: float, zero: float, value: Any) -> None:
         self._give(round(float(value) * scale + zero))
 
@@ -197,7 +204,7 @@ class DriveAxis:
             # Enabled before we came: what we send must not disable it.
             self.hold()
             self.outputs[CONTROLWORD], self.outputs[MODE] = ENABLE, self.mode_shown
-        if self.state != "operation enabled" or self.mode_shown != MODES[self.wanted]:
+        if not self.takes:
             self.device.tell_event(
                 "not sent", f"{self.joint.name} is {self._why()}: the set-point is dropped"
             )

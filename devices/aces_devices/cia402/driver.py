@@ -293,6 +293,11 @@ class Cia402(ObjectAccess[DriveAxis]):
 
     # ------------------------------------------------------------------ down
 
+    def takes(self, signal: Signal) -> bool | None:
+        """Set-points are taken by an axis that is enabled; while nothing is known of it they wait."""
+        found = next((axis.takes for axis in self.axes if axis.signals.get("position") is signal), True)
+        return super().takes(signal) if found else found
+
     def put(self, axis: DriveAxis, *indices: int) -> None:
         """Send objects of an axis, as `axis.outputs` has them: in their PDOs, else over SDO."""
         for index in indices:
@@ -360,6 +365,7 @@ class Cia402(ObjectAccess[DriveAxis]):
 
     def _enabled(self, axis: DriveAxis) -> Steps:
         if axis.state != "operation enabled":
+            self.epoch += 1
             axis.hold()
         yield from self._into_mode(axis, axis.wanted)
         for _ in range(8):
@@ -390,6 +396,7 @@ class Cia402(ObjectAccess[DriveAxis]):
 
     def _down(self, name: str, word: int, axes: Sequence[DriveAxis]) -> Job:
         self.end_led()
+        self.epoch += 1
         for axis in axes:  # at once
             axis.hold()
             axis.outputs[CONTROLWORD] = word
@@ -438,6 +445,7 @@ class Cia402(ObjectAccess[DriveAxis]):
 
         def steps(job: Job) -> Steps:
             yield from self._ready()
+            self.epoch += 1
             for axis in axes:
                 axis.hold()
                 yield from self._into_mode(axis, mode)

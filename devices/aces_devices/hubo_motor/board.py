@@ -169,6 +169,8 @@ class MotorBoard(MotorDevice[MotorAxis]):
         self.filter_length = int(self.settings.filter)
         self._awaited: dict[str, int] = {}
         self._filtering = False
+        #: What references mean; see `set_control_mode`.
+        self.control_mode = "position"
         self._held_until = 0
         #: The message of set-points while enabled: positions, or duties for boards whose joints are commanded so.
         self.set_message: str | None = self._declare_signals()
@@ -476,6 +478,19 @@ class MotorBoard(MotorDevice[MotorAxis]):
             self._awaited.clear()
             return
         super().want(message, path, value)
+
+    def takes(self, signal: Signal) -> bool | None:
+        """Set-points go out while the board is enabled."""
+        return super().takes(signal) if self.is_streaming else False
+
+    def is_followed(self, signal: Signal) -> bool:
+        """Not while it is compliant, searches its home, or takes references for currents."""
+        return (
+            self.comply is None
+            and not self.homing
+            and self.control_mode in ("position", "hybrid")
+            and super().is_followed(signal)
+        )
 
     def want_raw(self, message: str, path: str, value: Any) -> None:
         """A field for the next tick, as it is."""

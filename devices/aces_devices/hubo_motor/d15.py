@@ -15,7 +15,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import UNKNOWN, Driver, Host, Job, Joint, MotorDevice, Poll, Steps, Twin, on, together
+from aces_bus.device import (
+    UNKNOWN,
+    Driver,
+    Host,
+    Job,
+    Joint,
+    MotorDevice,
+    Poll,
+    Signal,
+    Steps,
+    Twin,
+    on,
+    together,
+)
 from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.d15 import NUMBERS, POWER
@@ -113,6 +126,10 @@ class HuboMotorD15(MotorDevice[D15Axis]):
             (axis,) = self.axes_of(path[-1])
             self.tell_event("not sent", f"{axis.name} is not enabled: the set-point is dropped")
 
+    def takes(self, signal: Signal) -> bool | None:
+        """Set-points go out while the board is enabled."""
+        return super().takes(signal) if self.is_enabled else False
+
     def default_of(self, message: str, path: str) -> Any:
         """A channel that was never given a set-point stays where it is; one without a joint is 0."""
         for axis in self.axes:
@@ -127,6 +144,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return None if axis.position.last is UNKNOWN else axis.to_counts(axis.position.last)
 
     def _hold_here(self, axes: Sequence[D15Axis]) -> None:
+        self.epoch += 1
         for axis in axes:
             self.want("ReferenceD15", f"position.{axis.channel}", self._here(axis))
 

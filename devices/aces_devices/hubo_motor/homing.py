@@ -76,6 +76,7 @@ class Homing(Switching):
 
     def _arrived(self, axes: list[MotorAxis]) -> None:
         """Set-points are zero now."""
+        self.epoch += 1
         for axis in axes:
             if self.is_streaming and axis.joint is not None and self.follows:
                 self.give(axis, axis.to_counts(0.0))
@@ -241,6 +242,7 @@ class Homing(Switching):
                 else:
                     yield self.tell("EncoderZeroD08", motor="all" if joint is None else f"motor_{number + 1}")
                 # The old set-points mean other places now.
+                self.epoch += 1
                 for axis in axes:
                     if (
                         self.is_streaming

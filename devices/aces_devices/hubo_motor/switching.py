@@ -259,6 +259,7 @@ class Switching(MotorBoard):
             raise CallerError(f"{self.name} has the control modes {', '.join(known)}, not {mode!r}")
         if self.kind == "hand":
             self._change_hand(mode)
+        self.control_mode = mode
         return self.tell("ControlMode" if self.dialect == "D12" else "ControlModeD08", mode=mode)
 
     def _change_hand(self, mode: str) -> None:

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Job, Poll, Steps
+from aces_bus.device import Job, Poll, Signal, Steps
 from aces_bus.device.register_device import RegisterDevice
 from aces_bus.device.settings import settings_of
 from aces_bus.device.station import shown
@@ -314,6 +314,10 @@ class RobotisRX(RegisterDevice):
                 f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
                 f" {shown(self.credentials)}?",
             )
+
+    def is_followed(self, signal: Signal) -> bool:
+        """Not while the torque is off."""
+        return self.cached("torque_enable", raw=True) != 0 and super().is_followed(signal)
 
     # ------------------------------------------------------------------ actions
 

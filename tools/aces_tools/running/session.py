@@ -91,7 +91,7 @@ class Session:
             buses=bus_options(self.robot, asked),
             rate_hz=self.rate_hz,
             real_time=asked.real_time,
-            drives=asked.tx,
+            transmit=asked.tx,
             passive=not (asked.ask or asked.tx),
             **options,
         )

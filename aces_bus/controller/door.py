@@ -1,0 +1,416 @@
+"""The one door of set-points: whoever gives them (a controller, the command line, UDP, zenoh, a script), they leave by it.
+
+1. It is keyed by signal: "RHP", an alias of it and "RHP.position" are one line, with one owner.
+2. What leaves is finite and within the limits of position, and from one tick of its bus to the next within the rate. A
+   set-point further away is a goal; the way there begins where the joint is, and takes its time. A joint that begins
+   outside of its limits is led inside by the same rule.
+3. While it is not known where a joint is, or its device has a hold-off, goals wait. A device that drops its set-points (a
+   stop, a reboot, enabling) drops the goals too: the next begins where the joint is then.
+4. A joint that does not follow, and a signal whose set-points are not finite again and again, trip. What a controller
+   owns is stopped by its supervisor, which gets the event; any other device is stopped here, and refuses until `release`.
+5. All of it runs on the clock's thread, in the ticks of the buses.
+
+Theory of rule 4: where a joint lags (a filter, a slow loop), it is where it was sent a moment ago. So the error is the
+distance to the nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none, and a joint that
+is held up has left them all behind after `time_s` at the latest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..device.signals import UNKNOWN
+from ..device.stopping import stop_devices
+from ..errors import AcesError, CallerError
+from .guard import NOT_FINITE_TRIPS, Bounds, Clipped
+
+if TYPE_CHECKING:
+    from ..device.config import Joint, Robot
+    from ..device.device import Device
+    from ..device.host import Host
+    from ..device.signals import Signal
+    from ..runtime import EventClock
+
+#: A bus without ticks moves goals on so often (ns).
+PERIOD_NS = 10_000_000
+#: Time (ns) between two looks at whether joints follow.
+LOOK_NS = 20_000_000
+#: A goal that is so far away (s at the largest rate) is reported as limited.
+FAR_S = 0.1
+#: Following error of a revolute joint whose file says nothing: rad, s.
+USUAL_ERROR_RAD, USUAL_TIME_S = 0.2, 0.5
+_INFINITY = math.inf
+
+
+@dataclass(frozen=True)
+class Following:
+    """When a joint does not follow: it is further than `error` (rad, m) from all that it was set to in the last `time_s`."""
+
+    error: float
+    time_s: float = USUAL_TIME_S
+
+
+def following_of(robot: Robot) -> dict[str, Following]:
+    """By joint, as its file says: `following_error` (0: never) and `following_time_s`. Joints that are set by position only.
+
+    A revolute joint whose file says nothing has 0.2 rad and 0.5 s: boards of some firmwares never report a jam, and what is
+    11° from where it was sent for half a second is held up, whatever its gains. Others have none: no bound fits all wheels
+    and slides.
+    """
+    return {joint.name: found for joint in robot.joints.values() if (found := _following(joint)) is not None}
+
+
+def _following(joint: Joint) -> Following | None:
+    if joint.command != "position" or not joint.active:
+        return None
+    error = joint.following_error
+    if error is None:
+        error = USUAL_ERROR_RAD if joint.type == "revolute" else 0.0
+    return Following(error, joint.following_time_s or USUAL_TIME_S) if error else None
+
+
+class _Line:
+    """One signal: what is wanted of it, and what has left."""
+
+    __slots__ = (
+        "active",
+        "bounds",
+        "counts",
+        "device",
+        "door",
+        "epoch",
+        "following",
+        "given",
+        "goal",
+        "in_a_row",
+        "is_supervised",
+        "owner",
+        "rate",
+        "recent",
+        "signal",
+        "tripped",
+    )
+
+    def __init__(self, door: Door, device: Device, signal: Signal, active: dict[_Line, None]) -> None:
+        self.door, self.device, self.signal, self.active = door, device, signal, active
+        self.bounds = door.bounds.get(signal.name, Bounds())
+        self.rate = self.bounds.rate
+        self.following = door.following.get(signal.name)
+        self.owner, self.is_supervised = "", False
+        #: Why no set-points are taken; "" while they are.
+        self.tripped = ""
+        self.counts = Clipped()
+        self.in_a_row = 0
+        #: Where it is to go, and what left last; None: nothing is wanted, nothing has left since it began anew.
+        self.goal: float | None = None
+        self.given: float | None = None
+        self.epoch = device.epoch
+        #: What left, with the instants (ns), as far back as rule 4 looks.
+        self.recent: deque[tuple[int, float]] = deque()
+
+    # ------------------------------------------------------------------ what is wanted
+
+    def set(self, value: Any) -> None:
+        """A set-point of a writer without a name: a script. Raises `CallerError` when the signal has an owner."""
+        if self.owner:
+            raise CallerError(
+                f"{self.signal.name}: {self.owner} gives its set-points; nothing else can while it does"
+            )
+        self.give(value)
+
+    def give(self, value: Any) -> None:
+        """A set-point of the owner. Raises `CallerError` for what is no finite number, and after a trip."""
+        signal = self.signal
+        if signal.setter is None:
+            raise CallerError(f"{signal.name!r} is read-only")
+        if self.tripped:
+            raise CallerError(f"{signal.name}: {self.tripped}; it takes no set-points until it is released")
+        try:
+            is_finite = -_INFINITY < value < _INFINITY
+        except (TypeError, ValueError):
+            if self.rate < _INFINITY or signal.unit or signal.upper is not None:
+                self._refuse(value)
+            self._hand_over(value)  # a name, a switch: the driver's affair
+            return
+        if not is_finite:
+            self._refuse(value)
+        self.in_a_row = 0
+        low, high = signal.lower, signal.upper
+        if (low is not None and value < low) or (high is not None and value > high):
+            self.counts.position += 1
+            assert signal.limit is not None
+            value = signal.limit(signal, value)
+        if self.rate == _INFINITY:
+            self._hand_over(value)
+            return
+        lower, upper = self.bounds.lower, self.bounds.upper
+        if not lower <= value <= upper:
+            self.counts.position += 1
+            value = lower if value < lower else upper
+        if self.epoch != self.device.epoch:
+            self.begin_anew()
+        self.goal = value
+        self.active[self] = None
+        host = self.device.host
+        if host.rate_hz is None:
+            host.wake()
+
+    def _refuse(self, value: Any) -> None:
+        self.counts.not_finite += 1
+        self.in_a_row += 1
+        if self.in_a_row == NOT_FINITE_TRIPS:
+            self._trip("refused", f"{self.in_a_row} set-points in a row were not finite numbers")
+        raise CallerError(f"{self.signal.name}: {value!r} is not a set-point; give a finite number")
+
+    # ------------------------------------------------------------------ in each tick
+
+    def step(self, dt: float) -> bool:
+        """One tick on the way, `dt` seconds after the last; whether it is there."""
+        device, goal = self.device, self.goal
+        if self.epoch != device.epoch:
+            self.begin_anew()
+            return True
+        if goal is None:
+            return True
+        takes = device.takes(self.signal)
+        if takes is None:
+            return False
+        before = self.given
+        if takes is False:
+            self.given = self.goal = None
+            self._hand_over(goal)  # who refuses it says why
+            return True
+        if before is None:
+            if self.signal.name not in device.readable:
+                self.given = goal  # nothing tells where it is: the first one is believed
+                self._hand_over(goal)
+                return True
+            present = self.signal.value
+            if present is UNKNOWN:
+                device.tell_event("limited", f"{self.signal.name}: waits until it is known where it is")
+                return False
+            before = present
+            self.recent.clear()
+        most = self.rate * dt * (1 + 1e-9)  # a hair more is rounding
+        distance = goal - before
+        if -most <= distance <= most:
+            self.given = goal
+            self._hand_over(goal)
+            return True
+        if self.given is None or abs(distance) > self.rate * FAR_S:
+            self.counts.rate += 1
+            if abs(distance) > self.rate * FAR_S:
+                device.tell_event(
+                    "limited",
+                    f"{self.signal.name}: {goal:g} is {abs(distance) / self.rate:.2g} s away"
+                    f" at {self.rate:g} {self.signal.unit}/s",
+                )
+        self.given = given = before + math.copysign(self.rate * dt, distance)
+        self._hand_over(given)
+        return False
+
+    def _hand_over(self, value: Any) -> None:
+        signal = self.signal
+        if signal.setter is not None:
+            signal.setter(value)
+        if signal.given:
+            now = signal.clock.now()
+            for listener in signal.given:
+                listener(value, now)
+
+    def begin_anew(self) -> None:
+        """Nothing is wanted; the next set-point begins where the joint is."""
+        self.goal = self.given = None
+        self.epoch = self.device.epoch
+        self.recent.clear()
+
+    # ------------------------------------------------------------------ whether it follows
+
+    def look(self, now: int) -> None:
+        """Whether the joint is where it was sent."""
+        given, watched, signal, device = self.given, self.following, self.signal, self.device
+        if given is None or watched is None:
+            return
+        recent = self.recent
+        if self.epoch != device.epoch or not device.is_followed(signal) or signal.is_stale:
+            recent.clear()
+            return
+        recent.append((now, given))
+        since = now - round(watched.time_s * 1e9)
+        while len(recent) > 1 and recent[1][0] <= since:
+            recent.popleft()
+        actual = signal.last
+        if abs(given - actual) <= watched.error or recent[0][0] > since:
+            return
+        error = min(abs(value - actual) for _, value in recent)
+        if error > watched.error:
+            recent.clear()
+            self._trip(
+                "following error",
+                f"{signal.name} is {actual:.3g} {signal.unit}, {error:.2g} from all that it was set to in the last"
+                f" {watched.time_s:g} s (now {given:.3g})",
+            )
+
+    def _trip(self, kind: Any, reason: str) -> None:
+        if not self.is_supervised:
+            self.tripped = reason
+            self.begin_anew()
+            self.door.stop(self.device)
+        self.device.tell_event(kind, reason)
+
+
+class _BusLines:
+    """The lines of one bus, stepped in its ticks, before set-points are gathered."""
+
+    def __init__(self, host: Host) -> None:
+        self.host = host
+        self.active: dict[_Line, None] = {}
+        self.watched: list[_Line] = []
+        self._is_ticked = host.rate_hz is not None
+        self._period = PERIOD_NS if host.rate_hz is None else round(1e9 / host.rate_hz)
+        #: A tick that is late may make up for itself, not for a pause.
+        self._most = (2 if self._is_ticked else 1) * self._period
+        self._last = host.clock.now() - self._period
+        self._look_at = 0
+        self._is_woken = False
+        host.before_set_points.append(self.step)
+
+    def step(self, now: int) -> None:
+        """Once a tick."""
+        dt = min(now - self._last, self._most) / 1e9
+        self._last = now
+        if self.active:
+            for line in [*self.active]:
+                if line.step(dt):
+                    del self.active[line]
+            if self.active and not self._is_ticked and not self._is_woken:
+                self._is_woken = True
+                self.host.clock.call_in(self._period, self._again)
+        if now >= self._look_at:
+            self._look_at = now + LOOK_NS
+            for line in self.watched:
+                line.look(now)
+
+    def _again(self) -> None:
+        """A bus without ticks has goals that it is on the way to."""
+        self._is_woken = False
+        self.host.wake()
+
+
+class Door:
+    """The set-points of a rig's devices; `Rig.door` is it. Signals and states lead here by themselves.
+
+    `bounds` and `following` are by the whole name of a signal, `whole` makes that of any name.
+    """
+
+    def __init__(
+        self,
+        clock: EventClock,
+        devices: Iterable[Device],
+        bounds: Mapping[str, Bounds],
+        following: Mapping[str, Following],
+        whole: Callable[[str], str],
+    ) -> None:
+        self.clock, self.bounds, self.following, self.whole = clock, bounds, following, whole
+        self._lines: dict[str, _Line] = {}
+        buses: dict[Host, _BusLines] = {}
+        for device in devices:
+            bus = buses.get(device.host)
+            if bus is None:
+                bus = buses[device.host] = _BusLines(device.host)
+            for name, signal in device.signals.items():
+                if signal.limit is None:  # it can never be set
+                    continue
+                line = self._lines[name] = _Line(self, device, signal, bus.active)
+                signal.door = line.set
+                if line.following is not None and name in device.readable:
+                    bus.watched.append(line)
+
+    def _line(self, name: str) -> _Line:
+        whole = self.whole(name)
+        if whole not in self._lines:
+            raise CallerError(f"{whole!r} is read-only")
+        return self._lines[whole]
+
+    # ------------------------------------------------------------------ who writes
+
+    def claim(self, name: str, owner: str, *, is_supervised: bool = False) -> None:
+        """From now on `owner` alone gives this signal's set-points; where it `is_supervised`, trips are its supervisor's.
+
+        Raises `CallerError` naming both where it has another owner, `UnknownNameError` for a signal that there is not.
+        """
+        line = self._line(name)
+        if line.owner not in ("", owner):
+            raise CallerError(
+                f"{line.signal.name}: {line.owner} and {owner} both give its set-points; one of them must not"
+            )
+        line.owner, line.is_supervised = owner, is_supervised
+
+    def give_up(self, owner: str) -> None:
+        """What `owner` owned is free again."""
+        for line in self._lines.values():
+            if line.owner == owner:
+                line.owner, line.is_supervised = "", False
+
+    @property
+    def owners(self) -> dict[str, str]:
+        """The signals that have an owner, with its name."""
+        return {name: line.owner for name, line in self._lines.items() if line.owner}
+
+    def writer(self, name: str) -> Callable[[Any], None]:
+        """What the owner of a signal calls with its set-points; it raises as `Signal.set`."""
+        return self._line(name).give
+
+    # ------------------------------------------------------------------ how
+
+    def pace(self, name: str, rate: float) -> None:
+        """Lead this signal no faster than `rate` (unit/s) from now on."""
+        line = self._line(name)
+        line.rate = min(line.rate, rate)
+
+    def counts(self, name: str) -> Clipped:
+        """What was changed of a signal's set-points, and how many were refused."""
+        return self._line(name).counts
+
+    def goal(self, name: str) -> float | None:
+        """Where a signal is on its way to; None: nowhere, what was wanted has left."""
+        line = self._line(name)
+        return line.goal if line in line.active else None
+
+    @property
+    def goals(self) -> dict[str, float]:
+        """The signals that are on their way, and where to."""
+        lines = self._lines.items()
+        return {name: line.goal for name, line in lines if line.goal is not None and line in line.active}
+
+    def given(self, name: str) -> float | None:
+        """The last set-point that left, of a signal with a limited rate; None: none since its device began anew."""
+        return self._line(name).given
+
+    # ------------------------------------------------------------------ trips
+
+    @property
+    def tripped(self) -> dict[str, str]:
+        """The signals that take no set-points, with why."""
+        return {name: line.tripped for name, line in self._lines.items() if line.tripped}
+
+    def release(self) -> None:
+        """Take set-points again, once the cause has been looked into; each begins where its joint is."""
+        for line in self._lines.values():
+            if line.tripped:
+                line.tripped, line.in_a_row = "", 0
+                line.begin_anew()
+
+    def stop(self, device: Device) -> None:
+        """Stop a device; that it has not stopped is reported."""
+
+        def over(stopping: Any) -> None:
+            error: AcesError | None = stopping.error
+            if error is not None:
+                device.tell_event("not stopped", str(error))
+
+        stop_devices(self.clock, device.name, [device]).then(over)
