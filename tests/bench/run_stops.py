@@ -50,7 +50,9 @@ def alarm(run: Runner) -> None:
 def virtual(is_fault: bool) -> tuple[float, float]:
     """One stop: seconds to the last board, and until all is confirmed."""
     robot = load_robot("hubo2plus")
-    run = run_virtual(robot, [Pose(robot, 1 if is_fault else RATE_HZ)], rate_hz=RATE_HZ, reactions=CALM)
+    run = run_virtual(
+        robot, [Pose(robot, 1 if is_fault else RATE_HZ)], rate_hz=RATE_HZ, transmit=True, reactions=CALM
+    )
     off_at: dict[str, int] = {}
     with run:
         run.do("enable")
@@ -70,7 +72,12 @@ def served(is_fault: bool, twins: Twins) -> tuple[float, float]:
     robot = load_robot("hubo2plus")
     buses = {name: {"interface": "aces", "channel": f"unix:{twins.path / name}.sock"} for name in robot.buses}
     run = run_real(
-        robot, [Pose(robot, 1 if is_fault else RATE_HZ)], buses=buses, rate_hz=RATE_HZ, reactions=CALM
+        robot,
+        [Pose(robot, 1 if is_fault else RATE_HZ)],
+        buses=buses,
+        rate_hz=RATE_HZ,
+        transmit=True,
+        reactions=CALM,
     )
     began = 0
 

@@ -72,7 +72,9 @@ def run_on(
 ) -> tuple[Ended, Runner]:
     """Run until every controller was stopped, with the fault once the boards are on and controllers run."""
     bus = {"interface": "aces", "channel": f"unix:{twins.path}", "bitrate": 1_000_000, "restart_ms": 500}
-    run = run_real(hubo_leg(), controllers, buses={"lower": bus}, reactions={**CALM, **reactions})
+    run = run_real(
+        hubo_leg(), controllers, buses={"lower": bus}, transmit=True, reactions={**CALM, **reactions}
+    )
     is_done = False
 
     def until() -> bool:
@@ -153,6 +155,7 @@ def test_a_controller_that_finishes(twins: Twins) -> None:
         hubo_leg(),
         [player],
         buses={"lower": {"interface": "aces", "channel": f"unix:{twins.path}"}},
+        transmit=True,
         reactions=CALM,
     )
     with run:
@@ -176,6 +179,7 @@ def test_hold_holds_until_its_time_is_over(twins: Twins) -> None:
         hubo_leg(),
         [Leg(raises)],
         buses={"lower": bus},
+        transmit=True,
         reactions={**CALM, "raised": stop("hold")},
         hold_s=0.3,
     )

@@ -91,7 +91,8 @@ def _twins(folder: str) -> Iterator[None]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
-    assert child.stdout is not None and child.stdin is not None
+    assert child.stdout is not None
+    assert child.stdin is not None
     try:
         if child.stdout.readline() != b"ready\n":
             raise RuntimeError("the twins' process did not begin")
@@ -158,7 +159,13 @@ def drive(folder: str, rate: str, seconds: str, way: str) -> None:
     }
     sys.setswitchinterval(0.0005)  # as `aces run` has it
     with run_real(
-        robot, [player], buses=buses, rate_hz=float(rate), real_time=True, reactions={"*": IGNORE}
+        robot,
+        [player],
+        buses=buses,
+        rate_hz=float(rate),
+        real_time=True,
+        transmit=True,
+        reactions={"*": IGNORE},
     ) as made:
         made.do("enable")
         hosts = made.rig.hosts.values()
