@@ -20,6 +20,7 @@ and overrides `setup`, `heard`, `check` or adds methods where that is not enough
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
@@ -86,6 +87,8 @@ def _same(value: Any) -> Any:
     return value
 
 
+#: So many second answers in a short time are another device's.
+DUPLICATES = 3
 #: Methods of `Device` that may be actions, too.
 ACTIONS = frozenset({"stop_motion"})
 
@@ -111,7 +114,7 @@ class Device(EndpointMember):
     stale_s: ClassVar[float] = 0.1
     attributes = EndpointMember.attributes | {
         *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
-        *("missed_at", "awaiting", "answered", "timed_out", "epoch"),
+        *("missed_at", "awaiting", "answered", "timed_out", "epoch", "duplicates"),
     }
 
     def __init_subclass__(cls) -> None:
@@ -137,6 +140,8 @@ class Device(EndpointMember):
         self.epoch = 0
         self.misses = 0
         self.missing_since = self.missed_at = 0
+        #: When second answers to one request came lately (ns); the host's.
+        self.duplicates: deque[int] = deque(maxlen=DUPLICATES)
         #: Tickets that wait for an answer, oldest first; the host's.
         self.awaiting: list[Ticket] = []
         #: When each kind of answer was last had.

@@ -15,7 +15,8 @@ Kind = Literal[
     "answers",  # does again
     "no reply",  # a request was not answered, however often it was sent
     "late reply",  # an answer after its time
-    "duplicate reply",  # more answers than requests: two devices with one number
+    "duplicate reply",  # a second answer to one request
+    "two devices",  # answers come twice again and again: two devices with one number
     "unknown device",  # a device that is not on this bus in the robot's file
     "malformed",  # a frame or packet that is none of the device's messages
     "rebooted",  # lost its state

@@ -22,7 +22,7 @@ from ..protocol import Variant
 from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
-from .device import Device, Poll
+from .device import DUPLICATES, Device, Poll
 from .events import DeviceEvent, EventLog, Kind
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
@@ -31,6 +31,8 @@ from .ticket import Steps, Ticket
 
 #: An answer this soon (ns) after another to the same request is a second device's.
 DUPLICATE_REPLY_NS = 20_000_000
+#: Second answers that come within so long (ns) are not a receiver's, who may get a frame twice (an error in its last bit).
+DUPLICATES_NS = 1_000_000_000
 NO_REPLY: frozenset[str] = frozenset()
 #: An answer that is later than this (ns) does not come any more.
 LATE_REPLY_NS = 500_000_000
@@ -582,11 +584,7 @@ class Host(BusEndpoint[Device]):
             device.timed_out[name] = late - 1
             self.tell("late reply", device.name, name)
         elif before is not None and instant - before < DUPLICATE_REPLY_NS:
-            self.tell(
-                "duplicate reply",
-                device.name,
-                f"{name} came twice; are there two devices with {shown(device.credentials)}?",
-            )
+            self._duplicate(device, f"{name} came twice", instant)
 
     # ------------------------------------------------------------------ half duplex: one at a time
 
@@ -632,7 +630,7 @@ class Host(BusEndpoint[Device]):
             handler(word, instant)
         if not word.reason.startswith("malformed"):
             if word.reason.startswith("unknown: needs request") and self._half:
-                self._answered_twice(word)
+                self._answered_twice(word, instant)
             return
         device = self._suspect(word)
         raw = word.meta.raw.hex(" ")
@@ -641,11 +639,22 @@ class Host(BusEndpoint[Device]):
         if device is not None:
             device.malformed(word.reason, instant)
 
-    def _answered_twice(self, word: UnknownWord) -> None:
+    def _answered_twice(self, word: UnknownWord, instant: int) -> None:
         """An unrequested answer on a half-duplex line: it is late, or two devices answer."""
-        last = self._spoke_last
-        detail = f"{word.meta.raw.hex(' ')}: was not requested; are there two devices with one number?"
-        self.tell("duplicate reply", last.name if last is not None else "", detail)
+        detail = f"{word.meta.raw.hex(' ')}: was not requested"
+        if self._spoke_last is None:
+            self.tell("duplicate reply", "", detail)
+        else:
+            self._duplicate(self._spoke_last, detail, instant)
+
+    def _duplicate(self, device: Device, detail: str, instant: int) -> None:
+        """A second answer to one request: once it is a fault of the bus, again and again a second device."""
+        self.tell("duplicate reply", device.name, detail)
+        device.duplicates.append(instant)
+        if len(device.duplicates) == DUPLICATES and instant - device.duplicates[0] < DUPLICATES_NS:
+            device.duplicates.clear()
+            who = shown(device.credentials)
+            self.tell("two devices", device.name, f"{detail}; are there two devices with {who}?")
 
     def _suspect(self, word: UnknownWord) -> Device | None:
         """The device that may have sent it: by its identifier, or the one that has the line."""

@@ -140,9 +140,15 @@ def check_heard(stand: TestBench) -> None:
                 if isinstance(one.value, float):
                     assert math.isfinite(one.value), one
         kinds = {event.kind for event in robot.events.last}
-        assert not kinds & {"silent", "no reply", "duplicate reply", "unknown device", "malformed", "bug"}, (
-            list(robot.events.last)
-        )
+        assert not kinds & {
+            "silent",
+            "no reply",
+            "duplicate reply",
+            "two devices",
+            "unknown device",
+            "malformed",
+            "bug",
+        }, list(robot.events.last)
 
 
 def check_set(stand: TestBench) -> None:
@@ -252,7 +258,7 @@ MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
     "late": ("silent", "late reply", "duplicate reply"),
     "loses": None,
     # On a half-duplex line the second answer meets the next request.
-    "twice": ("duplicate reply", "malformed"),
+    "twice": ("duplicate reply", "two devices", "malformed"),
     "short": ("malformed", "silent"),
     "wrong_check": None,
     "wrong_number": ("silent", "unknown device", "duplicate reply", "malformed"),
@@ -334,7 +340,13 @@ def check_two_of_one(stand: TestBench) -> None:
         double.open()
         robot.advance(SETTLE_S)
         double.close()
-        noticed = _kinds_since(robot, before) & {"duplicate reply", "malformed", "silent", "late reply"}
+        noticed = _kinds_since(robot, before) & {
+            "duplicate reply",
+            "two devices",
+            "malformed",
+            "silent",
+            "late reply",
+        }
         assert noticed or _bus_errors(robot) > errors, "no event says that there is a second device"
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):

@@ -181,14 +181,14 @@ def test_two_servos_with_one_id_are_named() -> None:
         twin.motion.at = 900.0
 
     found = measure(50, before=double, settings={"timeout_s": 0.002}, note="two with one id")
-    said = [event for event in found.robot.events.of("duplicate reply") if event.device == "S40"]
+    said = [event for event in found.robot.events.of("two devices") if event.device == "S40"]
     assert said
     assert "id 0x28" in said[0].detail
     assert found.robot.wires["servos"].garbled > 0
     # Garbage that looks like a long packet keeps servos from hearing the next requests, as it would on a real line.
     assert found.total >= 0.75 * found.possible
     assert min(n for name, n in found.reads.items() if name != "RAP") > 0
-    assert {event.device for event in found.robot.events.of("duplicate reply")} == {"S40"}
+    assert {event.device for event in found.robot.events.of("two devices")} == {"S40"}
 
 
 def test_a_servo_that_answers_with_another_id_is_named() -> None:

@@ -72,7 +72,7 @@ def test_a_board_that_reboots() -> None:
 def test_two_boards_of_one_number() -> None:
     """A second board of the same number is plugged in: two answers, named, and motion stops."""
     ended, walk, look, _ = walk_into(lambda run: run.world.twins["JMC3"].fault("twice"))
-    event = stopped_in_time("duplicate reply", ended, walk, look)
+    event = stopped_in_time("two devices", ended, walk, look)
     assert event.source == "JMC3"
     assert "two devices" in event.detail
 
@@ -228,7 +228,7 @@ def test_two_servos_of_one_number() -> None:
 
     ended, walk, look, _ = walk_into(second, mini_leg(), Walk(MINI))
     kind = walk.kinds()[0]
-    assert kind in ("duplicate reply", "malformed", "silent")
+    assert kind in ("two devices", "malformed", "silent")
     assert stopped_in_time(kind, ended, walk, look).source == "S96"
 
 
@@ -236,7 +236,7 @@ def test_two_servos_of_one_number() -> None:
 def test_noise_on_a_serial_line(is_declared: bool) -> None:
     """A line with noise says which servo it hit and stops motion; declared harmless, the servos follow all the same."""
     line = VirtualRobot(mini_leg(), rate_hz=100, noise={"servos": Noise(seed=1, flip=0.0005)})
-    calm = dict.fromkeys(("malformed", "no reply", "duplicate reply", "alarm"), IGNORE)
+    calm = dict.fromkeys(("malformed", "no reply", "two devices", "alarm"), IGNORE)
     ended, walk, look, run = walk_into(
         lambda run: None, line, Walk(MINI), reactions=calm if is_declared else {}
     )

@@ -310,7 +310,7 @@ class RobotisRX(RegisterDevice):
         self.malformed_in_a_row += 1
         if self.malformed_in_a_row % MALFORMED == 0:
             self.tell_event(
-                "duplicate reply",
+                "two devices",
                 f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
                 f" {shown(self.credentials)}?",
             )
