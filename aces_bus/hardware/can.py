@@ -321,7 +321,6 @@ class CanGate(Gate[Frame]):
 
         Raises `CallerError` when this gate only listens, is not open, or has `OUTBOX` frames waiting.
         """
-        self._check_may_send()
         made = frame if isinstance(frame, Frame) else message_to_frame(frame)
         return self._queue(
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
