@@ -63,6 +63,7 @@ HARMLESS = (
     "answers",
     "alarm over",
     "late reply",
+    "overrun",
     "limited",
     "clipped",
     "late",

@@ -15,8 +15,9 @@ class HostCounts:
     """What went over a host's bus, in words; latencies in ns.
 
     `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for
-    another tick. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it, `latency_ns` that of
-    a single request.
+    another tick, `repeated` how often something was asked again, `answered_late` counts answers that came more than a tick
+    after their request. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it,
+    `latency_ns` that of a single request.
     """
 
     ticks: int = 0
@@ -26,6 +27,7 @@ class HostCounts:
     polls_carried: int = 0
     asked: int = 0
     answered: int = 0
+    answered_late: int = 0
     missed: int = 0
     repeated: int = 0
     received: int = 0
