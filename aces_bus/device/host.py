@@ -127,7 +127,7 @@ class Host(BusEndpoint[Device]):
                     f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
                     f" {shown(member.credentials) or 'none'}"
                 ) from error
-            slot = PollSlot(member, poll, word, 2 * self.port.wire_ns(word))
+            slot = PollSlot(member, poll, word, self.port.wire_ns(word))
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 slot.due = self.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
             if self._half and not self._period:
@@ -429,7 +429,9 @@ class Host(BusEndpoint[Device]):
     def _await(self, ticket: Ticket, now: int) -> None:
         """A ticket's word is on its way: wait for the answer until its time is up."""
         ticket.sent_at = now
-        ticket.deadline = now + ticket.timeout_ns + self.port.wire_ns(ticket.word)
+        slot: PollSlot | None = ticket.poll
+        wire_ns = self.port.wire_ns(ticket.word) if slot is None else slot.wire_ns
+        ticket.deadline = now + ticket.timeout_ns + wire_ns
         ticket.device.awaiting.append(ticket)
         self._serial_number += 1
         heapq.heappush(self._deadlines, (ticket.deadline, self._serial_number, ticket))

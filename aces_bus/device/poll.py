@@ -53,10 +53,13 @@ class PollSlot:
         "replies",
         "timeout_ns",
         "waiting",
+        "wire_ns",
         "word",
     )
 
-    def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
+    def __init__(self, device: Device, poll: Poll, word: Any, wire_ns: int) -> None:
+        #: How long its word occupies the bus.
+        self.wire_ns = wire_ns
         self.device, self.poll, self.word = device, poll, word
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
@@ -66,4 +69,4 @@ class PollSlot:
         self.due = self.asked_at = 0
         self.waiting: Ticket | None = None
         #: What it costs on the wire, with its answer; learnt.
-        self.cost_ns = cost_ns
+        self.cost_ns = 2 * wire_ns

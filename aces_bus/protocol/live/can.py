@@ -365,9 +365,9 @@ class CanScanner:
 
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
-        key = key_of(
-            frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
-        )
+        key = frame.arbitration_id
+        if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
+            key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
         asked = self._asked.get(key)
         if asked is None:
             asked = [(wire, message) for wire in self.wires for message in wire.matching(key, wire.asked)]
