@@ -254,7 +254,7 @@ class DatagramPort(BasePort[bytes]):
             self._send = give
             return
         self._listen(network, received)
-        send = self.send
+        send: Callable[..., bool] = self.send
 
         def answer(word: bytes, age_ns: int = 0, **more: Any) -> bool:
             to = network.peer or self._last_source
