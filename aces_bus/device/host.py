@@ -272,7 +272,7 @@ class Host(BusEndpoint[Device]):
                 if slot.waiting is None:
                     self._take_slot(slot, now)
                 else:
-                    self._ask_again(slot.waiting)
+                    self._ask_again(slot.waiting, now)
             slots.rotate(-1)
 
     def _is_due(self, slot: PollSlot, now: int) -> bool:
@@ -287,10 +287,11 @@ class Host(BusEndpoint[Device]):
             and not ticket.device.is_silent
         )
 
-    def _ask_again(self, ticket: Ticket) -> None:
+    def _ask_again(self, ticket: Ticket, now: int) -> None:
         """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
         ticket.tries += 1
         self.counts.repeated += 1
+        ticket.device.missed_at = now
         for name in ticket.reply:
             ticket.device.timed_out[name] = ticket.device.timed_out.get(name, 0) + 1
         self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)

@@ -111,6 +111,19 @@ def test_an_answer_that_is_later_than_a_tick_is_counted() -> None:
         assert not robot.devices["A"].is_silent
 
 
+def test_both_answers_to_a_poll_that_was_sent_again_are_one_device_s() -> None:
+    """Of a device that is late once, the second answer is late, and no second device's."""
+    with made() as robot:  # 100 Hz
+        robot.advance(1.0)
+        robot.twins["A"].fault("late", 0.0125)
+        robot.advance(0.005)
+        robot.twins["A"].fault("late", on=False)
+        robot.advance(0.5)
+        assert host_of(robot).counts.repeated == 1
+        assert robot.events.count("late reply") == 1
+        assert robot.events.count("duplicate reply") == 0
+
+
 def test_a_host_without_a_rate_sends_at_once() -> None:
     """Without a rate nothing is polled by itself; set-points and polls go out when they are given."""
     with made(rate_hz=None) as robot:
