@@ -56,6 +56,7 @@ HARMLESS = (
     "answers",
     "alarm over",
     "late reply",
+    "overrun",
     "duplicate reply",
     "limited",
     "clipped",

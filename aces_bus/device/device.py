@@ -415,7 +415,8 @@ class Device(EndpointMember):
         """Have a field of a message sent with the next tick, in the sheet's unit."""
         self._given.setdefault(message, {})[path] = value
         self._dirty.add(message)
-        self.host.wake()
+        if not self.host.rate_hz:
+            self.host.wake()
 
     def drop(self, message: str) -> None:
         """Forget the set-points of a message: a stream ends until new ones are given."""

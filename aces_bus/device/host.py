@@ -42,6 +42,8 @@ HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
 PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
 SILENT_SHARE = 5
+#: A poll whose answer has not come by the next tick is sent again, so often at most.
+ASKED_AGAIN = 2
 #: An instant that does not come (ns).
 NEVER_NS = 1 << 62
 #: So many unknown devices are told apart; a bus may claim millions.
@@ -136,7 +138,7 @@ class Host(BusEndpoint[Device]):
                     f"{self.name} {member.name}: it cannot be asked: {error}; its credentials are:"
                     f" {shown(member.credentials) or 'none'}"
                 ) from error
-            slot = PollSlot(member, poll, word, 2 * self.port.wire_ns(word))
+            slot = PollSlot(member, poll, word, self.port.wire_ns(word))
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 slot.due = self.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
             if self._half and not self._period:
@@ -255,6 +257,9 @@ class Host(BusEndpoint[Device]):
             passed = (now - self._tick_at) // self._period + 1
             self._tick_at += passed * self._period
             self.counts.ticks_missed += passed
+            self.tell(
+                "overrun", "", f"{passed} ticks were left out: the one before, or this machine, took too long"
+            )
         self._next_tick = self.clock.call_at(self._tick_at, self._tick)
 
     def wake(self) -> None:
@@ -293,17 +298,45 @@ class Host(BusEndpoint[Device]):
         if self._half:
             self._pump()
             return
-        most = round(self._period * self.budget) if self._period else NEVER_NS
+        most = self._polls_end - now
         slots = self.slots
         for _ in range(len(slots)):
             slot = slots[0]
-            if slot.due <= now and slot.waiting is None:
-                if used + slot.cost_ns > most:
-                    counts.polls_carried += sum(1 for t in slots if t.due <= now and t.waiting is None)
+            if self._is_due(slot, now):
+                if used + slot.cost_ns > most or self.clock.now() > self._polls_end:
+                    carried = sum(1 for one in slots if self._is_due(one, now))
+                    counts.polls_carried += carried
+                    self.tell(
+                        "overrun", "", f"{carried} polls did not fit into a tick of {self._period / 1e6:g} ms"
+                    )
                     break
                 used += slot.cost_ns
-                self._take_slot(slot, now)
+                if slot.waiting is None:
+                    self._take_slot(slot, now)
+                else:
+                    self._ask_again(slot.waiting, now)
             slots.rotate(-1)
+
+    def _is_due(self, slot: PollSlot, now: int) -> bool:
+        """Whether a slot is to be asked in this tick, or again as its answer has not come by now."""
+        ticket = slot.waiting
+        if ticket is None:
+            return slot.due <= now
+        return (
+            ticket.tries <= ASKED_AGAIN
+            and bool(self._period)
+            and now - ticket.sent_at > self._period * 3 // 4 * ticket.tries
+            and not ticket.device.is_silent
+        )
+
+    def _ask_again(self, ticket: Ticket, now: int) -> None:
+        """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
+        ticket.tries += 1
+        self.counts.repeated += 1
+        ticket.device.missed_at = now
+        for name in ticket.reply:
+            ticket.device.timed_out[name] = ticket.device.timed_out.get(name, 0) + 1
+        self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
 
     def poll(self) -> None:
         """Ask everything once, now, whatever the budget: for hosts without a rate."""
@@ -452,7 +485,9 @@ class Host(BusEndpoint[Device]):
     def _await(self, ticket: Ticket, now: int) -> None:
         """A ticket's word is on its way: wait for the answer until its time is up."""
         ticket.sent_at = now
-        ticket.deadline = now + ticket.timeout_ns + self.port.wire_ns(ticket.word)
+        slot: PollSlot | None = ticket.poll
+        wire_ns = self.port.wire_ns(ticket.word) if slot is None else slot.wire_ns
+        ticket.deadline = now + ticket.timeout_ns + wire_ns
         ticket.device.awaiting.append(ticket)
         self._serial_number += 1
         heapq.heappush(self._deadlines, (ticket.deadline, self._serial_number, ticket))
@@ -557,6 +592,8 @@ class Host(BusEndpoint[Device]):
         latency = instant - ticket.sent_at
         if latency > counts.latency_ns:
             counts.latency_ns = latency
+        if latency > self._period and self._period:
+            counts.answered_late += 1
         slot: PollSlot | None = ticket.poll
         if slot is not None:
             slot.waiting = None

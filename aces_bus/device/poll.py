@@ -16,8 +16,9 @@ class HostCounts:
     """What went over a host's bus, in words; latencies in ns.
 
     `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for
-    another tick. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it, `latency_ns` that of
-    a single request.
+    another tick, `repeated` how often something was asked again, `answered_late` counts answers that came more than a tick
+    after their request. `cycle_ns` is the longest time from a tick to the last answer to what was asked in it,
+    `latency_ns` that of a single request.
     """
 
     ticks: int = 0
@@ -27,6 +28,7 @@ class HostCounts:
     polls_carried: int = 0
     asked: int = 0
     answered: int = 0
+    answered_late: int = 0
     missed: int = 0
     repeated: int = 0
     received: int = 0
@@ -53,10 +55,13 @@ class PollSlot:
         "replies",
         "timeout_ns",
         "waiting",
+        "wire_ns",
         "word",
     )
 
-    def __init__(self, device: Device, poll: Poll, word: Any, cost_ns: int) -> None:
+    def __init__(self, device: Device, poll: Poll, word: Any, wire_ns: int) -> None:
+        #: How long its word occupies the bus.
+        self.wire_ns = wire_ns
         self.device, self.word = device, word
         self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
@@ -67,7 +72,7 @@ class PollSlot:
         self.due = self.asked_at = 0
         self.waiting: Ticket | None = None
         #: What it costs on the wire, with its answer; learnt.
-        self.cost_ns = cost_ns
+        self.cost_ns = 2 * wire_ns
 
     def retime(self, poll: Poll) -> None:
         """Have this poll's period."""

@@ -323,7 +323,6 @@ class CanGate(Gate[Frame]):
         Raises `CallerError` when this gate only listens, is not open, has `OUTBOX` frames waiting, or may not send such a
         frame (which is an event "not sent", too).
         """
-        self._check_may_send()
         made = frame if isinstance(frame, Frame) else message_to_frame(frame)
         if self.allow is not None and not self.allow.matches(made):
             refused = f"{self._name_of(made)} is not among the identifiers that may be sent here (allow)"

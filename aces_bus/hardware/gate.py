@@ -41,6 +41,8 @@ POLL_S = 0.2
 RETRY_S, RETRY_MOST_S = 0.1, 2.0
 #: How soon a bus that takes no more for now is tried again (ns).
 AGAIN_NS = 1_000_000
+#: How old a word may be when it leaves, by default (ns).
+AGE_NS = round(AGE_S * 1e9)
 #: Seconds that `stop` gives to what waits to be sent, and to a thread that is inside a backend.
 DRAIN_S, JOIN_S = 1.0, 5.0
 
@@ -103,7 +105,9 @@ class Gate(ABC, Generic[Item]):
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._outgoing = threading.Condition()
+        #: Of the outbox; `_outgoing` is told of what changes in it.
+        self._guard = threading.RLock()
+        self._outgoing = threading.Condition(self._guard)
         self._outbox: Outbox[Any] = Outbox()
         #: What the transmit thread has in hand.
         self._in_hand: OutboxItem[Any] | None = None
@@ -207,8 +211,8 @@ class Gate(ABC, Generic[Item]):
 
     def _thread(self, target: Callable[[], None], what: str) -> threading.Thread:
         thread = threading.Thread(target=target, name=f"{self.name} {what}", daemon=True)
-        self._threads.append(thread)
         thread.start()
+        self._threads.append(thread)  # `stop` may come meanwhile, and joins those that run
         return thread
 
     def stop(self, drain_s: float = DRAIN_S) -> int:
@@ -229,7 +233,7 @@ class Gate(ABC, Generic[Item]):
     def _drain(self, seconds: float) -> None:
         """Take nothing more, and wait until all has left."""
         until = time.monotonic() + seconds
-        with self._outgoing:
+        with self._guard:
             self._is_closing = True
             while self._outbox or self._in_hand is not None:
                 left = until - time.monotonic()
@@ -248,14 +252,14 @@ class Gate(ABC, Generic[Item]):
         self._is_closing = True
         self._stopping.set()
         self._detach()
-        with self._outgoing:
+        with self._guard:
             left_over = self._outbox.take(lambda item: True)
             self._outgoing.notify_all()
         held = self._still_held() if self.state == "open" else 0
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(JOIN_S)
-        with self._outgoing:
+        with self._guard:
             if self._in_hand is not None:  # its thread does not come back
                 left_over.append(self._in_hand)
         self._settle_all(left_over, "unsent", "the gate was closed")
@@ -303,7 +307,7 @@ class Gate(ABC, Generic[Item]):
         self.state = "lost"
         why = "it does not answer any more" if error is None else f"{type(error).__name__}: {error}"
         self._tell("lost", why)
-        with self._outgoing:
+        with self._guard:
             gone = self._outbox.take(lambda item: not item.urgent)
             self._outgoing.notify_all()
         self._settle_all(gone, "dropped", "the bus is lost")
@@ -329,7 +333,7 @@ class Gate(ABC, Generic[Item]):
         self.counters.reopened += 1
         self._tell("reopened", self._describe(bus))
         self._tell_refused()
-        with self._outgoing:
+        with self._guard:
             self._outgoing.notify_all()
 
     @staticmethod
@@ -364,12 +368,12 @@ class Gate(ABC, Generic[Item]):
         report: Report | None,
     ) -> bool:
         """Queue a word; False when the bus is lost and it is dropped. Raises `CallerError` as `send`."""
-        self._check_may_send()
-        until = self.clock.now() + round((AGE_S if age_s is None else age_s) * 1e9)
-        item = OutboxItem(word, size, until, urgent=urgent, topic=topic, report=report)
+        until = self.clock.now() + (AGE_NS if age_s is None else round(age_s * 1e9))
+        item = OutboxItem(word, size, until, urgent, topic, report)
         overtaken: list[OutboxItem[Any]] = []
-        with self._outgoing:
-            self._check_may_send()  # it may have been closed meanwhile
+        with self._guard:
+            if self.state != "open" or self.listen_only or self._is_closing:
+                self._check_may_send()
             is_taken = urgent or self.state == "open"
             if is_taken:
                 if urgent:
@@ -381,7 +385,8 @@ class Gate(ABC, Generic[Item]):
                     )
                 self._outbox.push(item, priority)
                 if self._is_sending_here:
-                    self._plan_flush()
+                    if not self._is_flush_planned:
+                        self._plan_flush()
                 else:
                     self._outgoing.notify_all()
             else:
@@ -396,14 +401,14 @@ class Gate(ABC, Generic[Item]):
     def _transmit(self) -> None:
         """The transmit thread."""
         while True:
-            with self._outgoing:
+            with self._guard:
                 while not self._stopping.is_set() and (not self._outbox or self.state != "open"):
                     self._outgoing.wait(1.0)
             while not self._stopping.is_set() and (left := self._leaves_at() - self.clock.now()) > 0:
                 self._stopping.wait(left / 1e9)
             if self._stopping.is_set():
                 return
-            with self._outgoing:
+            with self._guard:
                 if not self._outbox or self.state != "open":
                     continue
                 item = self._in_hand = self._outbox.pop()
@@ -420,7 +425,7 @@ class Gate(ABC, Generic[Item]):
                 self._settle(item, "failed", why)
                 self._tell("send failed", f"{self._name_of(item.word)}: {why}")
             finally:
-                with self._outgoing:
+                with self._guard:
                     self._in_hand = None
                     if not self._outbox:
                         self._outgoing.notify_all()
@@ -428,13 +433,13 @@ class Gate(ABC, Generic[Item]):
     def _expire(self, first: OutboxItem[Any]) -> None:
         """This one is too old, and others may be."""
         now = self.clock.now()
-        with self._outgoing:
-            others = self._outbox.take(lambda item: item.until < now and not item.urgent)
+        with self._guard:
+            others = self._outbox.take_old(now)
         self._settle_all([first, *others], "expired", TOO_OLD)
 
     def _settle(self, item: OutboxItem[Any], fate: Fate, why: str) -> bool:
         """Count what became of a word, once, and report it."""
-        with self._outgoing:
+        with self._guard:
             if item.fate is not None:
                 return False
             item.fate = fate
@@ -447,6 +452,21 @@ class Gate(ABC, Generic[Item]):
                 self.events.failures += 1
         return True
 
+    def _settle_sent(self, items: list[OutboxItem[Any]]) -> None:
+        """The same for words that left together."""
+        reports: list[Report] = []
+        with self._guard:
+            for item in items:
+                item.fate = "sent"
+                self.counters.sent += item.size
+                if item.report is not None:
+                    reports.append(item.report)
+        for report in reports:
+            try:
+                report("sent", "")
+            except Exception:  # as above
+                self.events.failures += 1
+
     def _settle_all(self, items: list[OutboxItem[Any]], fate: Fate, why: str) -> None:
         """The same became of several, which is one event."""
         count = sum(item.size for item in items if self._settle(item, fate, why))
@@ -455,7 +475,7 @@ class Gate(ABC, Generic[Item]):
 
     def _tell_refused(self) -> None:
         """What was given while the bus was lost."""
-        with self._outgoing:
+        with self._guard:
             count, self._refused = self._refused, 0
         if count:
             self._tell("not sent", f"{count} {self.unit} were given while the bus was lost", count)
@@ -541,16 +561,15 @@ class Gate(ABC, Generic[Item]):
     def _plan_flush(self) -> None:
         loop = self._loop
         assert loop is not None
-        if not self._is_flush_planned:
-            self._is_flush_planned = True
-            if loop.is_own_thread:
-                loop.at_turn_end(self._flush)
-            else:
-                loop.call_soon(self._flush)
+        self._is_flush_planned = True
+        if loop.is_own_thread:
+            loop.at_turn_end(self._flush)
+        else:
+            loop.call_soon(self._flush)
 
     def _flush(self) -> None:
         """Send together what was gathered, as far as the bus takes it now."""
-        with self._outgoing:
+        with self._guard:
             self._is_flush_planned = False
             if self.state != "open":
                 return
@@ -558,7 +577,7 @@ class Gate(ABC, Generic[Item]):
             if (wait := AGAIN_NS if not self._push() else self._leaves_at() - now) > 0:
                 self._flush_in(wait)
                 return
-            old = self._outbox.take(lambda item: item.until < now and not item.urgent)
+            old = self._outbox.take_old(now)
             items = self._outbox.first(self.together)
             taken, error = self._put_together([item.word for item in items])
             gone = self._outbox.drop_first(taken + (error is not None))
@@ -567,8 +586,7 @@ class Gate(ABC, Generic[Item]):
                 self._flush_in(AGAIN_NS if error is None and taken < len(items) else 0)
             elif self._is_closing:
                 self._outgoing.notify_all()
-        for item in gone[:taken]:
-            self._settle(item, "sent", "")
+        self._settle_sent(gone[:taken])
         if error is not None:
             why = f"{type(error).__name__}: {error}"
             self._settle(gone[-1], "failed", why)

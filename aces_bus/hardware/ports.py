@@ -54,7 +54,8 @@ class BasePort(Generic[Word]):
         """Open a gate, and have `handle` called on the clock's thread with what it receives."""
         clock = self.clock
         assert isinstance(clock, Loop)
-        self._send = _sender(gate, clock)
+        # The method's place is taken by the closure: one call less a word.
+        self.__dict__["send"] = _sender(gate, clock)
         gate.start_on(clock, lambda items: self._hand_over(iter(items), handle))
 
     def _hand_over(self, items: Iterator[Received[Word]], handle: Handler) -> None:
@@ -253,13 +254,13 @@ class DatagramPort(BasePort[bytes]):
             self._send = give
             return
         self._listen(network, received)
-        send = self._send
+        send: Callable[..., bool] = self.send
 
-        def answer(word: bytes, *options: Any) -> bool:
+        def answer(word: bytes, age_ns: int = 0, **more: Any) -> bool:
             to = network.peer or self._last_source
-            return to is not None and send(word, *options, to)
+            return to is not None and send(word, age_ns, to=to, **more)
 
-        self._send = answer
+        self.__dict__["send"] = answer
 
     def _take(self, item: Received[bytes], handle: Handler) -> None:
         self._last_source = item.source
@@ -284,17 +285,25 @@ def _sender(gate: Any, clock: EventClock) -> Callable[..., bool]:
     def on_clock(report: Told) -> Told:
         return lambda fate, why: clock.call_soon(lambda: report(fate, why))
 
-    def give(word: Any, age_ns: int, urgent: bool, topic: object, report: Told | None, *to: Any) -> bool:
+    def give(
+        word: Any,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: Told | None = None,
+        **to: Any,
+    ) -> bool:
         if gate.state != "open" and not urgent:
             return False
         try:
             is_taken: bool = send(
                 word,
-                *to,
                 age_s=age_ns / 1e9 if age_ns else None,
                 urgent=urgent,
                 topic=topic,
                 report=None if report is None else on_clock(report),
+                **to,
             )
             return is_taken
         except CallerError:  # too much waits already, or not of this bus's kind

@@ -17,6 +17,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Literal, TypeVar
 
+import msgspec
+
 Item = TypeVar("Item")
 
 #: What a queue holds at most by default: eight seconds of a full 1 Mbit/s bus.
@@ -141,17 +143,16 @@ Report = Callable[[Fate, str], object]
 AGE_S = 1.0
 
 
-class OutboxItem(Generic[Word]):
+class OutboxItem(msgspec.Struct, Generic[Word], gc=False, eq=False):
     """One word that is to be sent: `size` in the gate's unit, `until` the last instant (ns) at which it may leave."""
 
-    __slots__ = ("fate", "report", "size", "topic", "until", "urgent", "word")
-
-    def __init__(
-        self, word: Word, size: int, until: int, *, urgent: bool, topic: object, report: Report | None
-    ) -> None:
-        self.word, self.size, self.until = word, size, until
-        self.urgent, self.topic, self.report = urgent, topic, report
-        self.fate: Fate | None = None
+    word: Word
+    size: int
+    until: int
+    urgent: bool
+    topic: object
+    report: Report | None
+    fate: Fate | None = None
 
 
 class Outbox(Generic[Word]):
@@ -162,6 +163,8 @@ class Outbox(Generic[Word]):
         self._count = 0
         #: What waits, in the gate's unit.
         self.size = 0
+        #: Nothing in it is too old before this instant (ns).
+        self.fresh_until = 0
 
     def __len__(self) -> int:
         return len(self._heap)
@@ -169,6 +172,8 @@ class Outbox(Generic[Word]):
     def push(self, item: OutboxItem[Word], priority: int) -> None:
         """Queue a word."""
         self._count += 1
+        if item.until < self.fresh_until or not self._heap:
+            self.fresh_until = item.until
         heapq.heappush(self._heap, (not item.urgent, priority, self._count, item))
         self.size += item.size
 
@@ -189,6 +194,14 @@ class Outbox(Generic[Word]):
         del self._heap[:count]
         self.size -= sum(item.size for item in taken)
         return taken
+
+    def take_old(self, now: int) -> list[OutboxItem[Word]]:
+        """Take out what is too old; a stop never is."""
+        if now <= self.fresh_until:
+            return []
+        old = self.take(lambda item: item.until < now and not item.urgent)
+        self.fresh_until = min((entry[3].until for entry in self._heap if not entry[3].urgent), default=now)
+        return old
 
     def take(self, which: Callable[[OutboxItem[Word]], bool]) -> list[OutboxItem[Word]]:
         """Take out all those words, in order."""

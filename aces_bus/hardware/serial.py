@@ -145,7 +145,7 @@ class SerialGate(Gate[bytes]):
 
     def _find_out(self, data: bytes, now: int) -> bytes:
         """Whether these bytes are our own, coming back; what of them is others'."""
-        with self._outgoing:
+        with self._guard:
             due = self._echo_due
             data = bytes(self._held) + data
             self._held.clear()
@@ -169,7 +169,7 @@ class SerialGate(Gate[bytes]):
 
     def _take_echo(self, data: bytes, now: int) -> int:
         """How many of these bytes are our own, coming back."""
-        with self._outgoing:
+        with self._guard:
             due = self._echo_due
             if now > self._echo_until:
                 due.clear()
@@ -224,7 +224,7 @@ class SerialGate(Gate[bytes]):
 
     def _expect_echo(self, word: bytes) -> None:
         if self.echo:
-            with self._outgoing:
+            with self._guard:
                 if len(self._echo_due) > OUTBOX:
                     self._echo_due.clear()  # nothing is received at all
                 self._echo_due += word

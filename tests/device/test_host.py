@@ -71,9 +71,57 @@ def test_the_budget_carries_polls_over_in_turn() -> None:
         robot.advance(1.0)
         counts = host_of(robot).counts
         assert counts.polls_carried > 50
+        assert robot.events.count("overrun") > 50
+        assert "did not fit into a tick of 10 ms" in robot.events.of("overrun")[0].detail
         asked = [twin.requests for twin in robot.twins.values()]
         assert max(asked) - min(asked) <= 1
         assert counts.polls - sum(asked) in (0, 1)  # the last may be on its way
+
+
+def test_a_poll_without_an_answer_is_sent_again_in_the_next_tick() -> None:
+    """A lost reply costs one tick; who does not answer at all is asked twice more, and then after the time-out."""
+    with made() as robot:  # 100 Hz
+        robot.advance(0.1)
+        counts = host_of(robot).counts
+        robot.twins["A"].fault("loses", 5)
+        ages: list[int] = []
+        for _ in range(50):
+            robot.advance(0.01)
+            ages.append(robot["A.temperature"].age_ns)
+        assert counts.repeated == counts.answered_late > 5
+        assert max(ages) < 20_000_000
+        assert counts.missed == 0
+        robot.twins["A"].fault("loses", on=False)
+        robot.twins["A"].fault("silent")
+        repeated = counts.repeated
+        robot.advance(0.045)
+        assert counts.repeated - repeated == 2
+        assert robot.events.count("duplicate reply") == robot.events.count("late reply") == 0
+
+
+def test_an_answer_that_is_later_than_a_tick_is_counted() -> None:
+    """A device that takes longer than a tick is asked once more, and from then on once a tick: its values are as fresh."""
+    with made() as robot:  # 100 Hz
+        robot.advance(0.1)
+        robot.twins["A"].fault("late", 0.012)
+        robot.advance(0.5)
+        assert host_of(robot).counts.answered_late == host_of(robot).counts.repeated == 1
+        assert robot["A.temperature"].age_ns < 20_000_000
+        assert robot.events.count("duplicate reply") == 0
+        assert not robot.devices["A"].is_silent
+
+
+def test_both_answers_to_a_poll_that_was_sent_again_are_one_device_s() -> None:
+    """Of a device that is late once, the second answer is late, and no second device's."""
+    with made() as robot:  # 100 Hz
+        robot.advance(1.0)
+        robot.twins["A"].fault("late", 0.0125)
+        robot.advance(0.005)
+        robot.twins["A"].fault("late", on=False)
+        robot.advance(0.5)
+        assert host_of(robot).counts.repeated == 1
+        assert robot.events.count("late reply") == 1
+        assert robot.events.count("duplicate reply") == 0
 
 
 def test_a_host_without_a_rate_sends_at_once() -> None:

@@ -37,7 +37,7 @@ def test_words_do_not_wait_for_a_lost_bus() -> None:
     fates: list[str] = []
 
     def send(word: str, *, urgent: bool = False) -> bool:
-        return give(word, 0, urgent, None, lambda fate, why: fates.append(fate))
+        return give(word, urgent=urgent, report=lambda fate, why: fates.append(fate))
 
     assert send("a")
     gate.state = "lost"

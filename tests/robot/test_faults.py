@@ -169,7 +169,7 @@ def test_a_bus_that_loses_frames() -> None:
     ended, walk, look, run = walk_into(lambda run: None, lossy)
     assert ended.tripped == {}
     assert walk.told == []
-    assert run.rig.hosts["lower"].counts.missed > 0
+    assert run.rig.hosts["lower"].counts.repeated > 0
     assert abs(run.states["RHP"].last - look.rows[-1][2]["RHP"]) < 0.1
 
 

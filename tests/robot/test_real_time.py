@@ -37,7 +37,7 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
         bus: {"interface": "aces", "channel": f"minute-{bus}", "bitrate": 1_000_000} for bus in robot.buses
     }
     before = sys.getswitchinterval()
-    sys.setswitchinterval(0.0005)  # as `aces run` has it
+    sys.setswitchinterval(0.0001)  # as `aces run` has it
     try:
         with (
             Loop() as loop,

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 ARGUMENTS: Arguments = (
     argument(
         "subject",
-        choices=["live", "columns", "bus", "control"],
+        choices=["live", "columns", "bus", "control", "robot"],
         help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside "
         "cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can's; "
-        "control: states, filters and controllers of a control loop, beside deque, np.interp and scipy",
+        "control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; "
+        "robot: a complete robot on served buses in real time, beside the same with threads",
     ),
     flag("--quick", help="a few seconds instead of a minute; rougher figures"),
     argument(

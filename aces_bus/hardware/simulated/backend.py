@@ -197,7 +197,8 @@ class AcesBus(VirtualBus):
         """The next message that passes the filters; None when none came in `timeout` seconds (None: for ever)."""
         queue = self._queue
         if queue and self._filters is None and not self._medium.physics and not self._why:
-            return queue.popleft()  # appended to and popped from in one step each: no lock needed
+            first: Message = queue.popleft()  # appended to and popped from in one step each: no lock needed
+            return first
         if self._why:
             raise self._unusable()
         medium = self._medium

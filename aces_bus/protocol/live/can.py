@@ -39,6 +39,9 @@ SPELT_OUT = 4096
 SPELT_OUT_OF_MANY = 16
 
 
+#: So many different frames of our own are remembered as requests.
+REQUESTS = 4096
+
 _KINDS = EXTENDED | REMOTE | FD
 
 
@@ -182,6 +185,8 @@ class CanScanner:
         self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
         self._asked: dict[int, list[tuple[_Wire, Message]]] = {}
+        #: By key and data, the request that a frame of our own is, with its raw fields.
+        self._requests: dict[tuple[int, bytes], list[tuple[_Wire, str, dict[str, Any]]]] = {}
         self._counts = ScanCounts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
@@ -360,9 +365,9 @@ class CanScanner:
 
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
-        key = key_of(
-            frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
-        )
+        key = frame.arbitration_id
+        if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
+            key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
         asked = self._asked.get(key)
         if asked is None:
             asked = [(wire, message) for wire in self.wires for message in wire.matching(key, wire.asked)]
@@ -371,9 +376,18 @@ class CanScanner:
         if not asked:
             return
         data = bytes(frame.data)
-        for wire, message in asked:
-            if wire.note(message, data, key, frame.timestamp, frame.channel, data):
-                return
+        requests = self._requests.get((key, data))  # what is polled is the same each time
+        if requests is None:
+            requests = []
+            for wire, message in asked:
+                values = wire.values_of(message, data, key, frame.timestamp, frame.channel, data)
+                if values is not None:
+                    requests.append((wire, message.name, values))
+                    break
+            if len(self._requests) < REQUESTS:
+                self._requests[key, data] = requests
+        for wire, name, values in requests:
+            wire.context.note(name, frame.channel, frame.timestamp, values)
 
     def idle(self, time: float | None = None) -> list[Record]:
         """Frames are whole: silence decides nothing on CAN."""

@@ -61,6 +61,8 @@ class Context:
         self._seen: dict[tuple[Any, ...], list[Entry]] = {}
         self._count = 0
         self._broadcast = broadcast
+        #: The names of the requests that have passed.
+        self.noted: set[str] = set()
         #: Messages to note; and those that need no request to be recognised, but use one up: give them to `of`.
         self.requests, self.answers = request_names(messages, names)
         for message in messages:
@@ -84,11 +86,13 @@ class Context:
     def reset(self) -> None:
         """Forget what has been asked."""
         self._seen.clear()
+        self.noted.clear()
         self._count = 0
 
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
         """A request has passed."""
         self._count += 1
+        self.noted.add(name)
         entry = Entry(self._count, time, values)
         for shared, who in self._kinds[name].items():
             key = (name, channel, shared, who(values))
@@ -97,6 +101,10 @@ class Context:
                 del self._seen[next(iter(self._seen))]
             entries.append(entry)
             del entries[:-DEPTH]
+
+    def requests_of(self, name: str) -> frozenset[str]:
+        """The names of the requests that this message may hang on."""
+        return frozenset(link.request.message.name for link in self._links[name])
 
     def of(
         self, candidates: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None

@@ -128,18 +128,35 @@ class Decider:
 
     def note(self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes) -> bool:
         """Note a packet that may be the request `message`; whether it is."""
+        values = self.values_of(message, data, key, time, channel, packet)
+        if values is not None:
+            self.context.note(message.name, channel, time, values)
+        return values is not None
+
+    def values_of(
+        self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes
+    ) -> dict[str, Any] | None:
+        """The raw fields of a packet; None when it is not this message."""
         seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
-        if seen is not None:
-            self.context.note(message.name, channel, time, _values(seen))
-        return seen is not None
+        return None if seen is None else _values(seen)
 
     def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
         """Replies that only their request tells apart; after them the messages that need none."""
         context, raw, decoders = self.context, self.raw_decoders, self.decoders
+        asked = {message: context.requests_of(message.name) for message in bound}
 
-        def decode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+        def fit(
+            messages: Sequence[Message],
+            data: bytes,
+            key: int,
+            time: Any,
+            channel: Any,
+            packet: bytes,
+            rx: Any,
+        ) -> list[tuple[Message, dict[str, Any]]]:
+            """Those that the bytes may be, with their raw fields."""
             fitting = []
-            for message in bound:
+            for message in messages:
                 seen = raw[message.name](data, key, time, channel, packet, rx)
                 if (
                     seen is None
@@ -155,6 +172,12 @@ class Decider:
                     )
                 if seen is not None:
                     fitting.append((message, _values(seen)))
+            return fitting
+
+        def decode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
+            # What was never asked cannot be answered.
+            likely = [message for message in bound if not context.noted.isdisjoint(asked[message])]
+            fitting = fit(likely, data, key, time, channel, packet, rx) if likely else []
             if fitting:
                 found = context.of(fitting, channel, time)
                 if found is not None:
@@ -162,8 +185,10 @@ class Decider:
                     more = (request,) if message.request_fields else ()
                     return decoders[message.name](data, key, time, channel, packet, rx, *more)
             record = otherwise(data, key, time, channel, packet, rx) if otherwise is not None else None
-            if record is None and fitting and not self.need_of(key):
-                self._need = (key, context.needs([m for m, _ in fitting]))
+            if record is None and not self.need_of(key):
+                fitting = fit(bound, data, key, time, channel, packet, rx)
+                if fitting:
+                    self._need = (key, context.needs([m for m, _ in fitting]))
             return record
 
         return decode

@@ -27,8 +27,6 @@ RATES = (200.0, 500.0)
 FRAME_US, SHARE, MEDIAN_MS, LATE_MS = 32.0, 0.38, 0.1, 0.5
 #: The same at 500 Hz: share of a core.
 SHARE_AT_500 = 0.55
-#: How many times less CPU a frame than with threads.
-RATIO = 2.2
 #: Seconds that the other process may take to begin.
 _PATIENCE_S = 60
 #: Simulated seconds in the figure of virtual time, and how many times real time that should be.
@@ -53,17 +51,18 @@ def _rows(
     subject = f"complete Hubo 2+ at {rate:g} Hz, {seconds:g} s, {ours['frames_s']:,.0f} frames/s"
     is_usual = rate == RATES[0]
     share = SHARE if is_usual else SHARE_AT_500
-    ratio = threads["frame_us"] / ours["frame_us"]
     yield BenchRow(subject, "CPU a frame, threads", threads["frame_us"], "µs")
     yield BenchRow(
-        subject, "CPU a frame, one loop", ours["frame_us"], "µs", ratio, f"≥ {RATIO:g} ×", ratio >= RATIO
+        subject,
+        "CPU a frame, one loop",
+        ours["frame_us"],
+        "µs",
+        threads["frame_us"] / ours["frame_us"],
+        f"≤ {FRAME_US:g} µs" if is_usual else "",
+        ours["frame_us"] <= FRAME_US if is_usual else None,
     )
-    if is_usual:
-        yield BenchRow(
-            subject, "the same", ours["frame_us"], "µs", None, f"≤ {FRAME_US:g}", ours["frame_us"] <= FRAME_US
-        )
     yield BenchRow(
-        subject, "of a core", 100 * ours["share"], "%", None, f"≤ {100 * share:g}", ours["share"] <= share
+        subject, "of a core", 100 * ours["share"], "%", None, f"≤ {100 * share:g} %", ours["share"] <= share
     )
     for name, key, most in (("median", "median_ms", MEDIAN_MS), ("99 %", "late_ms", LATE_MS)):
         yield BenchRow(
@@ -72,7 +71,7 @@ def _rows(
             ours[key],
             "ms",
             threads[key] / ours[key] if ours[key] else None,
-            f"≤ {most:g}" if is_usual else "",
+            f"≤ {most:g} ms" if is_usual else "",
             ours[key] <= most if is_usual else None,
         )
     cycles = f"of {ours['cycles']:,.0f} cycles"
@@ -110,6 +109,8 @@ def serve_twins(folder: str) -> None:
     from aces_bus.hardware import port_of
     from aces_bus.hardware.served import BusServer, ServedChannel
     from aces_bus.robot import simulate
+    from aces_bus.robot.runner import BUSES
+    from aces_bus.runtime.tasks import run_at
 
     robot = load_robot("hubo2plus")
     channels = [ServedChannel(name, bitrate=bus.bitrate or 1_000_000) for name, bus in robot.buses.items()]
@@ -120,6 +121,8 @@ def serve_twins(folder: str) -> None:
     def wait() -> None:
         sys.stdin.read()
         server.stop()
+
+    run_at(BUSES)  # else it is measured how busy this machine is with other things
 
     threading.Thread(target=wait, daemon=True).start()
     print("ready", flush=True)
@@ -144,6 +147,8 @@ def drive(folder: str, rate: str, seconds: str, way: str) -> None:
     from aces_bus.controller import IGNORE, Player, Trajectory
     from aces_bus.robot import run_real
 
+    from ..running.session import SWITCH_S
+
     if way == "threads":
         _hide_files()
     robot = load_robot("hubo2plus")
@@ -157,7 +162,7 @@ def drive(folder: str, rate: str, seconds: str, way: str) -> None:
     buses = {
         name: {"interface": "aces", "channel": f"unix:{Path(folder) / name}.sock"} for name in robot.buses
     }
-    sys.setswitchinterval(0.0005)  # as `aces run` has it
+    sys.setswitchinterval(SWITCH_S)
     with run_real(
         robot,
         [player],

@@ -36,8 +36,8 @@ PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
 REST_S = 4.0
 #: How long devices may take to be enabled, and to find their home.
 ENABLE_S, HOME_S = 30.0, 180.0
-#: Threads of Python wait for each other at most so long (s): the default, 5 ms, is a whole cycle.
-SWITCH_S = 0.0005
+#: Threads of Python wait for each other so long (s) before they ask for their turn: the default, 5 ms, is a whole cycle.
+SWITCH_S = 0.0001
 #: Events of one kind and source that are printed.
 FEW = 3
 #: What python-can says where neither the call nor its own configuration names an interface.
