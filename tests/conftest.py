@@ -57,7 +57,14 @@ def _draw_no_constants_of_modules() -> None:
 _draw_no_constants_of_modules()
 
 # Programs, and files that tests read; none of them is a test or holds a doctest.
-collect_ignore = ["pristine.py", "steady.py", "bench/framings.py", "bench/soak.py", "bench/run_stops.py", "socketcan/run.py"]
+collect_ignore = [
+    "pristine.py",
+    "steady.py",
+    "bench/framings.py",
+    "bench/soak.py",
+    "bench/run_stops.py",
+    "socketcan/run.py",
+]
 collect_ignore_glob = ["golden/*", "data/*"]
 
 Golden = Callable[[str, str], None]

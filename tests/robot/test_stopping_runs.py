@@ -112,7 +112,7 @@ def test_an_end_stops_before_it_waits_for_controllers() -> None:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(100 * MS)
+        run.world.clock.advance(100 * MS)
         before = run.rig.hosts["lower"].counts.sent
         ended = run.stop()
     assert sent[0] >= 4
@@ -139,19 +139,19 @@ def test_what_is_held_gets_references_in_each_tick_and_does_not_move() -> None:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(FAULT_AT)
+        run.world.clock.advance(FAULT_AT)
         run.supervisors[0].guard.trip("by hand", "hold")
-        run.clock.advance(20 * MS)
+        run.world.clock.advance(20 * MS)
         assert run.held == {"walk": "by hand"}
         where, count, before = dict(run.given), run.rig.hosts["lower"].counts.set_points, run.set_points
-        run.clock.advance(500 * MS)
+        run.world.clock.advance(500 * MS)
         assert run.given == where
         assert run.rig.hosts["lower"].counts.set_points - count >= 4 * 50
         assert run.set_points - before >= 5 * 50
         assert all(board_is_on(run, f"JMC{number}") for number in range(4))
         run.release("walk")
         assert run.held == {}
-        run.clock.advance(50 * MS)
+        run.world.clock.advance(50 * MS)
         assert run.given != where
         with pytest.raises(UnknownNameError, match="walk"):
             run.release("wlk")
@@ -176,12 +176,12 @@ def test_a_controller_that_hangs_is_held_by_the_buses_thread() -> None:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(FAULT_AT)
+        run.world.clock.advance(FAULT_AT)
         run.supervisors[0].guard.trip("it hangs", "hold")
-        run.clock.advance(20 * MS)
+        run.world.clock.advance(20 * MS)
         run.tasks.stop()  # as if it never came back
         before = run.set_points
-        run.clock.advance(100 * MS)
+        run.world.clock.advance(100 * MS)
         assert run.set_points - before >= 5 * 9
 
 
@@ -399,9 +399,9 @@ def test_a_bus_that_stays_off_is_said_with_all_names() -> None:
     run.open()
     run.do("enable")
     run.start()
-    run.clock.advance(FAULT_AT)
+    run.world.clock.advance(FAULT_AT)
     bus_off(run, 60.0)
-    run.clock.advance(10 * MS)
+    run.world.clock.advance(10 * MS)
     with pytest.raises(NotStoppedError, match=r"NOT switched off: .*JMC1.*JMC2"):
         run.__exit__(None)
 
