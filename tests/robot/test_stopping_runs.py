@@ -29,6 +29,7 @@ from aces_bus.controller import (
 from aces_bus.errors import NotStoppedError, UnknownNameError
 from aces_bus.robot import Ended, Runner, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
+from tests.conftest import ROOT
 from tests.robot.walking import CYCLE, FAULT_AT, HUBO, MS, Walk, hubo_leg, motors_are_off
 
 #: From a fault that is received to the words of the stop on the wire: the frame under way, and those of four boards.
@@ -195,6 +196,9 @@ def test_a_run_may_leave_the_robot_held() -> None:
     found = case(lambda run: run.world.twins["FT_RF"].fault("silent"), at_end="hold")
     assert found.ended.held == []
     assert motors_are_off(found.run)
+    with run_virtual(hubo_leg(), [Walk(HUBO)], rate_hz=100, at_end="hold") as run:
+        run.do("enable")  # and something goes wrong before it runs
+    assert motors_are_off(run)
 
 
 # ---------------------------------------------------------------------- reactions
@@ -417,3 +421,58 @@ def test_a_board_that_does_not_obey_is_named() -> None:
     assert list(found.ended.not_stopped) == ["JMC2"]
     assert "is still on" in found.ended.not_stopped["JMC2"]
     assert not board_is_on(found.run, "JMC1")
+
+
+#: Rows of the table in docs/running.md, and where each is a promise: here, in virtual time, or over a served bus (`served:`).
+ROWS = {
+    "Ctrl-C, SIGTERM, SIGHUP": ["served:test_signals"],
+    "the time is up, all is played": [
+        "test_a_player_that_ends_stays_where_it_is",
+        "test_a_run_may_leave_the_robot_held",
+    ],
+    "a controller raises": ["test_a_controller_that_raises", "served:test_a_controller_that_fails"],
+    "it gives nothing, or no finite numbers": [
+        "test_a_controller_that_gives_nothing_or_no_numbers",
+        "served:test_a_controller_that_fails",
+    ],
+    "its step blocks": [
+        "test_a_controller_that_hangs_is_held_by_the_buses_thread",
+        "served:test_a_controller_that_blocks",
+    ],
+    "it has finished (a player's end, a final phase)": [
+        "test_a_machine_that_waits_or_has_ended_is_alive",
+        "served:test_a_controller_that_finishes",
+    ],
+    "a board is silent": ["faults:test_a_silent_board", "served:test_a_silent_board"],
+    "a board reboots": ["faults:test_a_board_that_reboots"],
+    "a device reports an alarm": ["faults:test_a_saturated_force_sensor_stops_by_default"],
+    "the host is bus-off, the cable is out": [
+        "test_a_stop_that_found_the_bus_off_leaves_when_it_is_back",
+        "test_a_bus_that_stays_off_is_said_with_all_names",
+        "faults:test_a_cable_that_is_pulled",
+        "served:test_bus_off_and_recovery",
+    ],
+    "a board does not obey": [
+        "test_a_board_that_does_not_obey_is_named",
+        "served:test_a_stop_that_is_not_confirmed",
+        "served:test_not_switched_off",
+    ],
+    "a log cannot write": ["programs:test_a_full_disk"],
+    "kill -9, power loss, a machine that hangs": ["served:test_kill_9_leaves_the_board_on"],
+}
+FILES = {
+    "": "test_stopping_runs.py",
+    "served": "test_served_stops.py",
+    "faults": "test_faults.py",
+    "programs": "test_faults_of_programs.py",
+}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_each_row_of_the_page_is_a_test(row: str) -> None:
+    """The page has the row, and the tests that keep it are there."""
+    page = ROOT / "docs" / "running.md"
+    assert f"\n| {row} |" in page.read_text(encoding="utf-8")
+    for name in ROWS[row]:
+        file, _, test = name.rpartition(":")
+        assert f"def {test}(" in (ROOT / "tests" / "robot" / FILES[file]).read_text(encoding="utf-8")
