@@ -423,7 +423,7 @@ def test_a_board_that_does_not_obey_is_named() -> None:
     assert not board_is_on(found.run, "JMC1")
 
 
-#: Rows of the table in docs/running.md, and where each is a promise: here, in virtual time, or over a served bus (`served:`).
+#: Rows of the table in docs/running.md, and the tests that keep each: of this file, or of another (`FILES`).
 ROWS = {
     "Ctrl-C, SIGTERM, SIGHUP": ["served:test_signals"],
     "the time is up, all is played": [
