@@ -69,7 +69,7 @@ DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
 }
 
 #: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
-CONTROL_KINDS = ("raised", "failed", "dead-man", "not finite", "clipped", "late", "log-failed", "log-dropped")
+CONTROL_KINDS = ("raised", "failed", "dead-man", "log-failed", "log-dropped")
 #: Words for reactions.
 WORDS = ("ignore", "degrade", *ACTIONS)
 

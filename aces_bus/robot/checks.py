@@ -25,6 +25,8 @@ from ..protocol import Protocol, list_protocols, load_protocol
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
 SLIP: Final = 0.8
+#: The same where another name may well be there: that of a controller.
+NEAR: Final = 0.7
 #: More names than are searched and sorted for one complaint.
 MANY: Final = 300
 #: All kinds of events that reactions may be declared for.
@@ -108,7 +110,7 @@ def _check_reactions(robot: Robot, complain: Complain) -> None:
         _check_reference(path, "kind of fault", kind, (*KINDS_OF_FAULTS, "*"), complain)
         known = (*robot.buses, *robot.devices)
         for one in sources.split(",") if sources else ():
-            slip = "" if one.strip() in known else near(one.strip(), known, SLIP)
+            slip = "" if one.strip() in known else near(one.strip(), known, NEAR)
             if slip:
                 complain(path, f"no bus or device named {one.strip()!r}{slip}")
         if word not in WORDS and not word.startswith("degrade:") and not word.isidentifier():

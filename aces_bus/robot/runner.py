@@ -158,6 +158,8 @@ class Runner:
         self._obeyed: dict[str, Trip] = {}
         #: Controller → the instant at which it began a step that is not over yet.
         self._inside: dict[str, int] = {}
+        #: Controller → the begin of the step that it was last taken for dead in.
+        self._dead_since: dict[str, int] = {}
         self._told: dict[str, int] = {}
         #: Devices whose stop was not confirmed, by name.
         self._owed: dict[str, Device] = {}
@@ -466,8 +468,10 @@ class Runner:
         self.clock.call_in(WATCH_NS, self._watch)
         now = self.clock.now()
         for supervisor in self.supervisors:
-            began = self._inside.get(supervisor.name, now)
-            if supervisor.is_overdue(now, began):
+            name = supervisor.name
+            began = self._inside.get(name, now)
+            if supervisor.is_overdue(now, began) and self._dead_since.get(name) != began:
+                self._dead_since[name] = began
                 given = supervisor.tell_dead(
                     now, f"its step has not come back for {(now - began) / 1e9:.3f} s"
                 )
@@ -639,6 +643,8 @@ class Runner:
             now = self.clock.now()
             drove = was != "new" and self.drives
             if drove:
+                if was != "running":  # nothing is left on that has not run
+                    self.at_end = "disable"
                 self._to_end.append(("stop", partial(self._in_time, self._begin_stop)))
             if was == "running":
                 self._to_end.append(("tasks", self.tasks.stop))

@@ -57,12 +57,12 @@ def virtual(is_fault: bool) -> tuple[float, float]:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(503_000_000)
+        run.world.clock.advance(503_000_000)
         note_off(run.world, run.clock.now, off_at)
         began = run.clock.now()
         if is_fault:
             alarm(run)
-            run.clock.advance(5_000_000)
+            run.world.clock.advance(5_000_000)
         run.stop()
     return (max(off_at.values()) - began) / 1e9, (run.clock.now() - began) / 1e9
 

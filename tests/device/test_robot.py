@@ -126,6 +126,13 @@ def test_the_dialect_of_a_protocol() -> None:
         read(mixed).dialect("hubo")
 
 
+def test_reactions_are_printed_and_read() -> None:
+    """Kinds with sources, and names of functions of a program that is not known here."""
+    robot = read(changed("rate_hz = 200", 'reactions = { silent = "hold", "alarm@JMC8,walk" = "kneel" }'))
+    assert robot.reactions == {"silent": "hold", "alarm@JMC8,walk": "kneel"}
+    assert read(print_robot(robot)) == robot
+
+
 def test_what_is_printed_reads_the_same() -> None:
     """Names that need quotes, text of any kind, hexadecimal credentials."""
     robot = read(changed('name = "arm"', 'name = "arm"\ndoc = "a \\"b\\"\\n\\t\\\\ \\u0007 é"'))
@@ -157,6 +164,26 @@ def test_any_text_and_number_is_printed_and_read(doc: str, lower: float, offset:
         ('name = "arm"\n', "", "r.toml:1: name: is missing: expected a name in quotes"),
         ("rate_hz = 200", "rate_hz = -200", "r.toml:2: rate_hz: expected a number above 0 (Hz), not -200"),
         ("rate_hz", "rate", "r.toml:2: rate: a robot has no such key; did you mean 'rate_hz'?"),
+        (
+            "rate_hz = 200",
+            'reactions = { sillent = "hold" }',
+            "r.toml:2: reactions.sillent: no kind of fault named 'sillent'; did you mean 'silent'?",
+        ),
+        (
+            "rate_hz = 200",
+            'reactions = { "silent@JMC9" = "hold" }',
+            "r.toml:2: reactions.'silent@JMC9': no bus or device named 'JMC9'; did you mean 'JMC8'?",
+        ),
+        (
+            "rate_hz = 200",
+            'reactions = { silent = "stand still" }',
+            "r.toml:2: reactions.silent: 'stand still' is no reaction (there are: ignore, degrade, hold,",
+        ),
+        (
+            "rate_hz = 200",
+            "reactions = { silent = 3 }",
+            "r.toml:2: reactions: expected a table of what faults",
+        ),
         (
             'link = "can"',
             'link = "cna"',

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus import load_robot
+from aces_bus.frames import Frame
 from aces_bus.hardware import CanGate, port_of
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
@@ -124,7 +125,7 @@ def leave(channel: ServedChannel, mine: list[Any]) -> None:
     for node in channel.wire.nodes:
         if node not in mine:
             for _ in range(40):
-                node.count_errors(8, 0, None)
+                node.count_errors(8, 0, Frame(0))
 
 
 def do(twins: Any, word: str, rest: list[Any]) -> Any:

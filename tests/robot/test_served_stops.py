@@ -247,6 +247,7 @@ def command(twins: Twins, folder: Path, *words: str) -> Command:
 
 def begun(twins: Twins, folder: Path) -> Command:
     """The command, with the knee's board on: again where a busy machine answered too late for it to begin."""
+    said = ""
     for _ in range(10):
         run = command(twins, folder)
         while twins("on") != ["JMC2"]:

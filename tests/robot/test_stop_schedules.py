@@ -181,7 +181,7 @@ def test_after_a_stop_all_is_off_or_named(
     for at_ms, kind, what in schedule:
         run.clock.call_in(at_ms * MS, partial(carry_out, run, drawn, kind, what))
     run.start()
-    run.clock.advance(round(seconds * 1e9))
+    run.world.clock.advance(round(seconds * 1e9))
     stopped_at = run.clock.now()
     ended = run.stop()
     assert run.clock.now() - stopped_at <= WITHIN_NS

@@ -29,6 +29,7 @@ from aces_bus.controller import (
 from aces_bus.errors import NotStoppedError, UnknownNameError
 from aces_bus.robot import Ended, Runner, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
+from tests.conftest import ROOT
 from tests.robot.walking import CYCLE, FAULT_AT, HUBO, MS, Walk, hubo_leg, motors_are_off
 
 #: From a fault that is received to the words of the stop on the wire: the frame under way, and those of four boards.
@@ -112,7 +113,7 @@ def test_an_end_stops_before_it_waits_for_controllers() -> None:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(100 * MS)
+        run.world.clock.advance(100 * MS)
         before = run.rig.hosts["lower"].counts.sent
         ended = run.stop()
     assert sent[0] >= 4
@@ -139,19 +140,19 @@ def test_what_is_held_gets_references_in_each_tick_and_does_not_move() -> None:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(FAULT_AT)
+        run.world.clock.advance(FAULT_AT)
         run.supervisors[0].guard.trip("by hand", "hold")
-        run.clock.advance(20 * MS)
+        run.world.clock.advance(20 * MS)
         assert run.held == {"walk": "by hand"}
         where, count, before = dict(run.given), run.rig.hosts["lower"].counts.set_points, run.set_points
-        run.clock.advance(500 * MS)
+        run.world.clock.advance(500 * MS)
         assert run.given == where
         assert run.rig.hosts["lower"].counts.set_points - count >= 4 * 50
         assert run.set_points - before >= 5 * 50
         assert all(board_is_on(run, f"JMC{number}") for number in range(4))
         run.release("walk")
         assert run.held == {}
-        run.clock.advance(50 * MS)
+        run.world.clock.advance(50 * MS)
         assert run.given != where
         with pytest.raises(UnknownNameError, match="walk"):
             run.release("wlk")
@@ -176,12 +177,12 @@ def test_a_controller_that_hangs_is_held_by_the_buses_thread() -> None:
     with run:
         run.do("enable")
         run.start()
-        run.clock.advance(FAULT_AT)
+        run.world.clock.advance(FAULT_AT)
         run.supervisors[0].guard.trip("it hangs", "hold")
-        run.clock.advance(20 * MS)
+        run.world.clock.advance(20 * MS)
         run.tasks.stop()  # as if it never came back
         before = run.set_points
-        run.clock.advance(100 * MS)
+        run.world.clock.advance(100 * MS)
         assert run.set_points - before >= 5 * 9
 
 
@@ -195,6 +196,9 @@ def test_a_run_may_leave_the_robot_held() -> None:
     found = case(lambda run: run.world.twins["FT_RF"].fault("silent"), at_end="hold")
     assert found.ended.held == []
     assert motors_are_off(found.run)
+    with run_virtual(hubo_leg(), [Walk(HUBO)], rate_hz=100, at_end="hold") as run:
+        run.do("enable")  # and something goes wrong before it runs
+    assert motors_are_off(run)
 
 
 # ---------------------------------------------------------------------- reactions
@@ -399,9 +403,9 @@ def test_a_bus_that_stays_off_is_said_with_all_names() -> None:
     run.open()
     run.do("enable")
     run.start()
-    run.clock.advance(FAULT_AT)
+    run.world.clock.advance(FAULT_AT)
     bus_off(run, 60.0)
-    run.clock.advance(10 * MS)
+    run.world.clock.advance(10 * MS)
     with pytest.raises(NotStoppedError, match=r"NOT switched off: .*JMC1.*JMC2"):
         run.__exit__(None)
 
@@ -417,3 +421,58 @@ def test_a_board_that_does_not_obey_is_named() -> None:
     assert list(found.ended.not_stopped) == ["JMC2"]
     assert "is still on" in found.ended.not_stopped["JMC2"]
     assert not board_is_on(found.run, "JMC1")
+
+
+#: Rows of the table in docs/running.md, and the tests that keep each: of this file, or of another (`FILES`).
+ROWS = {
+    "Ctrl-C, SIGTERM, SIGHUP": ["served:test_signals"],
+    "the time is up, all is played": [
+        "test_a_player_that_ends_stays_where_it_is",
+        "test_a_run_may_leave_the_robot_held",
+    ],
+    "a controller raises": ["test_a_controller_that_raises", "served:test_a_controller_that_fails"],
+    "it gives nothing, or no finite numbers": [
+        "test_a_controller_that_gives_nothing_or_no_numbers",
+        "served:test_a_controller_that_fails",
+    ],
+    "its step blocks": [
+        "test_a_controller_that_hangs_is_held_by_the_buses_thread",
+        "served:test_a_controller_that_blocks",
+    ],
+    "it has finished (a player's end, a final phase)": [
+        "test_a_machine_that_waits_or_has_ended_is_alive",
+        "served:test_a_controller_that_finishes",
+    ],
+    "a board is silent": ["faults:test_a_silent_board", "served:test_a_silent_board"],
+    "a board reboots": ["faults:test_a_board_that_reboots"],
+    "a device reports an alarm": ["faults:test_a_saturated_force_sensor_stops_by_default"],
+    "the host is bus-off, the cable is out": [
+        "test_a_stop_that_found_the_bus_off_leaves_when_it_is_back",
+        "test_a_bus_that_stays_off_is_said_with_all_names",
+        "faults:test_a_cable_that_is_pulled",
+        "served:test_bus_off_and_recovery",
+    ],
+    "a board does not obey": [
+        "test_a_board_that_does_not_obey_is_named",
+        "served:test_a_stop_that_is_not_confirmed",
+        "served:test_not_switched_off",
+    ],
+    "a log cannot write": ["programs:test_a_full_disk"],
+    "kill -9, power loss, a machine that hangs": ["served:test_kill_9_leaves_the_board_on"],
+}
+FILES = {
+    "": "test_stopping_runs.py",
+    "served": "test_served_stops.py",
+    "faults": "test_faults.py",
+    "programs": "test_faults_of_programs.py",
+}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_each_row_of_the_page_is_a_test(row: str) -> None:
+    """The page has the row, and the tests that keep it are there."""
+    page = ROOT / "docs" / "running.md"
+    assert f"\n| {row} |" in page.read_text(encoding="utf-8")
+    for name in ROWS[row]:
+        file, _, test = name.rpartition(":")
+        assert f"def {test}(" in (ROOT / "tests" / "robot" / FILES[file]).read_text(encoding="utf-8")

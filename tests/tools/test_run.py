@@ -361,6 +361,66 @@ def test_a_second_ctrl_c_ends_it_at_once(aces: Aces, robot: Path, tmp_path: Path
     assert 20 <= len(numbers(log)) < 25
 
 
+# ---------------------------------------------------------------------- faults
+
+#: A controller that raises after a fifth of a second, a function that reactions may name, and one that never does.
+FAILING = """
+from aces_bus.controller import controller
+
+@controller(rate_hz=100, writes=["RKN"])
+def knee(t):
+    if t > 0.2:
+        raise ValueError("no more")
+    return {"RKN": 0.1 * t}
+
+def shrug(event):
+    print(f"shrugged at {event.kind}")
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "seconds", "said"),
+    [
+        ((), "0.2", "knee was stopped: knee: raised: ValueError: no more"),
+        (("--on-trip", "hold"), "1.0", "knee was held: knee: raised: ValueError: no more"),
+        (("--on-trip", "raised@knee=hold", "--hold-for", "0.3s"), "0.5", "; held for 0.3 s"),
+        (("--on-trip", "raised=ignore"), "0.3", "dead-man: no set-points for"),
+        (("--on-trip", "ignore"), "1.0", ""),
+    ],
+)
+def test_what_faults_lead_to_is_said(
+    aces: Aces, robot: Path, tmp_path: Path, options: tuple[str, ...], seconds: str, said: str
+) -> None:
+    """--on-trip, for one kind and source or for all: how the run goes on, how it is said, and the status."""
+    program = tmp_path / "failing.py"
+    program.write_text(FAILING)
+    result = aces("run", "-r", robot, program, "--virtual", "--for", "1s", *options)
+    assert result.err.splitlines()[-1].startswith(f"seconds={seconds}")
+    assert result.status == (1 if said else 0)
+    assert any(message.endswith(said) or said in message for message in [*result.messages, ""])
+
+
+def test_reactions_may_be_functions_of_the_controllers_file(aces: Aces, robot: Path, tmp_path: Path) -> None:
+    """By name, in the call and in the robot's file; a name that there is not is refused with those that there are."""
+    program = tmp_path / "failing.py"
+    program.write_text(FAILING)
+    run = ("run", "-r", robot, program, "--virtual", "--for", "0.3s", "--quiet")
+    assert "shrugged at raised" in aces(*run, "--on-trip", "raised=shrug").out
+    robot.write_text('reactions = { raised = "shrug" }\n' + FANS)
+    assert "shrugged at raised" in aces(*run).out
+    for wrong, expected in (("raised=shrgu", "shrug"), ("rased=hold", "raised"), ("raised@nee=hold", "knee")):
+        result = aces(*run, "--on-trip", wrong)
+        assert result.status == 2
+        assert f"did you mean '{expected}'?" in result.err
+
+
+def test_a_robot_may_be_left_held(aces: Aces, robot: Path, knee: Path) -> None:
+    """--at-end hold switches nothing off, and says what is left enabled."""
+    result = aces("run", "-r", robot, knee, "--virtual", "--for", "0.3s", "--at-end", "hold")
+    assert result.status == 0
+    assert "left enabled, where they are: JMC2" in result.messages
+
+
 # ---------------------------------------------------------------------- parts
 
 

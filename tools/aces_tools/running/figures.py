@@ -185,6 +185,8 @@ class Watch:
         reason = runner.stopped.get(name)
         if reason is not None:
             return f"stopped: {reason}", True
+        if name in runner.held:
+            return f"held: {runner.held[name]}", True
         for supervisor in runner.supervisors:
             if supervisor.name != name:
                 continue
