@@ -144,15 +144,16 @@ class _Line:
             self.counts.position += 1
             assert signal.limit is not None
             value = signal.limit(signal, value)
-        if self.rate == _INFINITY:
-            self._hand_over(value)
-            return
         lower, upper = self.bounds.lower, self.bounds.upper
         if not lower <= value <= upper:
             self.counts.position += 1
             value = lower if value < lower else upper
         if self.epoch != self.device.epoch:
             self.begin_anew()
+        if self.rate == _INFINITY:
+            self.given = value
+            self._hand_over(value)
+            return
         self.goal = value
         self.active[self] = None
         host = self.device.host
@@ -236,7 +237,10 @@ class _Line:
         if given is None or watched is None:
             return
         recent = self.recent
-        if self.epoch != device.epoch or not device.is_followed(signal) or signal.is_stale:
+        if self.epoch != device.epoch:
+            self.begin_anew()
+            return
+        if not device.is_followed(signal) or signal.is_stale:
             recent.clear()
             return
         recent.append((now, given))
@@ -284,9 +288,10 @@ class _BusLines:
         dt = min(now - self._last, self._most) / 1e9
         self._last = now
         if self.active:
-            for line in [*self.active]:
-                if line.step(dt):
-                    del self.active[line]
+            if dt > 0.0:
+                for line in [*self.active]:
+                    if line.step(dt):
+                        del self.active[line]
             if self.active and not self._is_ticked and not self._is_woken:
                 self._is_woken = True
                 self.host.clock.call_in(self._period, self._again)
@@ -388,7 +393,7 @@ class Door:
         return {name: line.goal for name, line in lines if line.goal is not None and line in line.active}
 
     def given(self, name: str) -> float | None:
-        """The last set-point that left, of a signal with a limited rate; None: none since its device began anew."""
+        """The last set-point that left; None: none since its device began anew."""
         return self._line(name).given
 
     # ------------------------------------------------------------------ trips

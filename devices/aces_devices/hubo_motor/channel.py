@@ -391,7 +391,7 @@ class MotorChannel:
                 errors.add(bit)
         if joint.temperature >= board.temperature_warning:
             errors.add("temperature_error")
-        return errors
+        return set() if "no_errors" in faults else errors
 
     @property
     def at_switch(self) -> bool:
