@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from .clock import Clock, EventClock, Loop, RealClock, Timer, VirtualClock
+from .clock import Clock, EventClock, Loop, RealClock, Timer
 from .tasks import Task, Tasks, ThreadTasks, VirtualTasks
+from .virtual import VirtualClock
 
 __all__ = [
     "Clock",

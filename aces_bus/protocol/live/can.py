@@ -182,6 +182,8 @@ class CanScanner:
         self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
         self._asked: dict[int, list[tuple[_Wire, Message]]] = {}
+        #: By key and data, requests of our own with their fields: polls are the same frames again and again.
+        self._requests: dict[tuple[int, bytes], tuple[_Wire, str, Mapping[str, Any]]] = {}
         self._counts = ScanCounts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
@@ -371,9 +373,22 @@ class CanScanner:
         if not asked:
             return
         data = bytes(frame.data)
-        for wire, message in asked:
-            if wire.note(message, data, key, frame.timestamp, frame.channel, data):
+        known = self._requests.get((key, data))
+        if known is None:
+            known = next(
+                (
+                    (wire, message.name, values)
+                    for wire, message in asked
+                    if (values := wire.request_values(message, data, key, data)) is not None
+                ),
+                None,
+            )
+            if known is None:
                 return
+            if len(self._requests) < REMEMBERED:
+                self._requests[key, data] = known
+        wire, name, values = known
+        wire.context.note(name, frame.channel, frame.timestamp, values)
 
     def idle(self, time: float | None = None) -> list[Record]:
         """Frames are whole: silence decides nothing on CAN."""
