@@ -33,6 +33,7 @@ FLOORS: dict[str, set[str]] = {
     "frames": set(),
     "frame_table": set(),  # the same frames as columns
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
+    "compiling": set(),  # what modules that may be compiled say of their classes
     "_lazy": set(),  # public names imported on use
     "plugins": set(),  # what installed packages bring
     "runtime": set(),
@@ -57,7 +58,7 @@ FLOORS: dict[str, set[str]] = {
     },  # floors put together
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
-EVERYONE = {"errors", "frames", "frame_table", "plain_text", "_lazy", "plugins"}
+EVERYONE = {"errors", "frames", "frame_table", "plain_text", "compiling", "_lazy", "plugins"}
 
 
 def module_name(path: Path) -> tuple[str, bool]:

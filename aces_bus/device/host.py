@@ -11,7 +11,6 @@ On a half-duplex line one speaks at a time: a request is sent when the one befor
 from __future__ import annotations
 
 import heapq
-import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
@@ -178,7 +177,9 @@ class Host(BusEndpoint[Device]):
         Its polls and signals are none: `ask` is all that it is for. Raises `CallerError` when nothing here speaks the
         protocol.
         """
-        number = next(n for n in itertools.count() if f"probe {n}" not in self.members)
+        number = 0
+        while f"probe {number}" in self.members:
+            number += 1
         config = DeviceConfig(
             name=f"probe {number}", driver="probe", bus=self.name, credentials=credentials, protocol=protocol
         )

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
+from ..compiling import mypyc_attr
 from ..errors import CallerError
 from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
@@ -24,6 +25,7 @@ from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class EndpointMember:
     """What a device and its twin have in common: an entry of the robot's file, credentials, a part of the robot."""
 
@@ -79,6 +81,7 @@ M = TypeVar("M", bound=EndpointMember)
 _Route = tuple[str | None, dict[int, list[M]], int | None]
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class BusEndpoint(Generic[M]):
     """One side of a bus; see `Host` and `Twins`."""
 

@@ -144,6 +144,7 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
 def unsaid(payload: Construct) -> dict[str, Any]:
     """What the fields of a payload are when they are not given: constants of `Default`, no reserved bits, nothing behind."""
     found: dict[str, Any] = {}
+    fields: list[tuple[str | None, Any]]
     if isinstance(payload, BitLayout):
         fields = [(slot.name, slot.field) for slot in payload.slots]
         if payload.has_reserved:

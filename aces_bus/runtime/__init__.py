@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from .clock import Clock, EventClock, RealClock, Timer, VirtualClock
+from .clock import Clock, EventClock, RealClock, Timer
 from .loop import Loop
 from .tasks import Task, Tasks, ThreadTasks, VirtualTasks
+from .virtual import VirtualClock
 
 __all__ = [
     "Clock",

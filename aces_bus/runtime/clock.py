@@ -3,24 +3,17 @@
 1. An instant is integer nanoseconds of one clock, and has that clock's name; instants of two clocks are never compared.
 2. Virtual time moves only when it is advanced, from event to event; nothing waits, and no thread is needed.
 3. Events at the same instant run in the order in which they were asked for: the same program, the same run.
-4. What would be planned only to be the next event need not be: `skip_to` goes on at once, with the same result.
 
 What is planned on a clock runs on one thread, so that what a clock drives needs no locks: see `EventClock`, and `Loop` for
 the monotonic clock."""
 
 from __future__ import annotations
 
-import heapq
 import time
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
-
-from ..errors import CallerError
+from typing import Protocol, TypeVar
 
 T = TypeVar("T")
-
-#: No instant is as early.
-_NO_ADVANCE = -(1 << 62)
 
 
 class Clock(Protocol):
@@ -72,142 +65,6 @@ class Timer:
     def cancel(self) -> None:
         """It will not happen; after it has, this does nothing."""
         self.action = None
-
-
-class VirtualClock:
-    """A clock that jumps from event to event.
-
-    `call_at` and `call_in` plan events; `advance_to`, `advance` and `run` let them happen. An event may plan others.
-    Whatever an event raises comes out of the call that advanced the clock, with the clock at that event.
-
-    >>> clock = VirtualClock()
-    >>> timer = clock.call_in(5_000, lambda: print("at", clock.now()))
-    >>> clock.advance(10_000)
-    at 5000
-    >>> clock.now()
-    10000
-    """
-
-    name = "virtual"
-    epoch_ns = 0
-
-    def __init__(self, start: int = 0) -> None:
-        self._now = start
-        self._events: list[tuple[int, int, Any]] = []  # a Timer, or an action itself
-        self._count = 0
-        #: How far the advance under way goes; `_NO_ADVANCE` where each event is looked at on its own.
-        self._horizon = _NO_ADVANCE
-
-    def now(self) -> int:
-        """This instant, in ns."""
-        return self._now
-
-    def call_at(self, instant: int, action: Callable[[], object]) -> Timer:
-        """Plan `action` for `instant` (ns); one that has passed happens at the next advance, at its present time."""
-        if instant < self._now:
-            instant = self._now
-        timer = Timer(instant, action)
-        self._count += 1
-        heapq.heappush(self._events, (instant, self._count, timer))
-        return timer
-
-    def post(self, instant: int, action: Callable[[], object]) -> None:
-        """Plan what will not be cancelled: `call_at` without its `Timer`, which is what most events cost."""
-        if instant < self._now:
-            instant = self._now
-        self._count += 1
-        heapq.heappush(self._events, (instant, self._count, action))
-
-    def skip_to(self, instant: int) -> bool:
-        """Have `instant` (ns) come at once; False, and nothing has changed, where something else comes first.
-
-        The last thing that an event does: what it would have planned for `instant` it may do now, for nothing is planned
-        before, and the advance under way does not end before. Most events of a busy bus are spared that way.
-        """
-        if instant < self._now:
-            instant = self._now  # it has passed
-        if instant > self._horizon or (self._events and self._events[0][0] <= instant):
-            return False
-        self._now = instant
-        return True
-
-    def call_in(self, delay: int, action: Callable[[], object]) -> Timer:
-        """Plan `action` for `delay` ns from now."""
-        return self.call_at(self._now + delay, action)
-
-    def call_soon(self, action: Callable[[], object]) -> None:
-        """Plan `action` for this very instant, behind what is planned for it already."""
-        self.post(self._now, action)
-
-    def call(self, action: Callable[[], T]) -> T:
-        """Do it now and return what it returns: there is one thread."""
-        return action()
-
-    def wait(self, until: Callable[[], bool], timeout_ns: int) -> bool:
-        """Let events happen until `until()` holds, at most `timeout_ns`; whether it holds."""
-        end = self._now + timeout_ns
-        while not until():
-            if not self.step(end):
-                self._now = max(self._now, end)
-                return until()
-        return True
-
-    @property
-    def next_event(self) -> int | None:
-        """When the next event is to happen; None when nothing is planned."""
-        events = self._events
-        while events and isinstance(events[0][2], Timer) and events[0][2].action is None:
-            heapq.heappop(events)
-        return events[0][0] if events else None
-
-    def step(self, until: int | None = None) -> bool:
-        """Let the next event happen; False when nothing is planned (up to the instant `until`, ns)."""
-        return self._happen(1 << 62 if until is None else until, _NO_ADVANCE, 1) == 1
-
-    def _happen(self, end: int, horizon: int, most: int) -> int:
-        """Let events up to the instant `end` happen, at most so many; how many did."""
-        events = self._events
-        outer, self._horizon = self._horizon, horizon
-        done = 0
-        try:
-            while done < most and events and events[0][0] <= end:
-                instant, _, planned = heapq.heappop(events)
-                action = planned
-                if planned.__class__ is Timer:
-                    action, planned.action = planned.action, None
-                    if action is None:
-                        continue
-                self._now = instant
-                done += 1
-                action()
-        finally:
-            self._horizon = outer
-        return done
-
-    def advance_to(self, instant: int) -> None:
-        """Let everything happen that is planned up to `instant` (ns), which is then the time."""
-        if instant < self._now:
-            raise CallerError(f"virtual time cannot go back from {self._now} ns to {instant} ns")
-        self._happen(instant, instant, 1 << 62)
-        self._now = max(self._now, instant)
-
-    def advance(self, duration: int) -> None:
-        """The same for a duration in ns."""
-        self.advance_to(self._now + duration)
-
-    def sleep_until(self, instant: int) -> None:
-        """Bring `instant` (ns) about; one that has passed is there already."""
-        if instant > self._now:
-            self.advance_to(instant)
-
-    def run(self, until: Callable[[], bool] | None = None, *, most: int = 10_000_000) -> bool:
-        """Let events happen until `until()` holds, nothing is planned or `most` events have passed; whether it holds."""
-        for _ in range(most):
-            if until is not None and until():
-                return True
-            if not self.step():
-                break
-        return until is not None and until()
 
 
 class EventClock(Clock, Protocol):

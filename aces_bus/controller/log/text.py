@@ -18,7 +18,7 @@ import csv
 import io
 import re
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -41,6 +41,15 @@ def shortest(value: float) -> str:
     """
     text = repr(value)
     return text[:-2] if text.endswith(".0") else text
+
+
+def shortest_row(values: Iterable[float], mark: str) -> str:
+    """The shortest texts of many floats at once, `mark` behind each.
+
+    >>> shortest_row([-2.0, 0.5, 10.0], ",")
+    '-2,0.5,10,'
+    """
+    return f"{mark.join(map(repr, values))}{mark}".replace(f".0{mark}", mark)
 
 
 class TextSink(LogSink):
@@ -79,7 +88,8 @@ class CsvSink(TextSink):
         return head.getvalue()
 
     def _line(self, ns: int, values: list[float]) -> str:
-        return ",".join([seconds_text(ns), *["" if v != v else shortest(v) for v in values]]) + "\n"
+        row = shortest_row(values, ",").replace("nan,", ",")  # an unknown value is an empty cell
+        return f"{seconds_text(ns)},{row[:-1]}\n"
 
 
 def _names(text: NumberText, number: int, line: bytes, is_csv: bool) -> list[str]:

@@ -39,9 +39,6 @@ SPELT_OUT = 4096
 SPELT_OUT_OF_MANY = 16
 
 
-#: So many different frames of our own are remembered as requests.
-REQUESTS = 4096
-
 _KINDS = EXTENDED | REMOTE | FD
 
 
@@ -185,8 +182,8 @@ class CanScanner:
         self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
         self._asked: dict[int, list[tuple[_Wire, Message]]] = {}
-        #: By key and data, the request that a frame of our own is, with its raw fields.
-        self._requests: dict[tuple[int, bytes], list[tuple[_Wire, str, dict[str, Any]]]] = {}
+        #: By key and data, requests of our own with their fields: polls are the same frames again and again.
+        self._requests: dict[tuple[int, bytes], tuple[_Wire, str, Mapping[str, Any]]] = {}
         self._counts = ScanCounts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
@@ -376,18 +373,22 @@ class CanScanner:
         if not asked:
             return
         data = bytes(frame.data)
-        requests = self._requests.get((key, data))  # what is polled is the same each time
-        if requests is None:
-            requests = []
-            for wire, message in asked:
-                values = wire.values_of(message, data, key, frame.timestamp, frame.channel, data)
-                if values is not None:
-                    requests.append((wire, message.name, values))
-                    break
-            if len(self._requests) < REQUESTS:
-                self._requests[key, data] = requests
-        for wire, name, values in requests:
-            wire.context.note(name, frame.channel, frame.timestamp, values)
+        known = self._requests.get((key, data))
+        if known is None:
+            known = next(
+                (
+                    (wire, message.name, values)
+                    for wire, message in asked
+                    if (values := wire.request_values(message, data, key, data)) is not None
+                ),
+                None,
+            )
+            if known is None:
+                return
+            if len(self._requests) < REMEMBERED:
+                self._requests[key, data] = known
+        wire, name, values = known
+        wire.context.note(name, frame.channel, frame.timestamp, values)
 
     def idle(self, time: float | None = None) -> list[Record]:
         """Frames are whole: silence decides nothing on CAN."""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...compiling import mypyc_attr
 from ..declare.ambiguity import request_names
 from ..declare.message import Message, Request
 
@@ -49,6 +50,7 @@ class RequestLink:
     to_all: tuple[int | None, ...]
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Context:
     """What has been asked on each channel."""
 

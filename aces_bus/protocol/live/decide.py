@@ -6,10 +6,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
+from ...compiling import mypyc_attr
 from ..declare.ambiguity import needing_context, ordered
 from ..declare.message import Direction, Message
 from ..declare.protocol import Variant
@@ -27,6 +28,7 @@ REMEMBERED = 65536
 Decode = Callable[..., Any]
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Decider:
     """One variant in one direction: its messages in order of trial, and what they hang on."""
 
@@ -128,16 +130,16 @@ class Decider:
 
     def note(self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes) -> bool:
         """Note a packet that may be the request `message`; whether it is."""
-        values = self.values_of(message, data, key, time, channel, packet)
+        values = self.request_values(message, data, key, packet)
         if values is not None:
             self.context.note(message.name, channel, time, values)
         return values is not None
 
-    def values_of(
-        self, message: Message, data: bytes, key: int, time: Any, channel: Any, packet: bytes
-    ) -> dict[str, Any] | None:
-        """The raw fields of a packet; None when it is not this message."""
-        seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
+    def request_values(
+        self, message: Message, data: bytes, key: int, packet: bytes
+    ) -> Mapping[str, Any] | None:
+        """What a packet that may be the request `message` has in its fields; None when it is another."""
+        seen = self.raw_decoders[message.name](data, key, None, None, packet, None)
         return None if seen is None else _values(seen)
 
     def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from aces_bus.device import Joint
 
 from ..joint_model import STEP_NS, MotorJoint, MotorModel
-from .parameters import BoardParameters, ChannelParameters
+from .parameters import ChannelParameters, StoredBoard, StoredChannel
 
 #: How far the stops are beyond the soft limits, and where they are without (rad).
 BEYOND, RANGE = 0.1, 3.0
@@ -25,23 +25,6 @@ BEYOND, RANGE = 0.1, 3.0
 HOMING_SPEED = 0.05
 #: Home flags that tell how far a search is; 6 is in the facts, the others are this twin's.
 SEARCHING, INDEXING, RETURNING, HOMED = 1, 4, 5, 6
-
-
-class StoredChannel(ChannelParameters, kw_only=True):
-    """What a board keeps of a motor without power, also what it does not tell."""
-
-    homing_duty: int = 30
-
-
-class StoredBoard(BoardParameters, kw_only=True):
-    """What a board keeps of itself without power, also what it does not tell."""
-
-    temperature_warning: int = 80
-
-
-def board_defaults(kind: int | str) -> StoredBoard:
-    """What a board comes with. Fingers have far to go to their stop."""
-    return StoredBoard(velocity_to_switch=40, velocity_to_offset=40) if kind == 5 else StoredBoard()
 
 
 @dataclass
@@ -66,6 +49,8 @@ class MotorChannel:
         self, number: int, own: Joint | None, kind: int | str, board: StoredBoard, now: int, start: float
     ) -> None:
         self.number, self.own, self.kind, self.board = number, own, kind, board
+        #: Names of faults that are on for this motor.
+        self.faults = frozenset[str]()
         known = own.counts_per_unit if own is not None else None
         self.counts = known if known is not None else 2000.0
         self.direction = own.direction if own is not None else 1
@@ -154,7 +139,7 @@ class MotorChannel:
         self.errors: set[str] = set()
         self.mode = "position"
         self.driver_on = self.control_on = False
-        self.reference: float = 0
+        self.reference = 0.0
         self.step = 0.0
         self.pwm: float | None = None
         self.search: Search | None = None
@@ -200,7 +185,7 @@ class MotorChannel:
         """The encoder counts from here."""
         self.sync(now)
         self.offset = float(round(self.raw(self.joint.q)))
-        self.reference = 0
+        self.reference = 0.0
         self.errors.clear()
         self.apply(now)
 
@@ -223,10 +208,10 @@ class MotorChannel:
             self.step = step
             if stored.lower_limit_enabled and count < stored.lower_limit:
                 self.errors.add("below_minimum")
-                count = stored.lower_limit
+                count = float(stored.lower_limit)
             if stored.upper_limit_enabled and count > stored.upper_limit:
                 self.errors.add("above_maximum")
-                count = stored.upper_limit
+                count = float(stored.upper_limit)
         self.reference = count
         self.pwm = None
         self.apply(now)
@@ -246,7 +231,7 @@ class MotorChannel:
                 self.pwm = None
         if control is not None:
             if control and not self.control_on and self.mode == "position":
-                self.reference = here
+                self.reference = float(here)
             self.control_on = control
             self.pwm = None
             if not control:
@@ -269,7 +254,7 @@ class MotorChannel:
         self.search = Search(
             phase="stop" if stops else "away",
             way=self._sign(stored) if stops else way,
-            offset=stored.home_offset if offset is None else offset,
+            offset=float(stored.home_offset) if offset is None else offset,
             most=limit if not stops else math.inf,
             uses_index=index and stored.search_mode == "switch_and_index",
         )
@@ -346,15 +331,12 @@ class MotorChannel:
         self.found["origin"] = "fail" if failed else "ok"
         self.found["limit_switch"] = "fail" if failed else "ok"
         if not failed:
-            self.reference = 0
+            self.reference = 0.0
         else:
-            self.reference = int(self.raw(self.joint.q) - self.offset)
+            self.reference = float(int(self.raw(self.joint.q) - self.offset))
         self.apply(at)
 
     # ------------------------------------------------------------------ what is wrong
-
-    #: Names of faults that are on for this motor.
-    faults: frozenset[str] = frozenset()
 
     def look(self, now: int) -> set[str]:
         """The error bits as they are now: what happened since they were cleared, and what lasts."""

@@ -134,3 +134,20 @@ def block_fields(stored: ChannelParameters, block: int) -> dict[str, Any]:
         "upper_limit_high": upper - (upper & 0xFFFF),
     }
     return {name: cut[name] if name in cut else getattr(stored, name) for name in CHANNEL_BLOCKS[block]}
+
+
+class StoredChannel(ChannelParameters, kw_only=True):
+    """What a board keeps of a motor without power, also what it does not tell."""
+
+    homing_duty: int = 30
+
+
+class StoredBoard(BoardParameters, kw_only=True):
+    """What a board keeps of itself without power, also what it does not tell."""
+
+    temperature_warning: int = 80
+
+
+def board_defaults(kind: int | str) -> StoredBoard:
+    """What a board comes with. Fingers have far to go to their stop."""
+    return StoredBoard(velocity_to_switch=40, velocity_to_offset=40) if kind == 5 else StoredBoard()

@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 from aces_bus.device import Twin, on
 from aces_protocols.hubo.spec import hubo
 
-from .channel import MotorChannel, board_defaults
-from .parameters import BOARD_BLOCKS, WRITES, block_fields, selector
+from .channel import MotorChannel
+from .parameters import BOARD_BLOCKS, WRITES, block_fields, board_defaults, selector
 from .shapes import shape_of
 
 #: What selector asks for which block of which channel.
