@@ -18,7 +18,7 @@ from typing import Literal
 
 from ..errors import CallerError
 from .base import ControllerLike, StateLike
-from .events import ControlEvent, EventLike, Listeners
+from .events import ControlEvent, EventLike, Listeners, raised_text
 from .guard import ACTIONS, Action, Guard
 
 
@@ -181,7 +181,7 @@ class Supervisor:
 
     def _raised(self, now: int, error: Exception, who: str = "") -> ControlEvent:
         self.error = error
-        return ControlEvent("raised", now, self.name, f"{who}{type(error).__name__}: {error}"[:500])
+        return ControlEvent("raised", now, self.name, f"{who}{raised_text(error)}")
 
     def _react(self, event: EventLike) -> None:
         kind = event.kind
@@ -204,9 +204,7 @@ class Supervisor:
             try:
                 reaction.do(event)
             except Exception as error:
-                self.guard.trip(
-                    f"{self.name}: reaction to {kind} raised {type(error).__name__}: {error}"[:500]
-                )
+                self.guard.trip(f"{self.name}: reaction to {kind} raised {raised_text(error)}")
 
     def _reaction(self, kind: str, source: str) -> Reaction:
         for key in (kind, "*"):
