@@ -361,9 +361,9 @@ class HuboMotorTwin(Twin):
     def search_home(self, request: Any) -> None:
         """Search with the stored settings; the drivers switch themselves on."""
         now = self.clock.now()
-        chosen = request.channel
+        chosen = request.motor
         for channel in self.channels:
-            if chosen == "all" or chosen == f"channel_{channel.number}":
+            if chosen == "all" or chosen == f"motor_{channel.number + 1}":
                 channel.driver_on = "fet_fault" not in channel.faults
                 if channel.driver_on:
                     channel.begin_search(now)
@@ -372,7 +372,7 @@ class HuboMotorTwin(Twin):
     def search_home_d08(self, request: Any) -> None:
         """One motor; the other stays in run state."""
         way, _, plain = str(request.motor).partition("_without_")
-        number = int(way[-1]) if way.startswith("channel") else 0
+        number = int(way[-1]) - 1 if way.startswith("motor") else 0
         if number < len(self.channels):
             offsets = getattr(request, "offset", None)
             self.channels[number].begin_search(
