@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from math import pi, tau
 from typing import Any, ClassVar
 
-from aces_bus.device import Twin, on
+from aces_bus.device import Joint, Twin, on
 from aces_protocols.hubo.spec import hubo
 
 from .channel import MotorChannel, board_defaults
@@ -84,13 +84,18 @@ class HuboMotorTwin(Twin):
         self.gain_override: tuple[list[int], int] | None = None
         by_channel = {joint.channel: joint for joint in self.joints}
         self.channels = [
-            MotorChannel(n, by_channel.get(n), self.kind, self.board, now, self.random.uniform(-0.05, 0.05))
-            for n in range(self.shape.channels)
+            MotorChannel(n, own, self.kind, self.board, now, self._start_of(own))
+            for n, own in ((n, by_channel.get(n)) for n in range(self.shape.channels))
         ]
         for channel in self.channels:
             if channel.own is not None:
                 self.world.joints[channel.own.name] = _Place(channel)
         self._frozen: dict[int, int] = {}
+
+    def _start_of(self, own: Joint | None) -> float:
+        """Where a joint stands when nobody has homed it (rad)."""
+        somewhere = self.random.uniform(-0.05, 0.05)
+        return somewhere if own is None else self.world.start_of(own.name, somewhere)
 
     # ------------------------------------------------------------------ faults
 
