@@ -5,34 +5,45 @@
 2. What is not reached within the tolerance is not given either; `error` and `reason` say by how much and why.
 3. Bounded: at most `most_steps` steps of the inverse a cycle.
 
-The motion's names are tip and axis: "LF.x", "LF.y", "LF.z" (m, in the body's frame). Tips that the motion does not name
-but `hold` does, stay where they are at the start.
+4. Nothing jumps: where the path begins elsewhere, the joints go to its first angles first, gently and all together.
+
+The motion's names are tip and axis: "LF.x", "LF.y", "LF.z" (m, in the body's frame), and for its orientation "LF.roll",
+"LF.pitch", "LF.yaw" (rad; `rotation_of` says which turn comes first). What of a tip the motion does not name is as it is at
+the start; so are tips that only `hold` names.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 
 from ..errors import CallerError
-from ..kinematics import Body, Goal, Pose, Solution, solve
+from ..kinematics import Body, Goal, Pose, Solution, roll_pitch_yaw, rotation_of, solve
+from ..kinematics.body import Floats
 from .base import NOTHING, Controller, known_value
 from .events import ControlEvent
 from .motion import Motion, Trajectory
+from .player import GENTLE
+from .via import Limits, ViaPath
 
 Orientation = Literal["free", "level", "fixed"]
-AXES = "xyz"
+#: What of a tip a motion may name: its place, then its orientation.
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+#: Joints that are so near (rad) to the path's first angles need no approach.
+NEAR = 1e-3
 
 
 class CartesianPath(Controller):
     """Moves tips of a body along a motion.
 
-    `orientation` by tip: "free", "level" (its z axis up) or "fixed" (as it is at the start; the default). `relative`: the
-    motion's values are added to the tips' places at the start, which then need no approach. `locked` joints stay.
-    Lengths m, angles rad. `mode` is "waiting" (for joint positions), "running", "ended" or "failed".
+    `orientation` by tip that has no path of it: "free", "level" (its z axis up) or "fixed" (as it is at the start; the
+    default). `relative`: the motion's values are added to the tips' places at the start and turn their orientations, about
+    the body's axes. `locked` joints stay. `approach` "first": the joints go to where the path begins, within `gentle` limits
+    (rad/s, rad/s²; of the joints, not along a line of the tips); None: a path that begins elsewhere fails. Lengths m, angles
+    rad. `mode` is "waiting" (for joint positions), "approaching", "running", "ended" or "failed".
     """
 
     def __init__(
@@ -45,6 +56,8 @@ class CartesianPath(Controller):
         hold: Iterable[str] = (),
         orientation: Mapping[str, Orientation] | None = None,
         relative: bool = False,
+        approach: Literal["first"] | None = "first",
+        gentle: Limits = GENTLE,
         locked: Iterable[str] = (),
         tolerance_m: float = 1e-4,
         tolerance_rad: float = 1e-3,
@@ -54,15 +67,19 @@ class CartesianPath(Controller):
         self._places: dict[str, list[int | None]] = {}
         for column, label in enumerate(motion.names):
             tip, dot, axis = label.rpartition(".")
-            if not dot or axis not in ("x", "y", "z"):
+            if not dot or axis not in AXES:
                 raise CallerError(
-                    f"path {name!r}: {label!r} is not a tip and its axis, such as {body.tips[0]}.x"
+                    f"path {name!r}: {label!r} is not a tip and its axis, such as {body.tips[0]}.x or {body.tips[0]}.yaw"
                 )
-            self._places.setdefault(body.tip(tip), [None, None, None])[AXES.index(axis)] = column
+            self._places.setdefault(body.tip(tip), [None] * len(AXES))[AXES.index(axis)] = column
         self.tips = tuple(dict.fromkeys([*self._places, *map(body.tip, hold)]))
         for tip in orientation or {}:
             if tip not in self.tips:
                 raise CallerError(f"path {name!r}: {tip!r} has an orientation, but neither a path nor hold")
+            if any(column is not None for column in self._places.get(tip, ())[3:]):
+                raise CallerError(
+                    f"path {name!r}: {tip!r} has a path of its orientation; leave orientation away"
+                )
         self._orientation: dict[str, Orientation] = dict.fromkeys(self.tips, "fixed")
         self._orientation.update(orientation or {})
         self.locked = tuple(locked)
@@ -79,13 +96,16 @@ class CartesianPath(Controller):
         self.body, self.motion, self.relative = body, motion, relative
         self.tolerance_m, self.tolerance_rad = tolerance_m, tolerance_rad
         self.largest_step, self.most_steps = largest_step, most_steps
-        self.mode: Literal["waiting", "running", "ended", "failed"] = "waiting"
+        self.approach, self.gentle = approach, gentle
+        self.mode: Literal["waiting", "approaching", "running", "ended", "failed"] = "waiting"
         self.reason = ""
         self.solution: Solution | None = None
         self.error = (0.0, 0.0)
         self._start_poses: dict[str, Pose] = {}
         self._q = np.zeros(len(body.joints))
         self._given: Mapping[str, float] = NOTHING
+        self._way: ViaPath | None = None
+        self._began = 0
 
     def start(self, now: int) -> None:
         """A run begins, from where the joints are."""
@@ -106,12 +126,28 @@ class CartesianPath(Controller):
         for tip in self.tips:
             here = self._start_poses[tip]
             position = here.position.tolist()
-            for axis, column in enumerate(self._places.get(tip, ())):
+            for axis, column in enumerate(self._places.get(tip, ())[:3]):
                 if column is not None:
                     position[axis] = values[column] + (position[axis] if self.relative else 0.0)
             kept = self._orientation[tip]
-            out.append(Goal(tip, position, here.rotation if kept == "fixed" else None, level=kept == "level"))
+            turned = self._turned(here.rotation, self._places.get(tip, ())[3:], values)
+            if turned is None and kept == "fixed":
+                turned = here.rotation
+            out.append(Goal(tip, position, turned, level=turned is None and kept == "level"))
         return out
+
+    def _turned(
+        self, at_start: Floats, columns: Sequence[int | None], values: Sequence[float]
+    ) -> Floats | None:
+        """A tip's orientation where the motion has one."""
+        if all(column is None for column in columns):
+            return None
+        usual = (0.0, 0.0, 0.0) if self.relative else roll_pitch_yaw(at_start)
+        angles = (
+            own if column is None else values[column] for own, column in zip(usual, columns, strict=True)
+        )
+        rotation = rotation_of(*angles)
+        return rotation @ at_start if self.relative else rotation
 
     def solve(self, seconds: float) -> Solution:
         """The angles for an instant of the path, near the last ones; raises nothing, says how good they are."""
@@ -144,9 +180,7 @@ class CartesianPath(Controller):
             self.mode = "failed"
             self.reason = f"{seconds:.3f} s: {self.body.joints[worst]} would jump by {steps[worst]:.3f} rad"
             if not self._given:
-                self.reason += (
-                    " (the path begins elsewhere; see relative, or play to_trajectory, which approaches)"
-                )
+                self.reason += " (the path begins elsewhere; see relative, or approach='first')"
             return None
         self._q = found.vector
         return {joint: found.angles[joint] for joint in self.writes}
@@ -159,6 +193,9 @@ class CartesianPath(Controller):
             if self.waiting:
                 return NOTHING
             self.begin({joint: value for joint, value in present.items() if value is not None})
+            self._plan_approach(now_ns)
+        if self.mode == "approaching":
+            return self._go(now_ns)
         if self.mode != "running":
             return self._given
         seconds = self.seconds(now_ns)
@@ -171,10 +208,39 @@ class CartesianPath(Controller):
             self.mode = "ended"
         return given
 
+    def _plan_approach(self, now: int) -> None:
+        """A way to the path's first angles, where these are not the present ones; what is out of reach fails in `advance`."""
+        present = self._q
+        found = self.solve(0.0)
+        apart = np.abs(found.vector - present)
+        is_reached = found.position_error <= self.tolerance_m and found.rotation_error <= self.tolerance_rad
+        if self.approach is None or apart.max() <= NEAR or not is_reached:
+            return
+        places = [self.body.index[joint] for joint in self.writes]
+        self._way = ViaPath(
+            self.writes, [present[places], found.vector[places]], self.gentle, shape="quintic"
+        )
+        self._q, self._began, self.mode = found.vector, now, "approaching"
+
+    def _go(self, now: int) -> Mapping[str, float]:
+        """On the way to where the path begins; it begins at the instant at which the way ends."""
+        assert self._way is not None
+        seconds = (now - self._began) / 1e9
+        if seconds >= self._way.duration_s:
+            self.mode, self.started_ns = "running", self._began + round(self._way.duration_s * 1e9)
+            return self.step(now)
+        self._given = dict(zip(self.writes, self._way.at(seconds), strict=True))
+        return self._given
+
     def to_trajectory(self, angles: Mapping[str, float], *, rate_hz: float | None = None) -> Trajectory:
-        """The whole path at once, as joint angles, from a start; `CallerError` with the instant where it fails."""
+        """The whole path at once, as joint angles, from a start; `CallerError` with the instant where it fails.
+
+        It begins with the path's first row; a `Player` approaches that.
+        """
         rate = rate_hz or self.rate_hz
         self.begin(angles)
+        if self.approach is not None:
+            self._q = self.solve(0.0).vector
         rows: list[list[float]] = []
         for n in range(math.ceil(self.motion.duration_s * rate - 1e-6) + 1):
             given = self.advance(min(n / rate, self.motion.duration_s))

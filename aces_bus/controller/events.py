@@ -6,7 +6,11 @@
 
 from __future__ import annotations
 
+import sysconfig
+import traceback
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Protocol
 
 import msgspec
@@ -76,3 +80,38 @@ class Listeners:
                 listener(event)
             except Exception:
                 self.failures += 1
+
+
+#: How much of what an exception says is repeated.
+TEXT_LENGTH = 500
+
+
+def raised_text(error: BaseException) -> str:
+    """What an exception says, and the innermost line of the user's own code that it came from: `… (walk.py:12)`."""
+    text = f"{type(error).__name__}: {error}"[:TEXT_LENGTH]
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if not _is_library(frame.filename)]
+    return f"{text} ({_short(own[-1].filename)}:{own[-1].lineno})" if own else text
+
+
+@cache
+def _is_library(file: str) -> bool:
+    """Whether a file is this package's, Python's or an installed one's."""
+    if file.startswith("<"):
+        return not file.startswith(_TYPED)
+    return any(Path(file).is_relative_to(folder) for folder in _LIBRARIES)
+
+
+def _short(file: str) -> str:
+    """A file's path from the current folder, if it is below it."""
+    try:
+        return str(Path(file).relative_to(Path.cwd()))
+    except (OSError, ValueError):
+        return file
+
+
+#: What code is called that is no file's and the user's all the same: equations, and what is typed into Python.
+_TYPED = ("<equations", "<string>", "<stdin>", "<doctest", "<ipython")
+_LIBRARIES = (
+    Path(__file__).parents[1],
+    *(Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")),
+)

@@ -20,7 +20,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
 from .base import NOTHING, ControllerLike, StateLike
-from .events import ControlEvent, EventLike, Listeners
+from .events import ControlEvent, EventLike, Listeners, raised_text
 from .guard import Guard
 from .reactions import DEFAULT_REACTIONS, Reaction, stop
 
@@ -150,8 +150,7 @@ class Supervisor:
             try:
                 do(event)
             except Exception as error:
-                said = f"{type(error).__name__}: {error}"[:500]
-                self.guard.trip(f"{self.name}: reaction to {event.kind} raised {said}")
+                self.guard.trip(f"{self.name}: reaction to {event.kind} raised {raised_text(error)}")
         try:
             return self.controller.step(now_ns)
         except Exception as error:
@@ -205,7 +204,7 @@ class Supervisor:
 
     def _raised(self, now: int, error: Exception, who: str = "") -> ControlEvent:
         self.error = error
-        return ControlEvent("raised", now, self.name, f"{who}{type(error).__name__}: {error}"[:500])
+        return ControlEvent("raised", now, self.name, f"{who}{raised_text(error)}")
 
     def _react(self, event: EventLike) -> None:
         kind = event.kind

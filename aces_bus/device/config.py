@@ -161,7 +161,8 @@ class Home(msgspec.Struct, frozen=True, kw_only=True):
 class Joint(msgspec.Struct, frozen=True, kw_only=True):
     """One degree of freedom: channel `channel` (from 0) of `device`.
 
-    raw = (direction × position + zero) × `counts_per_unit`. An inactive joint is listed, and claims no channel.
+    raw = (direction × position + zero) × `counts_per_unit`. A gear or harmonic drive that is not stated is none. An inactive
+    joint is listed, and claims no channel.
     """
 
     name: str
@@ -200,15 +201,25 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     source: Text | None = None
 
     @property
+    def ratio(self) -> float | None:
+        """Turns of the motor, or of a servo's shaft, a turn of the joint; None where neither gear nor harmonic is stated.
+
+        driven ÷ drive × harmonic, each 1 where only the other is stated.
+        """
+        if self.gear is None and self.harmonic is None:
+            return None
+        drive, driven = self.gear or (1.0, 1.0)
+        return driven / drive * (self.harmonic or 1.0)
+
+    @property
     def counts_per_unit(self) -> float | None:
-        """Encoder counts a rad (a revolute joint); None where a factor is unknown.
+        """Encoder counts a rad (a revolute joint); None where ratio or encoder is unknown.
 
         driven ÷ drive × harmonic × encoder ÷ 2π (HuboCan; hubo-ach; acesHubo).
         """
-        if self.gear is None or self.harmonic is None or self.encoder is None or self.type == "prismatic":
+        if self.ratio is None or self.encoder is None or self.type == "prismatic":
             return None
-        drive, driven = self.gear
-        return driven / drive * self.harmonic * self.encoder / math.tau
+        return self.ratio * self.encoder / math.tau
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True):

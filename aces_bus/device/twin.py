@@ -51,12 +51,18 @@ class World:
     clock: EventClock
     seed: int = 0
     joints: dict[str, JointModel] = field(default_factory=dict[str, JointModel])
+    #: Where joints are at first, by name (rad, m), as far as that was said.
+    pose: Mapping[str, float] = field(default_factory=dict[str, float])
     #: What else twins have in common (a body's pose, a battery), by a name that its maker chooses.
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def random(self, name: str) -> random.Random:
         """A random generator for each twin: one twin more or less does not change what another draws."""
         return random.Random(f"{self.seed} {name}")
+
+    def start_of(self, joint: str, usual: float = 0.0) -> float:
+        """Where a joint is at first: as was said, or as usual."""
+        return self.pose.get(joint, usual)
 
 
 def on(*messages: str) -> Callable[[F], F]:

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from .body import Body, Chain, Fixed, Move, Pose, Prismatic, Revolute, Step
+from .body import (
+    Body,
+    Chain,
+    Fixed,
+    Move,
+    Pose,
+    Prismatic,
+    Revolute,
+    Step,
+    roll_pitch_yaw,
+    rotation_of,
+)
 from .inverse import Goal, Solution, solve
 
 __all__ = [
@@ -16,5 +27,7 @@ __all__ = [
     "Revolute",
     "Solution",
     "Step",
+    "roll_pitch_yaw",
+    "rotation_of",
     "solve",
 ]

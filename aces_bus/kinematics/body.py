@@ -80,6 +80,31 @@ class Pose:
     rotation: Floats
 
 
+def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:
+    """The rotation (3, 3) that turns about the base's x, then y, then z axis by these angles (rad): URDF's convention.
+
+    >>> rotation_of(0.0, 0.0, math.pi / 2).round(6).tolist()
+    [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [-0.0, 0.0, 1.0]]
+    """
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(one), math.cos(one)) for one in (roll, pitch, yaw))
+    return np.array(
+        (
+            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+            (-sp, cp * sr, cp * cr),
+        )
+    )
+
+
+def roll_pitch_yaw(rotation: Floats) -> tuple[float, float, float]:
+    """The angles (rad) of which `rotation_of` makes a rotation; straight up or down (pitch ±π/2) roll is 0."""
+    r = rotation
+    pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
+    if abs(r[2, 0]) > 1 - 1e-12:
+        return 0.0, pitch, math.atan2(-r[0, 1], r[1, 1])
+    return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
+
+
 # A step as the loop walks it: kind, axis, joint's index, sign; or a move.
 _TURN, _SLIDE, _MOVE, _FIXED = range(4)
 _Walk = tuple[int, int, int, float, tuple[float, float, float]]

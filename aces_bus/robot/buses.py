@@ -79,6 +79,13 @@ def _address(bus: Bus, text: str) -> tuple[str, int]:
     return host, int(port)
 
 
+def lock_of(bus: Bus, options: Mapping[str, Any]) -> BusLock | None:
+    """The lock of who drives a robot's bus, not taken; `options` as of `gate_of`. None: it is within this process."""
+    channel = str(options.get("channel") or bus.channel or options.get("bind"))
+    is_inside = options.get("interface", bus.interface) in IN_PROCESS and not is_served(channel)
+    return None if is_inside else BusLock(channel, bus.name)
+
+
 def open_gates(
     robot: Robot,
     loop: Loop,
@@ -97,10 +104,8 @@ def open_gates(
         bus = robot.buses[name]
         said = (options or {}).get(name) or {}
         gate = gate_of(bus, protocol, said, listen_only=passive)
-        channel = str(said.get("channel") or bus.channel or said.get("bind"))
-        is_inside = said.get("interface", bus.interface) in IN_PROCESS and not is_served(channel)
-        if not is_inside and (bus.link == "serial" or not passive):
-            gate.lock = BusLock(channel, name)
+        if bus.link == "serial" or not passive:
+            gate.lock = lock_of(bus, said)
         ports[name] = port_for(gate, bus, loop)
     return ports
 
@@ -144,7 +149,8 @@ class VirtualRobot:
         robot.advance(1.0)
         robot["RHY.position"].value
 
-    `faults` and `noise` (bus → what its wire does wrong). The other options are those of `connect` and `simulate`.
+    `faults` and `noise` (bus → what its wire does wrong); `pose` (joint → rad: where its twin is at first). The other
+    options are those of `connect` and `simulate`.
     """
 
     def __init__(
@@ -158,6 +164,7 @@ class VirtualRobot:
         clock: VirtualClock | None = None,
         faults: Mapping[str, Faults] | None = None,
         noise: Mapping[str, Noise] | None = None,
+        pose: Mapping[str, float] | None = None,
         load: Callable[[str], Driver] = load_driver,
     ) -> None:
         self.robot = robot
@@ -175,7 +182,7 @@ class VirtualRobot:
         self.rig: Rig = connect(
             robot, self.ports("host"), rate_hz=rate_hz, budget=budget, rules=rules, load=load
         )
-        self.simulation: Simulation = simulate(robot, self.ports("twins"), seed=seed, load=load)
+        self.simulation: Simulation = simulate(robot, self.ports("twins"), seed=seed, pose=pose, load=load)
 
     def ports(self, name: str) -> dict[str, Any]:
         """A port of each wire for one more station."""

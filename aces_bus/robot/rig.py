@@ -270,16 +270,32 @@ class Simulation:
 
 
 def simulate(
-    robot: Robot, ports: Mapping[str, Port], *, seed: int = 0, load: Loader = load_driver
+    robot: Robot,
+    ports: Mapping[str, Port],
+    *,
+    seed: int = 0,
+    pose: Mapping[str, float] | None = None,
+    load: Loader = load_driver,
 ) -> Simulation:
-    """The robot's twins, on these ports (bus name → port), not open yet. Raises as `connect`."""
+    """The robot's twins, on these ports (bus name → port), not open yet.
+
+    `pose` is where joints are at first (name or alias → rad, or m); the others are where their twins begin. Raises as
+    `connect`, and `CallerError` for a joint that cannot be there.
+    """
+    wanted = {robot.joint(name).name: angle for name, angle in (pose or {}).items()}
     buses = {name: Twins(ports[name], variants) for name, variants in _variants(robot, ports, load).items()}
     if not buses:
         raise CallerError(f"robot {robot.name} has no active device")
-    world = World(next(iter(buses.values())).clock, seed)
+    world = World(next(iter(buses.values())).clock, seed, pose=wanted)
     for config, driver in _driven(robot, load):
         twins = buses[config.bus]
         twins.add(driver.twin(twins, config, robot, twins.variants[driver.protocol], world))
+    for name, angle in wanted.items():
+        model = world.joints.get(name)
+        begins = None if model is None else model.position(world.clock.now())
+        if begins is None or not abs(begins - angle) < 1e-6:
+            where = "it has none here" if begins is None else f"it begins at {begins:.6g}"
+            raise CallerError(f"{name}: its twin cannot begin at {angle:.6g}: {where}")
     return Simulation(robot, world, buses)
 
 

@@ -31,7 +31,7 @@ from ..controller import (
     bounds_of,
     parse_reactions,
 )
-from ..controller.events import EventLike, Listeners
+from ..controller.events import EventLike, Listeners, raised_text
 from ..controller.guard import Action, Bounds, Trip
 from ..device import Device, DeviceEvent, Job, stop_devices, wait_stopped
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
@@ -364,7 +364,7 @@ class Runner:
         now = self.clock.now()
         if now - self._told.get(source, -REPEAT_NS) >= REPEAT_NS:
             self._told[source] = now
-            self._tell_all(ControlEvent(kind, now, source, f"{type(error).__name__}: {error}"[:500]))
+            self._tell_all(ControlEvent(kind, now, source, raised_text(error)))
 
     def _tell_all(self, event: ControlEvent) -> None:
         """What components tell reaches every supervisor, too."""
@@ -381,7 +381,7 @@ class Runner:
 
     def _fault(self, source: str, error: BaseException | str) -> None:
         """Something of the end went wrong; the end goes on."""
-        said = error if isinstance(error, str) else f"{type(error).__name__}: {error}"[:500]
+        said = error if isinstance(error, str) else raised_text(error)
         self._failed_at_end.append(f"{source}: {said}")
         self._note(ControlEvent("failed", self.clock.now(), source, said))
 

@@ -32,16 +32,18 @@ def run_virtual(
     *,
     rate_hz: float | None = None,
     seed: int = 0,
+    pose: Mapping[str, float] | None = None,
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
     """A runner in virtual time: `with run_virtual(robot, [walk]) as run: run.do("enable"); run.run(10.0)`.
 
-    `rate_hz` is the buses' tick (default: the robot's, else 100 Hz). Other options are `Runner`'s.
+    `rate_hz` is the buses' tick (default: the robot's, else 100 Hz), `pose` where joints are at first (see `simulate`).
+    Other options are `Runner`'s.
     """
     made = robot
     if isinstance(made, Robot):
-        made = VirtualRobot(made, rate_hz=rate_hz or made.rate_hz or 100, seed=seed, load=load)
+        made = VirtualRobot(made, rate_hz=rate_hz or made.rate_hz or 100, seed=seed, pose=pose, load=load)
     runner = Runner(made.rig, controllers, tasks=VirtualTasks(made.clock), **options)
     runner.before.append(made.simulation.open)
     runner.after.append(made.simulation.close)

@@ -92,7 +92,7 @@ EVEN = 0.01
 FEWEST = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Spectrum:
     """`amplitudes` (in `unit`) and `phases_rad` (of a cosine, at the first sample) at `frequencies_hz`, of samples
     at `rate_hz`.
@@ -110,6 +110,16 @@ class Spectrum:
         """Frequency (Hz) and amplitude of the highest line, the mean left out."""
         place = 1 + int(self.amplitudes[1:].argmax())
         return float(self.frequencies_hz[place]), float(self.amplitudes[place])
+
+    def __repr__(self) -> str:
+        frequency, amplitude = self.peak
+        unit = f" {self.unit}" if self.unit else ""
+        resampled = ", resampled" if self.is_resampled else ""
+        mean, last = self.amplitudes[0], self.frequencies_hz[-1]
+        return (
+            f"<Spectrum of {len(self.frequencies_hz)} lines up to {last:.6g} Hz: peak {amplitude:.6g}{unit} at"
+            f" {frequency:.6g} Hz, mean {mean:.6g}{unit}; sampled at {self.rate_hz:.6g} Hz{resampled}>"
+        )
 
 
 def spectrum_of(quantity: TimeSeries, window_s: float, taper: str, rate_hz: float | None) -> Spectrum:

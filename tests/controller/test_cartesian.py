@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from aces_bus.controller import CartesianPath, ControlEvent, Limits, Player, Trajectory, ViaPath
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.kinematics import roll_pitch_yaw, rotation_of
 from aces_devices.kinematics.minihubo import JOINTS, MINIHUBO, POSTURE
 from tests.controller.fakes import Fake
 
@@ -117,12 +120,73 @@ def test_a_joint_that_would_jump_is_a_failure() -> None:
 
 
 def test_a_path_that_begins_elsewhere_gives_no_jump() -> None:
-    """An absolute path far from the tip is refused at its first cycle, with what to do."""
-    path = CartesianPath("far", MINIHUBO, Trajectory(["LF.x"], [[0.06]], rate_hz=1), rate_hz=50)
+    """Without an approach, an absolute path far from the tip is refused at its first cycle, with what to do."""
+    motion = Trajectory(["LF.x"], [[0.06]], rate_hz=1)
+    path = CartesianPath("far", MINIHUBO, motion, rate_hz=50, approach=None)
     bound(path)
     assert path.step(0) == {}
     assert path.mode == "failed"
-    assert "relative" in path.reason
+    assert "approach='first'" in path.reason
+
+
+def test_the_joints_go_gently_to_where_a_path_begins() -> None:
+    """No joint is faster than `gentle` says, the way ends at the path's first point, and nothing of it is left out."""
+    foot = at(START, "LF")
+    motion = Trajectory(["LF.x", "LF.z"], [[0.06, foot[2] + 0.02], [0.02, foot[2] + 0.02]], rate_hz=1)
+    path = CartesianPath("far", MINIHUBO, motion, rate_hz=50, gentle=Limits(0.4, 2.0))
+    bound(path)
+    angles, modes, places = dict(START), list[str](), list[float]()
+    for n in range(300):
+        given = path.step(n * 20 * MS)
+        assert max(abs(given[joint] - angles[joint]) for joint in given) <= 0.4 * 0.02 + 0.04 * (
+            path.mode != "approaching"
+        )
+        angles.update(given)
+        modes.append(path.mode)
+        places.append(float(at(angles, "LF")[0]))
+    assert list(dict.fromkeys(modes)) == ["approaching", "running", "ended"]
+    first = modes.index("running")
+    assert places[first] == pytest.approx(0.06, abs=1e-3)
+    assert places[-1] == pytest.approx(0.02, abs=2e-4)
+    assert modes.count("running") == pytest.approx(50, abs=1)
+    assert path.to_trajectory(START).rows.shape[0] == 51
+
+
+def test_a_path_that_begins_out_of_reach_does_not_set_out() -> None:
+    """It fails where it stands."""
+    path = CartesianPath("far", MINIHUBO, Trajectory(["LF.x"], [[0.9]], rate_hz=1), rate_hz=50)
+    bound(path)
+    assert path.step(0) == {}
+    assert path.mode == "failed"
+    assert "mm" in path.reason
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_tip_turns_along_a_path_of_its_orientation(relative: bool) -> None:
+    """A foot turns and pitches in place, as the motion says, while the other stands; what is not named stays."""
+    turn = Trajectory(["RF.yaw", "RF.pitch"], [[0.0, 0.0], [0.15, -0.2], [0.0, 0.0]], rate_hz=2)
+    path = CartesianPath("turn", MINIHUBO, turn, rate_hz=50, hold=["LF"], relative=relative)
+    table = path.to_trajectory(START)
+    start = MINIHUBO.forward(START)
+    for n, row in enumerate(table.rows.tolist()):
+        poses = MINIHUBO.forward({**START, **dict(zip(table.names, row, strict=True))})
+        yaw, pitch = turn.at(n / 50)
+        assert np.allclose(poses["RF"].position, start["RF"].position, atol=1e-4)
+        assert roll_pitch_yaw(poses["RF"].rotation) == pytest.approx((0.0, pitch, yaw), abs=2e-3)
+        assert np.allclose(poses["LF"].rotation, start["LF"].rotation, atol=1e-3)
+    with pytest.raises(CallerError, match="'RF' has a path of its orientation"):
+        CartesianPath("turn", MINIHUBO, turn, rate_hz=50, orientation={"RF": "level"})
+
+
+@given(*[st.floats(-3.1, 3.1)] * 3)
+def test_angles_make_rotations_and_rotations_angles(roll: float, pitch: float, yaw: float) -> None:
+    """`rotation_of` turns about x, then y, then z of the base; the angles of a rotation make it again, pitch ±90° too."""
+    for one in (pitch, math.pi / 2, -math.pi / 2):
+        rotation = rotation_of(roll, one, yaw)
+        assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.allclose(rotation_of(*roll_pitch_yaw(rotation)), rotation, atol=1e-6)
+    one_by_one = rotation_of(0, 0, yaw) @ rotation_of(0, pitch, 0) @ rotation_of(roll, 0, 0)
+    assert np.allclose(rotation_of(roll, pitch, yaw), one_by_one)
 
 
 def test_it_waits_until_all_joints_are_known() -> None:

@@ -84,29 +84,29 @@ COMMANDS: list[Example] = [
     (HUBO2, "001#00 07 C8 00 00 00 F4 01", "PositionGainA", "gains of a leg",
      {"board": 0, "kp": 200, "ki": 0, "kd": 500}),
     (HUBO2, "001#00 11 11 48 A8 00 00 08", "HomeD08", "home RHY −18600 counter-clockwise, high byte first",
-     {"board": 0, "direction": "ccw", "motor": "channel_0", "offset": [-18600, 0], "reserved": 0}),
+     {"board": 0, "direction": "ccw", "motor": "motor_1", "offset": [-18600, 0], "reserved": 0}),
     (SHEET, "001#00 11 11 A8 48 00 00 08", "HomeD08X", "home RHY −18600 counter-clockwise, low byte first",
-     {"board": 0, "direction": "ccw", "motor": "channel_0", "offset": [-18600, 0], "reserved": 0}),
+     {"board": 0, "direction": "ccw", "motor": "motor_1", "offset": [-18600, 0], "reserved": 0}),
     (HUBO2, "001#00 11 20 00 00 3A 98 00", "HomeD08", "home RHR +15000 clockwise, high byte first",
-     {"board": 0, "direction": "cw", "motor": "channel_1", "offset": [0, 15000], "reserved": 0}),
+     {"board": 0, "direction": "cw", "motor": "motor_2", "offset": [0, 15000], "reserved": 0}),
     (SHEET, "001#00 11 20 00 00 98 3A 00", "HomeD08X", "home RHR +15000 clockwise, low byte first",
-     {"board": 0, "direction": "cw", "motor": "channel_1", "offset": [0, 15000], "reserved": 0}),
+     {"board": 0, "direction": "cw", "motor": "motor_2", "offset": [0, 15000], "reserved": 0}),
     (HUBO2, "001#09 11 20 00 00 38 80 10", "HomeD08", "home REB +80000 clockwise, an offset of 17 bits",
-     {"board": 9, "direction": "cw", "motor": "channel_1", "offset": [0, 80000], "reserved": 0}),
+     {"board": 9, "direction": "cw", "motor": "motor_2", "offset": [0, 80000], "reserved": 0}),
     (HUBO2, "001#20 11 11 19 40 32 32", "Home3D08", "home RWY, 16 bits of −72000 and five turns",
-     {"board": 0x20, "direction": "ccw", "motor": "channel_0", "pulses": 72000 % 65536,
+     {"board": 0x20, "direction": "ccw", "motor": "motor_1", "pulses": 72000 % 65536,
       "revolutions": [5.0, 5.0], "reserved": 0}),
     (SHEET, "001#20 11 11 40 19 0A 0A", "Home3D08X", "home RWY in the sheet's byte order, one turn",
-     {"board": 0x20, "direction": "ccw", "motor": "channel_0", "pulses": 0x1940, "revolutions": [1.0, 1.0],
+     {"board": 0x20, "direction": "ccw", "motor": "motor_1", "pulses": 0x1940, "revolutions": [1.0, 1.0],
       "reserved": 0}),
     (HUBO2, "001#24 11 04 04 04 04 04", "Home5D08", "drive the fingers home",
      {"board": 0x24, "power": [4, 4, 4, 4, 4]}),
-    (DEFAULT, "001#05 11 12 00 00 00 00 00", "Home", "home of channel 0",
-     {"board": 5, "stored": 1, "channel": "channel_0", "reserved": 0}),
-    (DEFAULT, "001#00 11 22 00 00 00 00 00", "Home", "home of channel 1",
-     {"board": 0, "stored": 1, "channel": "channel_1", "reserved": 0}),
-    (DEFAULT, "001#00 11 F2 00 00 00 00 00", "Home", "home of all channels",
-     {"board": 0, "stored": 1, "channel": "all", "reserved": 0}),
+    (DEFAULT, "001#05 11 12 00 00 00 00 00", "Home", "home of motor 1",
+     {"board": 5, "stored": 1, "motor": "motor_1", "reserved": 0}),
+    (DEFAULT, "001#00 11 22 00 00 00 00 00", "Home", "home of motor 2",
+     {"board": 0, "stored": 1, "motor": "motor_2", "reserved": 0}),
+    (DEFAULT, "001#00 11 F2 00 00 00 00 00", "Home", "home of all motors",
+     {"board": 0, "stored": 1, "motor": "all", "reserved": 0}),
     (HUBO2, "001#00 0D 01 00 05 01 06", "PwmD08", "drive two motors of Hubo 2",
      {"board": 0, "mode": "on", "direction": ["plus", "minus"], "duty": [5, 6]}),
     (HUBO2, "001#20 0D 01 01 05 10 06 07", "Pwm3D08", "drive three motors: the last two share a byte",
@@ -341,7 +341,7 @@ def test_negative_zero_is_zero() -> None:
         (DEFAULT, "PwmFingers", {"board": 0x24, "mode": "on", "duty": [101, 0, 0, 0, 0]}),
         (DEFAULT, "PwmFine", {"board": 0, "duty": [100.1, 0]}),
         (HUBO2, "PwmFingersD08", {"board": 0x24, "mode": "on", "duty": [16, 0, 0, 0, 0]}),
-        (HUBO2, "HomeD08", {"board": 0, "direction": "cw", "motor": "channel_0", "offset": [0x80000, 0]}),
+        (HUBO2, "HomeD08", {"board": 0, "direction": "cw", "motor": "motor_1", "offset": [0x80000, 0]}),
     ],
 )
 def test_a_value_too_large_is_refused(label: str, message: str, fields: dict[str, Any]) -> None:
@@ -885,3 +885,24 @@ def test_the_readme_s_session_is_true() -> None:
     session = doctest.DocTestParser().get_doctest(README.replace("```", ""), {}, "README.md", None, 0)
     assert len(session.examples) >= 4
     assert doctest.DocTestRunner().run(session).failed == 0
+
+
+@pytest.mark.parametrize(
+    ("label", "message", "field"),
+    [
+        (DEFAULT, "Home", "motor"),
+        (DEFAULT, "EncoderZero", "channel"),
+        (HUBO2, "EncoderZeroD08", "motor"),
+        (HUBO2, "GoHome", "motor"),
+    ],
+)
+def test_a_number_means_the_joint_that_its_name_says(label: str, message: str, field: str) -> None:
+    """`motor` counts from 1 and `channel` from 0, in every message: a number is never another joint than its name, and the
+    word of the other count is refused.
+    """
+    more: dict[str, Any] = {"direction": "cw"} if message == "GoHome" else {}
+    by_number = written(label, message, {"board": 0, field: 1, **more})
+    assert by_number == written(label, message, {"board": 0, field: f"{field}_1", **more})
+    other = {"motor": "channel", "channel": "motor"}[field]
+    with pytest.raises((UnknownNameError, FieldError), match=rf"{other}.*{field}"):
+        written(label, message, {"board": 0, other: 1, **more})

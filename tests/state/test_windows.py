@@ -69,6 +69,16 @@ def test_a_sine_has_its_peak(taper: str) -> None:
     assert found.unit == "rad/s"
 
 
+def test_a_spectrum_is_printed_as_its_highest_line() -> None:
+    """In the state's unit, with what else there is to know, and no arrays."""
+    omega = fed(made(), lambda t: 3 + 2 * math.sin(20 * math.pi * t), range(0, 1000 * MS, 5 * MS))
+    shown = repr(omega.spectrum(0.995))
+    assert shown == (
+        "<Spectrum of 101 lines up to 100 Hz: peak 2 rad/s at 10 Hz, mean 3 rad/s; sampled at 200 Hz>"
+    )
+    assert repr(omega.spectrum(0.99, rate_hz=100)).endswith("sampled at 100 Hz, resampled>")
+
+
 @given(st.integers(0, 1000))
 def test_the_spectrum_of_uneven_samples_says_that_it_is_resampled(seed: int) -> None:
     """Jittering samples are interpolated first, and still show their line."""

@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -493,3 +494,19 @@ def test_a_device_that_is_not_there(
     assert made.status == 1
     assert any(line.startswith("JMC0: silent:") for line in made.messages)
     assert made.messages[-1] == "JMC0 does not answer: nothing was set"
+
+
+def test_the_command_line_puts_twins_somewhere(aces: Aces) -> None:
+    """`--pose` in degrees or rad, for twins only."""
+    command = ("device", "RHP", "get", "position", "-r", "minihubo_1", "--virtual", "--json")
+    for text in ("RHP=20deg", f"RHP={pi / 9}"):
+        found = json.loads(aces(*command, "--pose", text).out)["RHP.position"]["value"]
+        assert found == pytest.approx(pi / 9, abs=0.006)
+    for more, said in (
+        (("--pose", "RHP=high"), "--pose RHP=high: write JOINT=ANGLE"),
+        (("--pose", "RHPP=1"), "RHPP"),
+    ):
+        wrong = aces(*command, *more)
+        assert (wrong.status, said in wrong.err) == (2, True)
+    real = aces("device", "RHP", "get", "-r", "minihubo_1", "--bus", "/dev/ttyX", "--pose", "RHP=0")
+    assert (real.status, "--pose is for twins" in real.err) == (2, True)

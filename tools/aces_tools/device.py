@@ -36,7 +36,7 @@ from .device_text import parse_pairs
 from .devices import show_device, show_devices
 from .live import LivePatience
 from .options import ASK, EVERY, FOR, JSON, TX, Arguments, argument, flag
-from .robot_arg import ROBOT_OR_TWINS, chosen_robot, open_robot
+from .robot_arg import ROBOT_OR_TWINS, chosen_pose, chosen_robot, open_robot
 
 #: The rate of the host where the robot's file says none (Hz).
 RATE = 50.0
@@ -101,7 +101,11 @@ def run(arguments: argparse.Namespace) -> int:
     with (
         LivePatience() as patience,
         open_robot(
-            alone(robot, config.name), arguments, rate_hz=robot.rate_hz or RATE, passive=passive
+            alone(robot, config.name),
+            arguments,
+            rate_hz=robot.rate_hz or RATE,
+            passive=passive,
+            pose=chosen_pose(robot, arguments.pose),
         ) as live,
     ):
         from .live import DeviceEventLines

@@ -31,7 +31,15 @@ from .console import StatusLine, check_suffix, print_json, say, write_text
 from .devices import credential_text
 from .live import LivePatience
 from .options import JSON, OUTPUT, PROTOCOL, Arguments
-from .robot_arg import ROBOT_OR_TWINS, bus_options, channel_of, check_channels, chosen_robot, open_host
+from .robot_arg import (
+    ROBOT_OR_TWINS,
+    bus_options,
+    channel_of,
+    check_channels,
+    chosen_pose,
+    chosen_robot,
+    open_host,
+)
 
 #: Seconds of the bus's time that a scan may take at most.
 LONGEST_S = 600
@@ -149,22 +157,26 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
 
         if arguments.bus or arguments.interface:
             raise CallerError("--virtual has no buses; leave --bus and -i away")
-        virtual = VirtualRobot(robot, seed=arguments.seed)
+        pose = chosen_pose(robot, arguments.pose)
+        virtual = VirtualRobot(robot, seed=arguments.seed, pose=pose)
         stack.enter_context(virtual.simulation)
         ports: dict[str, Any] = virtual.ports("scan")
     else:
         from aces_bus.robot import gate_of, port_for
+        from aces_bus.robot.buses import lock_of
         from aces_bus.runtime import Loop
 
         loop = stack.enter_context(Loop())
         options = bus_options(robot, arguments)
         check_channels(robot, options)
-        used = {config.bus for config in robot.devices.values() if config.active} or set(robot.buses)
-        ports = {
-            name: port_for(gate_of(bus, load_protocol(bus.protocol), options[name]), bus, loop)
-            for name, bus in robot.buses.items()
-            if name in used
-        }
+        active = {config.bus for config in robot.devices.values() if config.active}
+        used = [name for name in robot.buses if name in active or not active]
+        ports = {}
+        for name in used:
+            bus = robot.buses[name]
+            gate = gate_of(bus, load_protocol(bus.protocol), options[name])
+            gate.lock = lock_of(bus, options[name])
+            ports[name] = port_for(gate, bus, loop)
     for name, port in ports.items():
         hosts[name] = Host(port, bus_variants(robot, name), name=name)
         stack.callback(hosts[name].close)

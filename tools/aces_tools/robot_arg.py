@@ -14,9 +14,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -52,12 +53,16 @@ ROBOT_AND_BUSES = Group(
         ),
     ),
 )
+POSE = several(
+    "--pose", metavar="JOINT=ANGLE", help="where a twin's joint is at first: 0.3 (rad, m) or 20deg"
+)
 ROBOT_OR_TWINS = Group(
     _TITLE,
     (
         *ROBOT_AND_BUSES.arguments,
         flag("--virtual", help="on no bus: with simulated devices (twins), here, in virtual time"),
         SEED.but(help="of the twins (default: %(default)s)"),
+        POSE,
     ),
 )
 
@@ -72,6 +77,24 @@ def chosen_robot(name: str | None) -> Robot:
             f"which robot? --robot NAME or FILE.toml, or the variable {VARIABLE} ({', '.join(list_robots())})"
         )
     return load_robot(wanted)
+
+
+def chosen_pose(robot: Robot, texts: Sequence[str]) -> dict[str, float]:
+    """Where `--pose` puts joints (rad, m); raises `CallerError` for what is no joint's angle."""
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        degrees = value.removesuffix("deg")
+        try:
+            angle = float(degrees)
+        except ValueError:
+            angle = math.nan
+        if not math.isfinite(angle):
+            raise CallerError(
+                f"--pose {text}: write JOINT=ANGLE, such as {next(iter(robot.joints), 'RHP')}=20deg"
+            )
+        found[robot.joint(name).name] = angle if degrees == value else math.radians(angle)
+    return found
 
 
 def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -118,9 +141,10 @@ def open_robot(
     rate_hz: float | None,
     rules: Mapping[str, Any] | None = None,
     passive: bool = False,
+    pose: Mapping[str, float] | None = None,
 ) -> Generator[Opened]:
     """The robot on its buses, or in virtual time with its twins; closed again at the end. `passive`: real buses are only
-    listened to.
+    listened to. `pose` is where twins are at first.
 
     Raises `CallerError` naming the bus that cannot be opened.
     """
@@ -129,9 +153,11 @@ def open_robot(
 
         if arguments.bus or arguments.interface:
             raise CallerError("--virtual has no buses; leave --bus and -i away")
-        with VirtualRobot(robot, rate_hz=rate_hz, seed=arguments.seed, rules=rules) as made:
+        with VirtualRobot(robot, rate_hz=rate_hz, seed=arguments.seed, rules=rules, pose=pose) as made:
             yield Opened(robot, made.rig, made.clock, made)
         return
+    if pose:
+        raise CallerError("--pose is for twins: add --virtual, or give it to aces sim")
     options = bus_options(robot, arguments)
     check_channels(robot, options)
     from aces_bus.robot import connect, open_gates

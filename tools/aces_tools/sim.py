@@ -9,6 +9,7 @@
   aces sim -r hubo2plus -i socketcan --bus lower=can0 --bus upper=can1
                                       on buses that exist
   aces sim -r robot.toml --fault JMC3:silent --fault JMC1:late=0.2
+  aces sim -r hubo2plus --pose RKN=30deg         where a joint is at first
   aces sim -r hubo2plus --list-faults            how its devices can misbehave
 
 The devices answer as the real ones do, and move only when a program tells them
@@ -30,7 +31,15 @@ from aces_bus.errors import CallerError, UnknownNameError
 from .console import print_json, say
 from .live import LivePatience
 from .options import FOR, JSON, SEED, Arguments, flag, several
-from .robot_arg import ROBOT_AND_BUSES, bus_options, check_channels, chosen_robot, open_host
+from .robot_arg import (
+    POSE,
+    ROBOT_AND_BUSES,
+    bus_options,
+    check_channels,
+    chosen_pose,
+    chosen_robot,
+    open_host,
+)
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
@@ -49,6 +58,7 @@ ARGUMENTS: Arguments = (
     flag("--list-faults", help="list how the devices can misbehave"),
     FOR.but(help="end after so long (default: Ctrl-C)"),
     SEED,
+    POSE,
     JSON.but(help="the buses, and at the end the counts, as JSON"),
     ROBOT_AND_BUSES,
 )
@@ -64,7 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     with ExitStack() as stack:
         patience = stack.enter_context(LivePatience())
-        stand = SimulatedRobot(robot, options, arguments.seed, stack)
+        pose = chosen_pose(robot, arguments.pose)
+        stand = SimulatedRobot(robot, options, arguments.seed, stack, pose)
         for names, fault, amount in faults:
             for name in names:
                 stand.simulation[name].fault(fault, amount)
@@ -159,7 +170,14 @@ def _summary(stand: SimulatedRobot, as_json: bool) -> None:
 class SimulatedRobot:
     """A robot's twins on their buses, open. What is to be closed is put on `stack`. Raises `CallerError`."""
 
-    def __init__(self, robot: Robot, options: dict[str, dict[str, Any]], seed: int, stack: ExitStack) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        options: dict[str, dict[str, Any]],
+        seed: int,
+        stack: ExitStack,
+        pose: Mapping[str, float] | None = None,
+    ) -> None:
         from aces_bus.robot import gate_of, port_for, simulate
         from aces_bus.robot.rig import spoken_on
         from aces_bus.runtime import Loop
@@ -183,7 +201,7 @@ class SimulatedRobot:
             if name not in lines:
                 bus = robot.buses[name]
                 ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
-        self.simulation: Simulation = simulate(robot, ports, seed=seed)
+        self.simulation: Simulation = simulate(robot, ports, seed=seed, pose=pose)
         stack.callback(self.simulation.close)
         for name, twins in self.simulation.buses.items():
             channel = options[name].get("channel") or robot.buses[name].channel

@@ -65,8 +65,10 @@ class Cia402Twin(Twin):
             units = units_of(self.name, joint, settings)
             old = self.world.joints.get(joint.name)
             made = AxisModel(joint, units, self._numbers(offset), now, self._emergency)
-            if isinstance(old, AxisModel):  # it was switched off where it stood
-                made.motor.q = old.position(now)
+            # Switched off, it stays where it was.
+            place = old.position(now) if isinstance(old, AxisModel) else self.world.start_of(joint.name)
+            if place:
+                made.motor.q = place
                 made.demand = made.goal = made.motor.q * units.per_rad + units.zero
             self.axes[offset] = self.world.joints[joint.name] = made
         self.inputs: dict[int, PdoLayout] = {}

@@ -257,7 +257,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         shape, knows_counts = self.shape, joint.counts_per_unit is not None
         if target is not None and not knows_counts:
             raise CallerError(
-                f"{self.name}: {joint.name} needs gear, harmonic and encoder to follow positions"
+                f"{self.name}: {joint.name} needs gear or harmonic, and encoder, to follow positions"
             )
         if not shape.encoders or not knows_counts:
             return

@@ -89,7 +89,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
                 raise CallerError(f"{self.name}: a board of D15 has channels 0 and 1")
             if joint.counts_per_unit is None:
                 raise CallerError(
-                    f"{self.name}: {joint.name} needs gear, harmonic and encoder for its counts"
+                    f"{self.name}: {joint.name} needs gear or harmonic, and encoder, for its counts"
                 )
             axis.position = self.add_signal(
                 "position",
@@ -356,7 +356,8 @@ class HuboMotorD15Twin(Twin):
         self.motors: dict[int, _SimulatedMotor] = {}
         for joint in self.joints:
             old = self.world.joints.get(joint.name)
-            made = _SimulatedMotor(joint, now, 0.0 if old is None else old.position(now))
+            place = self.world.start_of(joint.name) if old is None else old.position(now)
+            made = _SimulatedMotor(joint, now, place)
             self.motors[joint.channel] = made
             self.world.joints[joint.name] = made
         self._continuous = 0

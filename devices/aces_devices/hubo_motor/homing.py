@@ -89,7 +89,7 @@ class Homing(Switching):
         began = self.clock.now()
         for axis in axes[:1] if whole else axes:
             self._announce()
-            yield self.tell("Home", channel="all" if whole else f"channel_{axis.channel}")
+            yield self.tell("Home", motor="all" if whole else f"motor_{axis.channel + 1}")
         if self.kind == "hand":
             for _ in range(2):
                 yield self.tell("ControlMode", mode=self.hand_mode)
@@ -179,7 +179,7 @@ class Homing(Switching):
         other motors get 5 turns, as acesHubo sent both.
         """
         home = self._home_of(axis)
-        fields: dict[str, Any] = {"direction": home.direction, "motor": f"channel_{axis.channel}"}
+        fields: dict[str, Any] = {"direction": home.direction, "motor": f"motor_{axis.channel + 1}"}
         if self.shape.channels == 3:
             return {**fields, "pulses": abs(home.offset) & 0xFFFF, "revolutions": [5.0, 5.0]}
         offset = [0, 0]

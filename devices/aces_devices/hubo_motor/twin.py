@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from math import pi, tau
 from typing import Any, ClassVar
 
-from aces_bus.device import Twin, on
+from aces_bus.device import Joint, Twin, on
 from aces_protocols.hubo.spec import hubo
 
 from .channel import MotorChannel
@@ -85,13 +85,18 @@ class HuboMotorTwin(Twin):
         self.gain_override: tuple[list[int], int] | None = None
         by_channel = {joint.channel: joint for joint in self.joints}
         self.channels = [
-            MotorChannel(n, by_channel.get(n), self.kind, self.board, now, self.random.uniform(-0.05, 0.05))
-            for n in range(self.shape.channels)
+            MotorChannel(n, own, self.kind, self.board, now, self._start_of(own))
+            for n, own in ((n, by_channel.get(n)) for n in range(self.shape.channels))
         ]
         for channel in self.channels:
             if channel.own is not None:
                 self.world.joints[channel.own.name] = _Place(channel)
         self._frozen: dict[int, int] = {}
+
+    def _start_of(self, own: Joint | None) -> float:
+        """Where a joint stands when nobody has homed it (rad)."""
+        somewhere = self.random.uniform(-0.05, 0.05)
+        return somewhere if own is None else self.world.start_of(own.name, somewhere)
 
     # ------------------------------------------------------------------ faults
 
@@ -362,9 +367,9 @@ class HuboMotorTwin(Twin):
     def search_home(self, request: Any) -> None:
         """Search with the stored settings; the drivers switch themselves on."""
         now = self.clock.now()
-        chosen = request.channel
+        chosen = request.motor
         for channel in self.channels:
-            if chosen == "all" or chosen == f"channel_{channel.number}":
+            if chosen == "all" or chosen == f"motor_{channel.number + 1}":
                 channel.driver_on = "fet_fault" not in channel.faults
                 if channel.driver_on:
                     channel.begin_search(now)
@@ -373,7 +378,7 @@ class HuboMotorTwin(Twin):
     def search_home_d08(self, request: Any) -> None:
         """One motor; the other stays in run state."""
         way, _, plain = str(request.motor).partition("_without_")
-        number = int(way[-1]) if way.startswith("channel") else 0
+        number = int(way[-1]) - 1 if way.startswith("motor") else 0
         if number < len(self.channels):
             offsets = getattr(request, "offset", None)
             self.channels[number].begin_search(

@@ -31,6 +31,7 @@ class MotorTwin(Twin):
         if "_at" not in self.__dict__:
             self._at, self._motor = now, self._zero
             if joint is not None:
+                self._motor += self._direction * self.world.start_of(joint.name)
                 self.world.joints[joint.name] = self
         self._goal = self._sync(now) if self.__dict__.get("_goal") is not None else self._motor
         #: The last angle that was received (°), None before.

@@ -142,6 +142,9 @@ class RobotisRX(RegisterDevice):
         joint = self.joints[0] if self.joints else None
         self.direction = joint.direction if joint is not None else 1
         self.zero = (joint.zero or 0.0) if joint is not None else 0.0
+        #: Turns of the servo a turn of the joint; what one step of the servo is of the joint's angle, and of its speed.
+        ratio = (joint.ratio or 1.0) if joint is not None else 1.0
+        self.step, self.speed_step = STEP / ratio, SPEED_STEP / ratio
         self.turns = joint is not None and (joint.command == "duty" or joint.type == "continuous")
         self._set_level(settings.status_return_level)
         self._signals(joint.name if joint is not None else self.name)
@@ -159,12 +162,12 @@ class RobotisRX(RegisterDevice):
         self.answers, self.acknowledges = level >= 1, level >= 2
 
     def _signals(self, owner: str) -> None:
-        direction, zero = self.direction, self.zero
+        direction, zero, step, speed_step = self.direction, self.zero, self.step, self.speed_step
         slow = max(0.1, 5 * self.health_s)
         motion: dict[str, Any] = {"owner": owner}
         if not self.settings.motion:
             motion["stale_s"] = slow
-        span = sorted((direction * (end - zero)) for end in (0.0, TOP * STEP))
+        span = sorted((direction * (end - zero)) for end in (0.0, TOP * step))
         joint = self.joints[0] if self.joints else None
         if joint is not None:
             span[0] = span[0] if joint.lower is None else max(span[0], joint.lower)
@@ -174,7 +177,7 @@ class RobotisRX(RegisterDevice):
         self.position = self.register_signal(
             "position",
             "present_position",
-            to_si=lambda raw: (min(raw, TOP) * STEP - zero) * direction,
+            to_si=lambda raw: (min(raw, TOP) * step - zero) * direction,
             set=None if self.turns else "goal_position",
             to_raw=self.counts,
             unit="rad",
@@ -186,7 +189,7 @@ class RobotisRX(RegisterDevice):
         self.register_signal(
             "velocity",
             "present_speed",
-            to_si=lambda raw: signed(raw) * SPEED_STEP * direction + 0.0,  # no -0
+            to_si=lambda raw: signed(raw) * speed_step * direction + 0.0,  # no -0
             unit="rad/s",
             doc="How fast the joint turns.",
             **motion,
@@ -215,12 +218,12 @@ class RobotisRX(RegisterDevice):
             self.register_signal(
                 "speed_limit",
                 "moving_speed",
-                to_si=lambda raw: (raw & TOP) * SPEED_STEP,
+                to_si=lambda raw: (raw & TOP) * speed_step,
                 set="moving_speed",
-                to_raw=lambda value: max(1, min(TOP, round(value / SPEED_STEP))) if value else 0,
+                to_raw=lambda value: max(1, min(TOP, round(value / speed_step))) if value else 0,
                 unit="rad/s",
                 lower=0.0,
-                upper=TOP * SPEED_STEP,
+                upper=TOP * speed_step,
                 doc="Speed on the way to a goal; 0: as fast as it can.",
                 **rest,
             )
@@ -256,7 +259,7 @@ class RobotisRX(RegisterDevice):
 
     def counts(self, position: float) -> int:
         """The goal of a joint position (rad): cut to whole counts as MiniHubo's software does, clipped to 0…1023."""
-        return max(0, min(TOP, int((self.direction * position + self.zero) / STEP + HAIR)))
+        return max(0, min(TOP, int((self.direction * position + self.zero) / self.step + HAIR)))
 
     def drive(self, duty: float) -> int:
         """The moving speed of a torque share in endless turn: magnitude, and bit 10 for clockwise."""
@@ -352,7 +355,7 @@ class RobotisRX(RegisterDevice):
                 else f"the joint turns without end, its servo from count {low} to {high}: set both angle limits to 0",
             )
         elif not self.turns and low < high:
-            ends = sorted(self.direction * (count * STEP - self.zero) for count in (low, high))
+            ends = sorted(self.direction * (count * self.step - self.zero) for count in (low, high))
             self.position.lower = max(self.span[0], ends[0])
             self.position.upper = min(self.span[1], ends[1])
 

@@ -108,11 +108,13 @@ class RobotisRXTwin(Twin):
             if joint is not None:
                 self.world.joints[joint.name] = self
                 self._joint = (joint.direction, joint.zero or 0.0)
+                self._step = STEP / (joint.ratio or 1.0)
                 if joint.command == "duty" or joint.type == "continuous":
                     self["ccw_angle_limit"] = 0
-                self.motion.at = max(0.0, min(float(TOP), (joint.zero or 0.0) / STEP))
+                start = joint.direction * self.world.start_of(joint.name) + (joint.zero or 0.0)
+                self.motion.at = max(0.0, min(float(TOP), start / self._step))
             else:
-                self._joint = (1, 0.0)
+                self._joint, self._step = (1, 0.0), STEP
         self._ram()
         self.blinks = False
         self._held: tuple[int, bytes] | None = None
@@ -163,7 +165,7 @@ class RobotisRXTwin(Twin):
     def position(self, now: int) -> float:
         """The joint's angle (rad)."""
         direction, zero = self._joint
-        return (self.motion.position(now) * STEP - zero) * direction
+        return (self.motion.position(now) * self._step - zero) * direction
 
     @property
     def is_endless(self) -> bool:

@@ -61,11 +61,10 @@ Percent = Quantity(Byte, unit="%", range=(0, 100))
 CW_CCW = {"cw": 0, "ccw": 1}
 #: Where a homing search stops.
 HOMING_MODES = {"switch_and_index": 0, "switch": 1, "mechanical_stop": 2}
-#: A home search of D08 in one byte: 0x10 or 0x11 for motor 0, 0x20 or 0x21 for motor 1, 0xC… and 0xD… without z-phase.
+#: A home search of D08 in one byte: 0x10 or 0x11 for motor 1, 0x20 or 0x21 for motor 2, 0xC… and 0xD… without z-phase.
+#: Motors are numbered as on the wire, from 1, so that `motor=1` is `motor_1`; what counts from 0 is called `channel`.
 HOME_SEARCH_D08 = (
     "direction" / Enumeration(bits(1, 0), CW_CCW),
     "motor"
-    / Enumeration(
-        bits(4, 4), channel_0=1, channel_1=2, channel_0_without_index=0xC, channel_1_without_index=0xD
-    ),
+    / Enumeration(bits(4, 4), motor_1=1, motor_2=2, motor_1_without_index=0xC, motor_2_without_index=0xD),
 )

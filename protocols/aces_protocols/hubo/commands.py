@@ -208,7 +208,7 @@ GoHome = command(
     payload=BitLayout(1, *HOME_SEARCH_D08),
     doc="Go home; the byte is the mode of a home search.",
     source="X2",
-    examples=[("001#03 0C 11", {"board": 3, "direction": "ccw", "motor": "channel_0"})],
+    examples=[("001#03 0C 11", {"board": 3, "direction": "ccw", "motor": "motor_1"})],
 )
 ControlOn = command(
     "ControlOn",

@@ -94,15 +94,14 @@ Home = command(
     payload=BitLayout(
         6,
         "stored" / Default(bits(1, 1), 1),
-        "channel"
-        / Enumeration(bits(4, 4), channel_0=1, channel_1=2, channel_2=3, channel_3=4, channel_4=5, all=0xF),
+        "motor" / Enumeration(bits(4, 4), motor_1=1, motor_2=2, motor_3=3, motor_4=4, motor_5=5, all=0xF),
     ),
     doc="Search home with the settings stored in the board; hubo-ach sends no reference for 3 s after it.",
     source="hubo-ach; HuboCan",
     examples=[
-        ("001#05 11 12 00 00 00 00 00", {"board": 5, "stored": 1, "channel": "channel_0"}),
-        ("001#00 11 22 00 00 00 00 00", {"board": 0, "stored": 1, "channel": "channel_1"}),
-        ("001#00 11 F2 00 00 00 00 00", {"board": 0, "stored": 1, "channel": "all"}),
+        ("001#05 11 12 00 00 00 00 00", {"board": 5, "stored": 1, "motor": "motor_1"}),
+        ("001#00 11 22 00 00 00 00 00", {"board": 0, "stored": 1, "motor": "motor_2"}),
+        ("001#00 11 F2 00 00 00 00 00", {"board": 0, "stored": 1, "motor": "all"}),
     ],
 )
 
@@ -128,15 +127,15 @@ HomeD08 = command(
     examples=[
         (
             "001#00 11 11 48 A8 00 00 08",
-            {"board": 0, "direction": "ccw", "motor": "channel_0", "offset": [-18600, 0]},
+            {"board": 0, "direction": "ccw", "motor": "motor_1", "offset": [-18600, 0]},
         ),
         (
             "001#00 11 20 00 00 3A 98 00",
-            {"board": 0, "direction": "cw", "motor": "channel_1", "offset": [0, 15000]},
+            {"board": 0, "direction": "cw", "motor": "motor_2", "offset": [0, 15000]},
         ),
         (
             "001#09 11 20 00 00 38 80 10",
-            {"board": 9, "direction": "cw", "motor": "channel_1", "offset": [0, 80000]},
+            {"board": 9, "direction": "cw", "motor": "motor_2", "offset": [0, 80000]},
         ),
     ],
 )
@@ -151,11 +150,11 @@ HomeD08X = command(
     examples=[
         (
             "001#00 11 11 A8 48 00 00 08",
-            {"board": 0, "direction": "ccw", "motor": "channel_0", "offset": [-18600, 0]},
+            {"board": 0, "direction": "ccw", "motor": "motor_1", "offset": [-18600, 0]},
         ),
         (
             "001#00 11 20 00 00 98 3A 00",
-            {"board": 0, "direction": "cw", "motor": "channel_1", "offset": [0, 15000]},
+            {"board": 0, "direction": "cw", "motor": "motor_2", "offset": [0, 15000]},
         ),
     ],
 )
@@ -178,7 +177,7 @@ Home3D08 = command(
             {
                 "board": 0x20,
                 "direction": "ccw",
-                "motor": "channel_0",
+                "motor": "motor_1",
                 "pulses": 6464,
                 "revolutions": [5.0, 5.0],
             },
@@ -204,7 +203,7 @@ Home3D08X = command(
             {
                 "board": 0x20,
                 "direction": "ccw",
-                "motor": "channel_0",
+                "motor": "motor_1",
                 "pulses": 6464,
                 "revolutions": [1.0, 1.0],
             },

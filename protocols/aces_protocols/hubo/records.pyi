@@ -169,7 +169,7 @@ class GoHome(Record, frozen=True):
     """
     board: int
     direction: Literal["cw", "ccw"] | int
-    motor: Literal["channel_0", "channel_1", "channel_0_without_index", "channel_1_without_index"] | int
+    motor: Literal["motor_1", "motor_2", "motor_1_without_index", "motor_2_without_index"] | int
     reserved: int
     """bits without a field"""
 
@@ -670,7 +670,7 @@ class Home(Record, frozen=True):
     """
     board: int
     stored: int
-    channel: Literal["channel_0", "channel_1", "channel_2", "channel_3", "channel_4", "all"] | int
+    motor: Literal["motor_1", "motor_2", "motor_3", "motor_4", "motor_5", "all"] | int
     reserved: int
     """bits without a field"""
 
@@ -681,7 +681,7 @@ class HomeD08(Record, frozen=True):
     """
     board: int
     direction: Literal["cw", "ccw"] | int
-    motor: Literal["channel_0", "channel_1", "channel_0_without_index", "channel_1_without_index"] | int
+    motor: Literal["motor_1", "motor_2", "motor_1_without_index", "motor_2_without_index"] | int
     offset: tuple[int, int]
     """-524287…524287 count"""
     reserved: int
@@ -694,7 +694,7 @@ class HomeD08X(Record, frozen=True):
     """
     board: int
     direction: Literal["cw", "ccw"] | int
-    motor: Literal["channel_0", "channel_1", "channel_0_without_index", "channel_1_without_index"] | int
+    motor: Literal["motor_1", "motor_2", "motor_1_without_index", "motor_2_without_index"] | int
     offset: tuple[int, int]
     """-524287…524287 count"""
     reserved: int
@@ -707,7 +707,7 @@ class Home3D08(Record, frozen=True):
     """
     board: int
     direction: Literal["cw", "ccw"] | int
-    motor: Literal["channel_0", "channel_1", "channel_0_without_index", "channel_1_without_index"] | int
+    motor: Literal["motor_1", "motor_2", "motor_1_without_index", "motor_2_without_index"] | int
     pulses: int
     """0…65535 count"""
     revolutions: tuple[float, float]
@@ -722,7 +722,7 @@ class Home3D08X(Record, frozen=True):
     """
     board: int
     direction: Literal["cw", "ccw"] | int
-    motor: Literal["channel_0", "channel_1", "channel_0_without_index", "channel_1_without_index"] | int
+    motor: Literal["motor_1", "motor_2", "motor_1_without_index", "motor_2_without_index"] | int
     pulses: int
     """0…65535 count"""
     revolutions: tuple[float, float]

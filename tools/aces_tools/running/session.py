@@ -25,7 +25,7 @@ from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, terminal_width, wants_colour
 from ..live import LivePatience
-from ..robot_arg import bus_options
+from ..robot_arg import bus_options, chosen_pose
 from .figures import USUAL, Figures, Watch, event_text
 from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
@@ -81,7 +81,14 @@ class Session:
             "at_end": asked.at_end,
         }
         if asked.virtual:
-            return run_virtual(self.robot, self.controllers, rate_hz=self.rate_hz, seed=asked.seed, **options)
+            return run_virtual(
+                self.robot,
+                self.controllers,
+                rate_hz=self.rate_hz,
+                seed=asked.seed,
+                pose=chosen_pose(self.robot, asked.pose),
+                **options,
+            )
         if asked.replay:
             frames = stack.enter_context(_frames(asked.replay))
             return run_replay(self.robot, frames, self.controllers, **options)
