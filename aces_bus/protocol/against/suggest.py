@@ -1,4 +1,4 @@
-"""Worked examples out of a recording, for the author to confirm: bytes that a device really sent, and what the spec makes of them.
+"""Worked examples out of a recording, for the author to confirm: bytes that a device sent, and what the spec makes of them.
 
 1. The bytes are the recording's; the fields are the spec's own reading, which the author holds against the sheet. Until then
    they prove nothing.
@@ -20,7 +20,7 @@ from ..declare.examples import Example, ExampleFrame
 from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.protocol import Protocol, Variant
-from ..lint.examples import failure
+from ..lint.examples import failure, read_example
 from ..live.scanner import make_scanner
 from ..record import Meta, Record, Unknown, field_names, message_of, plain_value
 
@@ -32,7 +32,7 @@ DIGITS = 9
 
 @dataclass(frozen=True)
 class SuggestedExample:
-    """An example of a message, of which the recording has `count`. `source` is how a spec writes it, as an item of `examples`."""
+    """An example of a message, of which the recordings have `count`; `source` is how a spec writes it among `examples`."""
 
     message: Message
     example: Example
@@ -85,7 +85,7 @@ def suggest_examples(
         for message in variant.messages.values():
             candidates = found.get((variant.name, message.name))
             if candidates is not None:
-                suggested += list(_holding(message, candidates))[:each]
+                suggested += list(_holding(variant, message, candidates))[:each]
     return suggested
 
 
@@ -144,14 +144,16 @@ def _word(meta: Meta) -> ExampleFrame:
     return ExampleFrame(meta.raw, meta.identifier, meta.extended, meta.remote, meta.fd)
 
 
-def _holding(message: Message, candidates: _Candidates) -> Iterator[SuggestedExample]:
+def _holding(variant: Variant, message: Message, candidates: _Candidates) -> Iterator[SuggestedExample]:
     seen: set[ExampleFrame] = set()
     for _, word, fields, requests in candidates.best:
         if word in seen:
             continue
         seen.add(word)
-        for request in (*requests, None):
-            example = Example(word, fields, request)
+        alone = Example(word, fields)
+        # A request is only in the way where the reply is recognised without.
+        is_clear = not requests or read_example(variant, message, alone).message == message.name
+        for example in [alone] if is_clear else [*(Example(word, fields, one) for one in requests), alone]:
             if failure(message, example) is None:
                 yield SuggestedExample(message, example, candidates.count)
                 break
@@ -200,10 +202,4 @@ def _literal(value: Any) -> str:
         return f"[{', '.join(map(_literal, value))}]"
     if isinstance(value, str):
         return json.dumps(value)
-    if isinstance(value, bytes):
-        return (
-            "b" + json.dumps(value.decode("latin-1"))
-            if value.isascii() and value.decode().isprintable()
-            else repr(value)
-        )
     return repr(value)
