@@ -122,7 +122,7 @@ def decode_tables(
             if len(table) and (wanted is None or table.message in wanted or not table.message):
                 parts.setdefault(table.message, []).append(table)
 
-    for words, way, time in _words(capture, variant):
+    for words, way, time in capture_pieces(capture, variant):
         way = direction or way
         if way not in scanners:
             scanners[way] = make_column_scanner(
@@ -154,8 +154,8 @@ def feed(scanner: ColumnScanner, words: Any, time: float | None) -> list[Message
     return tables
 
 
-def _words(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | None, float | None]]:
-    """(what to feed, its direction, its time) of anything that may be decoded."""
+def capture_pieces(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | None, float | None]]:
+    """(what to feed, its direction, its time) of anything that may be decoded; raises `CallerError` for what may not."""
     is_can = variant.link == "can"
     link = getattr(capture, "link", None)
     if isinstance(link, str) and (link == "can") is not is_can:

@@ -17,6 +17,16 @@ Then the nine laws ('aces fuzz --help' lists them) are tried on the code that is
 generated from the spec, for three seconds (--for). What breaks one is an error,
 shown with the smallest bytes that do it. The same spec gets the same scenes.
 
+Held against recordings, a spec shows what it does not say, or says wrongly:
+
+  aces spec check hubo --against walk.log
+                                    messages and fields never seen, undeclared
+                                    identifiers and opcodes, bytes left over,
+                                    ranges exceeded, numbers in a wrong byte
+                                    order, checks that nobody declared …
+  aces spec check my_spec.py --suggest walk.log
+                                    examples=[…] of it, for you to confirm
+
 Rules are named in brackets behind each line; docs/checking.md has them all.
 A Python file is executed with your rights: name only what you trust.
 
@@ -32,7 +42,7 @@ import sys
 import textwrap
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -43,15 +53,17 @@ from construct import Construct
 from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
 from aces_bus.plain_text import printable, printable_lines
 from aces_bus.protocol import Message, Protocol, Variant, list_protocols
+from aces_bus.protocol.against import Observation, RecordingCheck, suggest_examples
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 from aces_bus.protocol.lint.fields import Written
+from aces_bus.recordings import CanRecording, SerialRecording, open_recording
 
-from ..console import counted, print_json, say
-from ..options import COLOR, FOR, JSON, Arguments, argument, duration_or_none, flag
+from ..console import counted, print_json, report_unreadable, say
+from ..options import COLOR, DIRECTION, FOR, JSON, Arguments, argument, duration_or_none, flag, several
 from ..output.columns import Page
-from ..protocols_arg import named_protocol, problems_of
+from ..protocols_arg import named_protocol, parse_protocols, problems_of
 
 if TYPE_CHECKING:
     from aces_bus.testing.fuzz import Failure, Fuzzer
@@ -72,6 +84,11 @@ ARGUMENTS: Arguments = (
     ),
     flag("--notes", help="show notes too, instead of counting them"),
     flag("--apart", help="the protocols named do not share a bus"),
+    several("--against", metavar="CAPTURE", help="what this recording says against the specs"),
+    several(
+        "--suggest", metavar="CAPTURE", help="print worked examples out of this recording, and check nothing"
+    ),
+    DIRECTION,
     FOR.but(
         type=duration_or_none,
         help="how long the laws are tried on each protocol (default: 3s; 0: not at all)",
@@ -95,10 +112,14 @@ class Checked:
     #: Scenes of which the laws were asked; None where they were not. What shows a failure, by its finding.
     scenes: int | None = None
     drawings: dict[Finding, str] = field(default_factory=dict)
+    #: What is said where nothing was found and nothing counted.
+    nothing: str = "nothing to check"
 
 
 def run(arguments: argparse.Namespace) -> int:
     names = list(dict.fromkeys(arguments.names))
+    if arguments.suggest:
+        return _suggest(names, arguments)
     seconds = SECONDS if arguments.duration is None else arguments.duration / 1e9
     variants: dict[Variant, str] = {}
     done: dict[int, None] = {}
@@ -123,6 +144,9 @@ def run(arguments: argparse.Namespace) -> int:
         found.findings += _unallowed(check_wire(list(variants), "warning", " if they share a bus"))
         if found.findings:
             results.append(found)
+    if arguments.against:
+        wires = [[variant] for variant in variants] if arguments.apart else [list(variants)]
+        results += [_hold_against(wire, variants, arguments) for wire in wires if wire]
     for result in results:
         result.findings.sort(key=sort_key)
     if arguments.json:
@@ -303,6 +327,62 @@ def _innermost(error: BaseException) -> SourceLine | None:
     return None
 
 
+# ---------------------------------------------------------------------- recordings
+
+
+def _hold_against(
+    wire: Sequence[Variant], names: Mapping[Variant, str], arguments: argparse.Namespace
+) -> Checked:
+    """What the recordings of the call say against protocols that share a bus."""
+    said = " + ".join(names[variant] for variant in wire)
+    result = Checked(f"{said} against {', '.join(arguments.against)}", nothing="nothing speaks against it")
+    try:
+        check = RecordingCheck(wire, direction=arguments.direction)
+        for capture in _recordings(arguments.against, wire):
+            check.read(capture)
+        result.findings += check.observations()
+    except AcesError as error:
+        result.complaint = str(error)
+    return result
+
+
+def _recordings(paths: Iterable[str], wire: Sequence[Variant]) -> Iterator[CanRecording | SerialRecording]:
+    """The recordings, one after the other; what of them cannot be read is said."""
+    for path in paths:
+        with open_recording(path, link="can" if wire[0].link == "can" else "serial") as capture:
+            yield capture
+            report_unreadable(capture, is_over=True)
+
+
+def _suggest(names: Sequence[str], arguments: argparse.Namespace) -> int:
+    """Print worked examples; the exit status."""
+    try:
+        wire = parse_protocols(names)
+        found = suggest_examples(wire, _recordings(arguments.suggest, wire), direction=arguments.direction)
+    except AcesError as error:
+        say(str(error))
+        return 2
+    if arguments.json:
+        print_json(
+            [
+                {
+                    "message": one.message.name,
+                    "count": one.count,
+                    "source": one.source,
+                    "line": one.message.place.line,
+                }
+                for one in found
+            ]
+        )
+        return 0
+    for one in found:
+        print(f"# {one.message.place}: {one.message.name}, 1 of {one.count}; confirm it by the sheet")
+        print(printable_lines(f"examples=[\n    {one.source}\n],"))
+    if not found:
+        say("the recordings have no message that an example could be made of")
+    return 0
+
+
 # ---------------------------------------------------------------------- printing
 
 
@@ -338,6 +418,8 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
             level = paint(_STYLES[one.level], f"{one.level}:")
             place, text = printable(str(one.place)), printable(one.text)
             print(f"{place}: {level} {text} {paint('place', f'[{one.rule}]')}")
+            if isinstance(one, Observation) and one.remedy:
+                print(f"    → {printable(one.remedy)}")
             if one in result.drawings:
                 print(textwrap.indent(printable_lines(result.drawings[one]), "    "))
             if one.witness is not None and one.rule == "collision":
@@ -353,7 +435,7 @@ def _summary(result: Checked, hidden: int) -> str:
     levels = [one.level for one in result.findings]
     parts += [counted(levels.count(level), level) for level in LEVELS if level in levels]
     is_clean = all(level == "note" for level in levels)
-    text = ("ok: " if is_clean else "") + (", ".join(parts) or "nothing to check")
+    text = ("ok: " if is_clean else "") + (", ".join(parts) or result.nothing)
     return f"{text} (--notes shows them)" if hidden else text
 
 

@@ -1,0 +1,367 @@
+"""What the fields of decoded messages say: values without names, beyond their range, that never change, that jump.
+
+1. Values are raw, as on the wire; whatever scale, name or range the spec gives them is what they are held against.
+2. Of what occurs a field keeps counts, a few values, and the first instant of each kind: memory is bounded.
+3. Values follow each other by device: same channel, same identifier, same captured fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from ..columns.table import Array, Column, MessageTable
+from ..declare.message import Message
+from ..lint.finding import Level
+from ..plan import nodes as p
+from .finding import Moment, Observation
+from .numbers import IntegerSteps, Suspicion, steps_of
+
+#: Devices of a message whose values are followed; of further ones only the values themselves are judged.
+DEVICES = 256
+#: Values without a name that are listed.
+UNNAMED = 8
+#: What occurs so often, and in this share of all messages, is no accident.
+AGAIN, SHARE = 3, 0.02
+#: Messages from which on it means something that a field never changes.
+ENOUGH = 20
+
+#: From a row of a table to its place in the recording.
+Locate = Callable[[MessageTable, int], Moment]
+
+
+class _Found:
+    """How often something was seen, and where first."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.first: Moment | None = None
+
+    def add(self, which: Array, table: MessageTable, locate: Locate) -> None:
+        """Count the rows `which` (indices), if there are any."""
+        if len(which):
+            self.count += len(which)
+            if self.first is None:
+                self.first = locate(table, int(which[0]))
+
+
+class _Followed:
+    """The rows of a table in the order of devices, so that neighbours are one device's."""
+
+    def __init__(self, devices: Array) -> None:
+        self.order = np.argsort(devices, kind="stable")
+        ordered = devices[self.order]
+        self.same = (ordered[1:] == ordered[:-1]) & (ordered[1:] >= 0)
+        edges = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])) if len(ordered) else []
+        #: (device, first and last of its rows in that order)
+        ends = [*edges[1:], len(ordered)] if len(ordered) else []
+        self.runs = [
+            (int(ordered[start]), int(start), int(end) - 1)
+            for start, end in zip(edges, ends, strict=True)
+            if ordered[start] >= 0
+        ]
+
+    def pairs(self, values: Array, last: dict[int, Any]) -> tuple[Array, Array]:
+        """(before, after) of all values that follow each other; `last` has each device's value before these."""
+        values = values[self.order]
+        before, after = values[:-1][self.same], values[1:][self.same]
+        carried = [(last[device], values[start]) for device, start, _ in self.runs if device in last]
+        for device, _, end in self.runs:
+            last[device] = values[end]
+        if carried:
+            old, new = zip(*carried, strict=True)
+            before = np.concatenate([before, np.array(old, values.dtype)])
+            after = np.concatenate([after, np.array(new, values.dtype)])
+        return before, after
+
+
+class FieldWatch:
+    """One single value of a message."""
+
+    def __init__(self, message: Message, leaf: p.NodePath) -> None:
+        self.message = message
+        self.leaf = leaf
+        self.steps = steps_of(leaf.node)
+        self.is_unnamed = isinstance(leaf.node, p.Rest)
+        self.total = 0
+        self._first_value: Any = None
+        self._changes = False
+        #: Bits that are not always the same; of numbers without places none.
+        self._varying = 0
+        self._vary = _Found()
+        self._last: dict[int, Any] = {}
+        self._beyond = _Found()
+        self._least, self._most = np.inf, -np.inf
+        self._unnamed: dict[int, _Found] = {}
+        node = leaf.node
+        scale = node.scale
+        self._limits = scale.limits if scale is not None else None
+        self._exempt = [*scale.unknown, *(raw for raw, _ in scale.names)] if scale is not None else []
+        self._names = [raw for step in node.steps if isinstance(step, p.ValueNames) for raw, _ in step.values]
+
+    def take(
+        self, column: Column, table: MessageTable, devices: Array, locate: Locate, shared: _Followed
+    ) -> None:
+        """The values of a piece of the recording; `shared` is for columns that are there in every row."""
+        values, rows = column.values, None
+        if column.absent is not None:
+            rows = np.flatnonzero(~column.absent)
+            values = values[rows]
+        if not len(values):
+            return
+        if values.dtype == object:
+            self._take_objects(values)
+            return
+        self.total += len(values)
+        if self._first_value is None:
+            self._first_value = values[0]
+        others = values != self._first_value
+        if others.any():
+            self._changes = True
+            if values.dtype.kind in "iu":
+                flipped = int(np.bitwise_or.reduce(values[others] ^ values.dtype.type(self._first_value)))
+                self._varying |= flipped
+                if self.is_unnamed:
+                    which = np.flatnonzero(others)
+                    self._vary.add(which if rows is None else rows[which], table, locate)
+        self._judge(values, rows, table, locate)
+        if self.steps is not None:
+            followed = shared if rows is None else _Followed(devices[rows])
+            self.steps.take(values, *followed.pairs(values, self._last))
+
+    def _take_objects(self, values: Array) -> None:
+        self.total += len(values)
+        if not self._changes:
+            if self._first_value is None:
+                self._first_value = values[0]
+            self._changes = any(value != self._first_value for value in values.tolist())
+
+    def _judge(self, values: Array, rows: Array | None, table: MessageTable, locate: Locate) -> None:
+        scale = self.leaf.node.scale
+        if self._limits is not None and scale is not None:
+            low, high = self._limits
+            physical = values * scale.scale + scale.offset
+            slack = abs(scale.scale) / 2
+            with np.errstate(invalid="ignore"):
+                beyond = (physical < low - slack) | (physical > high + slack)
+            if self._exempt:
+                beyond &= ~np.isin(values, self._exempt)
+            if beyond.any():
+                which = np.flatnonzero(beyond)
+                self._least = min(self._least, float(physical[which].min()))
+                self._most = max(self._most, float(physical[which].max()))
+                self._beyond.add(which if rows is None else rows[which], table, locate)
+        if self._names:
+            foreign = ~np.isin(values, self._names)
+            for value in np.unique(values[foreign])[:UNNAMED].tolist() if foreign.any() else ():
+                if value in self._unnamed or len(self._unnamed) < UNNAMED:
+                    which = np.flatnonzero(values == value)
+                    found = self._unnamed.setdefault(value, _Found())
+                    found.add(which if rows is None else rows[which], table, locate)
+
+    # ------------------------------------------------------------------ what it comes to
+
+    @property
+    def never_changes(self) -> bool:
+        """Whether there were enough messages, and all had the same value."""
+        return self.total >= ENOUGH and not self._changes
+
+    @property
+    def value(self) -> Any:
+        """The first value."""
+        return self._first_value
+
+    def observations(self) -> Iterator[Observation]:
+        """What the recording says of this field."""
+        name = f"{self.message.name}.{self.leaf.path}"
+        if self.is_unnamed:
+            yield from self._of_unnamed_bits()
+            return
+        if self._beyond.count and self._limits is not None:
+            low, high = self._limits
+            yield self._observation(
+                "warning" if self._beyond.count >= min(AGAIN, self.total) else "note",
+                "range",
+                f"{name} is {_span(self._least, self._most)}{self._unit} in {self._beyond.count} of {self.total} messages;"
+                f" its range is {low:g}…{high:g}",
+                self._beyond,
+                "check sign, scale and byte order; if they are right, widen the range",
+            )
+        if self._unnamed:
+            values = ", ".join(map(str, sorted(self._unnamed)))
+            whole = _Found()
+            whole.count = sum(found.count for found in self._unnamed.values())
+            whole.first = next(iter(self._unnamed.values())).first
+            yield self._observation(
+                "warning" if whole.count >= max(AGAIN, SHARE * self.total) else "note",
+                "enumeration",
+                f"{name} is {values} in {whole.count} of {self.total} messages, which has no name",
+                whole,
+                f"give {'it' if len(self._unnamed) == 1 else 'them'} a name, or check where the field is",
+            )
+        suspicion = self.steps.suspicion() if self.steps is not None else None
+        if suspicion is not None:
+            yield self._of_suspicion(name, suspicion)
+        elif self.counts_up:
+            whole = _Found()
+            whole.count = self.total
+            yield self._observation(
+                "note",
+                "counter",
+                f"{name} counts up by one from message to message",
+                whole,
+                "if it is a rolling counter, declare it as Counter: then missing messages are counted",
+            )
+
+    @property
+    def counts_up(self) -> bool:
+        """Whether it is a counter that the spec does not name."""
+        node = self.leaf.node
+        return (
+            isinstance(self.steps, IntegerSteps)
+            and self.steps.counts_up
+            and isinstance(node, p.Scalar)
+            and not node.unit
+            and self.leaf.path not in self.message.counters
+        )
+
+    def _of_suspicion(self, name: str, suspicion: Suspicion) -> Observation:
+        whole = _Found()
+        whole.count = suspicion.count
+        rule = "byte-order" if suspicion.remedy.startswith("read it") else "sign"
+        return self._observation(
+            "warning", rule, f"{name} {suspicion.text}", whole, suspicion.remedy, total=suspicion.total
+        )
+
+    def _of_unnamed_bits(self) -> Iterator[Observation]:
+        node = self.leaf.node
+        assert isinstance(node, p.Rest)
+        bits = [
+            8 * node.offset + bit for bit in range(self._varying.bit_length()) if self._varying >> bit & 1
+        ]
+        if not bits:
+            return
+        shown = ", ".join(f"{bit // 8}.{bit % 8}" for bit in bits[:8]) + (", …" if len(bits) > 8 else "")
+        yield self._observation(
+            "warning",
+            "gap",
+            f"{self.message.name}: {'bit' if len(bits) == 1 else 'bits'} {shown} (byte.bit) belong to no field, and change:"
+            f" {self._vary.count} of {self.total} messages",
+            self._vary,
+            "declare the field that they are, or make its neighbour longer",
+        )
+
+    @property
+    def _unit(self) -> str:
+        unit = self.leaf.node.unit
+        return f" {unit}" if unit else ""
+
+    def _observation(
+        self, level: Level, rule: str, text: str, found: _Found, remedy: str, *, total: int | None = None
+    ) -> Observation:
+        place = self.message.place.of_field(self.leaf.field.name)
+        if found.first is not None:
+            text = f"{text}; first at {found.first}"
+        return Observation(
+            level,
+            rule,
+            place,
+            text,
+            self.message.name,
+            count=found.count,
+            total=self.total if total is None else total,
+            first=found.first,
+            remedy=remedy,
+        )
+
+
+def _span(least: float, most: float) -> str:
+    return f"{least:g}" if least == most else f"{least:g}…{most:g}"
+
+
+class MessageWatch:
+    """A message's fields, and which way it went."""
+
+    def __init__(self, message: Message) -> None:
+        self.message = message
+        self.total = 0
+        #: Frames that the recorder received, and that it sent.
+        self.received = self.sent = 0
+        self.first: Moment | None = None
+        self.fields = [FieldWatch(message, leaf) for leaf in message.plan.leaves]
+        outer = message.outer_names
+        #: What tells one device from another, and one quantity from another.
+        self._telling = [
+            one.leaf.path
+            for one in self.fields
+            if one.leaf.path in outer or isinstance(one.leaf.node, p.FromRequest) or one.leaf.node.value_names
+        ]
+        self._devices: dict[tuple[Any, ...], int] = {}
+
+    def take(self, table: MessageTable, locate: Locate) -> None:
+        """The messages of a piece of the recording."""
+        if self.first is None:
+            self.first = locate(table, 0)
+        self.total += len(table)
+        self.received += int((table.rx == 1).sum())
+        self.sent += int((table.rx == 0).sum())
+        devices = self._devices_of(table)
+        shared = _Followed(devices)
+        for one in self.fields:
+            one.take(table[one.leaf.path], table, devices, locate, shared)
+
+    def _devices_of(self, table: MessageTable) -> Array:
+        """The device of each row, numbered; −1 beyond `DEVICES`."""
+        parts: list[Array] = [table.channel.astype(np.int64)]
+        if not table.is_stream:
+            parts.append(table.key.astype(np.int64))
+        for name in self._telling:
+            column = table[name]
+            numbers = column.values
+            if numbers.dtype == object:
+                texts = (crc32(repr(value).encode()) for value in numbers.tolist())
+                numbers = np.fromiter(texts, np.int64, len(numbers))
+            parts.append(numbers.astype(np.int64))
+        unique, inverse = np.unique(np.stack(parts, axis=1), axis=0, return_inverse=True)
+        numbers_of: list[int] = []
+        for row in unique.tolist():
+            who = tuple(row)
+            if who not in self._devices and len(self._devices) < DEVICES:
+                self._devices[who] = len(self._devices)
+            numbers_of.append(self._devices.get(who, -1))
+        found: Array = np.array(numbers_of, np.int64)[inverse.ravel()]
+        return found
+
+    def observations(self) -> Iterator[Observation]:
+        """What the recording says of this message's fields."""
+        for one in self.fields:
+            yield from one.observations()
+        still = [one for one in self.fields if one.never_changes and not one.leaf.node.is_quiet]
+        never = [one for one in self.fields if self.total >= ENOUGH and not one.total]
+        if still:
+            shown = ", ".join(f"{one.leaf.path} ({_shown(one.value)})" for one in still[:8])
+            more = f" and {len(still) - 8} more" if len(still) > 8 else ""
+            yield self._note(
+                "constant",
+                f"never changes in {self.total} messages: {shown}{more}",
+                "record longer, or move the device",
+            )
+        if never:
+            shown = ", ".join(one.leaf.path for one in never[:8]) + (", …" if len(never) > 8 else "")
+            yield self._note(
+                "unseen", f"never there in {self.total} messages: {shown}", "check what selects them"
+            )
+
+    def _note(self, rule: str, text: str, remedy: str) -> Observation:
+        message = self.message
+        return Observation(
+            "note", rule, message.place, f"{message.name}: {text}", message.name, total=self.total, first=self.first,
+            remedy=remedy,
+        )  # fmt: skip
+
+
+def _shown(value: Any) -> str:
+    return value.hex(" ").upper() or "no bytes" if isinstance(value, bytes) else str(value)[:40]
