@@ -370,6 +370,7 @@ class _Draw:
                 ({"kind": "xor", "size": 1}, "Xor()"),
                 ({"kind": "sum", "size": size}, f'Sum({size}, order="{order}")'),
                 ({"kind": "inverted sum", "size": size}, f'InvertedSum({size}, order="{order}")'),
+                ({"kind": "negated sum", "size": size}, f'Sum({size}, negated=True, order="{order}")'),
                 (
                     {"kind": "crc", "size": 2, "polynomial": 0x1021, "start": 0xFFFF},
                     f'Crc("CRC16-IBM-3740", order="{order}")',

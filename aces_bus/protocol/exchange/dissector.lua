@@ -128,8 +128,10 @@ local compute = {}
 function compute.sum(data, check)
   local total = 0
   for _, byte in ipairs(data) do total = total + byte end
-  total = total % 256 ^ check.size
-  return check.inverted and 256 ^ check.size - 1 - total or total
+  local modulo = 256 ^ check.size
+  if check.sign == "~" then return modulo - 1 - total % modulo end
+  if check.sign == "-" then return -total % modulo end
+  return total % modulo
 end
 
 function compute.xor(data)

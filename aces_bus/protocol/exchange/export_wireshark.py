@@ -210,7 +210,7 @@ class _Printer:
             table |= {"refin": refin, "refout": refout, "xorout": xorout}
         elif check.kind in ("sum", "xor", "fletcher"):
             table["kind"] = check.kind
-            table["inverted"] = isinstance(check, Sum) and check.inverted
+            table["sign"] = check.sign if isinstance(check, Sum) else ""
         else:
             self._lose(where, "", f"the check ({check.describe}) is not verified: a kind of its own")
         return table

@@ -486,7 +486,7 @@ def print_check(out: SourceText, number: int, framing: Framing) -> None:
 def computed(check: Check, number: int, run: str) -> str:
     """The check's number over `run`, as an expression."""
     if isinstance(check, Sum):
-        return f"{'~' if check.inverted else ''}sum({run}) & {check.mask:#x}"
+        return f"{check.sign}sum({run}) & {check.mask:#x}"
     if isinstance(check, Fletcher):
         return f"fletcher({run})"
     if isinstance(check, Xor):
