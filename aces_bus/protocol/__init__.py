@@ -21,6 +21,7 @@ from .declare.fields import (
     Reserved,
     SignMagnitude,
     Text,
+    top,
 )
 from .declare.framing import Framing
 from .declare.message import Message, Request
@@ -90,4 +91,5 @@ __all__ = [
     "load_protocol",
     "make_scanner",
     "record_types",
+    "top",
 ]

@@ -158,6 +158,10 @@ def _meant(pattern: int, width: int, node: Node, raw: bool, seen: Seen, path: st
     if meaning[0] == "flags":
         return chosen, number
     _, scale, offset, unknown, names = meaning
+    if isinstance(unknown, range):
+        if number in unknown:
+            return chosen, None
+        unknown = ()
     for one in unknown:
         if one == number or (one != one and number != number):
             return chosen, None

@@ -111,9 +111,17 @@ class _Draw:
                 else some[:1]
             )
             more += f", unknown=[{', '.join(_shown(one) for one in unknown)}]"
+        elif kind != "float" and self.chance(0.15):
+            count, step = self.number(1, 12), 1
+            if width >= 8 and self.chance(0.5):
+                more += f", unknown=top({count}, bits=8)"
+                step = 1 << width - 8
+            else:
+                more += f", unknown=top({count})"  # refused where no others are left
+            unknown = range(high, high - count * step, -1)
         names = {}
         if kind != "float" and self.chance(0.2):
-            names = {f"n{one}": one for one in some[1:]}
+            names = {f"n{one}": one for one in some[1:] if one not in unknown}
             more += f", names={names!r}"
         if self.chance(0.2):
             bounds = self.random.choice(

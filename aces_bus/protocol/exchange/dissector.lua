@@ -461,7 +461,9 @@ local function show_number(tree, range, field, value, exact)
       if name then item:append_text(" (" .. name .. ")") end
     end
   end
-  if field.unknown and field.unknown[value] then item:append_text(" [not known]") end
+  for _, run in ipairs(field.unknown or {}) do
+    if run[1] <= value and value <= run[2] then item:append_text(" [not known]") end
+  end
   for _, flag in ipairs(field.flags or {}) do
     item:add(F[flag[2]], range, floor(value / 2 ^ flag[1]) % 2 == 1)
   end

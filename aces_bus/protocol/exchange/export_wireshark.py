@@ -397,7 +397,8 @@ class _Printer:
             if table is not None and not is_table:
                 more |= {"names": table, "is_told": True}
         if scale is not None and scale.unknown:
-            more["unknown"] = {value: True for value in scale.unknown if value == value}
+            # (least, greatest) of each run of values
+            more["unknown"] = [list(run) for run in scale.unknown_runs if run[0] == run[0]]
         return more
 
 
