@@ -23,7 +23,7 @@ from .declare.fields import (
     Text,
     top,
 )
-from .declare.framing import Framing
+from .declare.framing import Escaped, Framing
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
@@ -49,6 +49,7 @@ __all__ = [
     "Crc",
     "Delimited",
     "Enumeration",
+    "Escaped",
     "Extra",
     "Field",
     "FlagSet",

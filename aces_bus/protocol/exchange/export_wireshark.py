@@ -18,7 +18,7 @@ from typing import Any, Literal
 from ..declare.ambiguity import needing_context, ordered, request_names
 from ..declare.bits import runs_of, whole_bits
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
-from ..declare.framing import Framing
+from ..declare.framing import Framing, WideLength
 from ..declare.message import Direction, Message
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
@@ -229,7 +229,12 @@ class _Printer:
                 "last": head.offset + head.size - 1,
                 "factor": framing.affine.factor,
                 "constant": framing.affine.constant,
+                "escape": framing.affine.escape,
             }
+            wide = framing.affine.wide
+            if wide is not None:
+                table["length"]["wide"] = _pieces(whole_bits(wide.offset, wide.size, wide.order))
+                table["length"]["wide_size"] = wide.size
         table["size"] = framing.fixed_size
         table["stop"] = list(framing.end)
         table["is_silent"] = framing.is_silent
@@ -246,6 +251,8 @@ class _Printer:
                 "pattern": list(stuffing.pattern),
                 "bytes": list(stuffing.byte),
             }
+        elif isinstance(stuffing, WideLength):
+            table["stuffing"] = {"kind": "wide"}
         elif isinstance(stuffing, (Slip, Cobs)):
             table["stuffing"] = {"kind": "slip" if isinstance(stuffing, Slip) else "cobs"}
         return table
