@@ -21,8 +21,9 @@ from .declare.fields import (
     Reserved,
     SignMagnitude,
     Text,
+    top,
 )
-from .declare.framing import Framing
+from .declare.framing import Escaped, Framing
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
@@ -48,6 +49,7 @@ __all__ = [
     "Crc",
     "Delimited",
     "Enumeration",
+    "Escaped",
     "Extra",
     "Field",
     "FlagSet",
@@ -90,4 +92,5 @@ __all__ = [
     "load_protocol",
     "make_scanner",
     "record_types",
+    "top",
 ]

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import traceback
 from importlib import import_module
@@ -42,6 +43,12 @@ def protocol_of_file(path: str, names: list[str]) -> Protocol:
     raise CallerError(
         f"{path}: declares several protocols; say which: {', '.join(f'{path}:{name}' for name in found)}"
     )
+
+
+def python_file(text: str) -> tuple[str, str]:
+    """(path, name) of `lamp.py` or `lamp.py:NAME`; an empty path where the text is something else."""
+    found = re.fullmatch(r"(.+\.py)(?::([^:@/\\]+))?", text, re.IGNORECASE)
+    return (found[1], found[2] or "") if found is not None else ("", "")
 
 
 def load_file(path: str) -> ModuleType:
@@ -102,4 +109,4 @@ def exception_text(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-__all__ = ["exception_text", "load_file", "protocol_of_file"]
+__all__ = ["exception_text", "load_file", "protocol_of_file", "python_file"]

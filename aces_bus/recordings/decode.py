@@ -28,11 +28,13 @@ def decode(
     configuration: str | Configuration | None = None,
     direction: Direction | Literal["both"] | None = None,
     include_unknown: bool = False,
+    raw: bool = False,
 ) -> DecodedRecording:
     """All messages of a recording as columns: `decode("walk.log", hubo)["Encoder"]["position.0"].values`.
 
-    `source` is a path, "-" or an open file; `protocol` a protocol, the name of an installed one, or the path of a database
-    (`car.dbc`, …), of which a warning says what could not be taken over. The others are arguments of `Protocol.decode`.
+    `source` is a path, "-" or an open file; `protocol` a protocol, the name of an installed one, or the path of a Python
+    file that declares it (`lamp.py`) or of a database (`car.dbc`, …; a warning says what could not be taken over). The
+    others are arguments of `Protocol.decode`.
     What of the recording could not be read, the result's `capture` says: `lines_unreadable`, `problems`, `others`.
 
     Raises `CaptureError` for what is no such recording, `UnknownNameError` for names that do not exist, `CallerError`
@@ -58,6 +60,7 @@ def decode(
             configuration=configuration,
             direction=direction,
             include_unknown=include_unknown,
+            raw=raw,
         )
     decoded.capture = capture
     return decoded

@@ -2,7 +2,8 @@
 
 1. All problems are found, not the first: each key is checked by itself, then what depends on several.
 2. A problem has file, line, key and what is expected; keys and names that are near are proposed.
-3. A file is read, never run; its size is limited.
+3. A file is read, never run; its size is limited. A protocol's Python file that it names is run, as an installed one is
+   imported: from then on the robot has the protocol's name.
 4. `print_robot` writes one line an entry: read again, the text gives an equal robot. What is unknown is not written.
 
 The file's tables hold one entry a bus, device, joint, sensor, state and controller; an entry's keys are the fields of its
@@ -27,7 +28,9 @@ import msgspec
 from msgspec.structs import FieldInfo, fields
 
 from ..device.config import Bus, ControllerConfig, DeviceConfig, Joint, Robot, Sensor, StateConfig
-from ..errors import CallerError
+from ..errors import AcesError, CallerError
+from ..protocol.files import python_file
+from ..protocol.live.scanner import adopt_protocol
 from .checks import check, near
 from .toml_lines import KeyLines
 
@@ -223,6 +226,16 @@ class _Reader:
                 found[name] = made
         return found
 
+    def _protocol_name(self, text: str | None, path: tuple[str, ...]) -> str | None:
+        """The name of a protocol; of one in a Python file beside the robot's, which is loaded."""
+        if text is None or not python_file(text)[0]:
+            return text
+        try:
+            return adopt_protocol(os.path.join(os.path.dirname(self.place(path)[0]), text))
+        except AcesError as error:
+            self.complain(path, str(error))
+            return text
+
     def _struct(self, kind: type[T], path: tuple[str, ...], content: Any, **given: str) -> T | None:
         """One table as a struct; None when a key that it needs is missing or wrong."""
         noun = kind.__name__.removesuffix("Config")
@@ -236,6 +249,8 @@ class _Reader:
         values: dict[str, Any] = dict(given)
         for field in infos:
             values |= self._field(field, path, content)
+        if "protocol" in values:
+            values["protocol"] = self._protocol_name(values["protocol"], (*path, "protocol"))
         return None if any(field.required and field.name not in values for field in infos) else kind(**values)
 
     def _field(self, field: FieldInfo, path: tuple[str, ...], content: Mapping[str, Any]) -> dict[str, Any]:

@@ -54,9 +54,7 @@ def _ends(framing: Framing) -> list[str]:
     if framing.check is not None:
         ends.append("wrong check")
     if framing.affine is not None:
-        head = framing.affine.length
-        most = framing.affine.factor * ((1 << 8 * head.size) - 1) + framing.affine.constant
-        if most > framing.max_size or framing.affine.constant < framing.min_size:
+        if framing.affine.largest > framing.max_size or framing.affine.constant < framing.min_size:
             ends.append("impossible length")
     if framing.end:
         ends.append("no end")

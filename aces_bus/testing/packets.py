@@ -181,8 +181,8 @@ def _room(message: Message, source: ChoiceSource) -> Room:
         return Room(framing.fixed_size - rest, True)
     most = framing.max_size - rest
     if framing.affine is not None:
-        head = framing.affine.length
-        most = min(most, framing.affine.factor * ((1 << 8 * head.size) - 1) + framing.affine.constant - rest)
+        wide = framing.affine.wide
+        most = min(most, framing.affine.largest - rest) - (wide.size if wide is not None else 0)
     if source.integer(0, 15):
         most = min(most, 12)
     return Room(max(0, most), False)

@@ -27,9 +27,9 @@ except ImportError as missing:
         "aces_bus.testing.law_tests needs the extra: pip install 'aces-bus[testing]'"
     ) from missing
 
-from ..errors import CallerError, UnknownNameError
+from ..errors import CallerError
 from ..protocol.declare.protocol import Protocol
-from ..protocol.files import protocol_of_file
+from ..protocol.files import python_file
 from ..protocol.live.scanner import load_protocol
 from .bench import Bench
 from .drawing import scene_drawing
@@ -154,19 +154,14 @@ def _protocol(spec: str | Path | Protocol, here: Path) -> tuple[Protocol, str]:
         place = Path(spec.place.file)
         return spec, _shown(place) if place.is_file() else spec.name
     text = str(spec)
-    path, _, attribute = text.partition(".py:")
-    if attribute:
-        text = f"{path}.py"
-    if not text.endswith(".py"):
+    path, attribute = python_file(text)
+    if not path:
         return load_protocol(text), text
-    file = next((p for p in (here / text, Path(text)) if p.is_file()), None)
+    file = next((p for p in (here / path, Path(path)) if p.is_file()), None)
     if file is None:
-        raise CallerError(f"{text}: no such file, neither in {here} nor in the current folder")
-    names = [attribute] if attribute else []
-    protocol = protocol_of_file(_shown(file), names)
-    if names:  # the only protocol of the file has another name
-        raise UnknownNameError(f"protocol in {file}", attribute, [protocol.name])
-    return protocol, _shown(file) + (f":{attribute}" if attribute else "")
+        raise CallerError(f"{path}: no such file, neither in {here} nor in the current folder")
+    text = _shown(file) + (f":{attribute}" if attribute else "")
+    return load_protocol(text), text
 
 
 def _shown(file: Path) -> str:

@@ -251,7 +251,7 @@ def _check(source: ChoiceSource) -> tuple[str, int]:
         size = source.choice((1, 2))
         return f"Sum({size})", size
     if how == 2:
-        return "InvertedSum()", 1
+        return source.choice(("InvertedSum()", "Sum(negated=True)")), 1
     if how == 3:
         return "Xor()", 1
     if how == 4:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
 from aces_bus.robot import RobotError, check_robot, load_robot, parse_robot, print_robot
 from aces_bus.robot.checks import addresses
+from aces_bus.robot.file import check_robot_file
+from aces_bus.robot.rig import bus_variants
 from aces_bus.robot.toml_lines import KeyLines
 from tests.counting import calls
 
@@ -356,6 +359,60 @@ def test_an_error_carries_all_problems(tmp_path: Path) -> None:
     ]
     path.write_text(ARM)
     assert load_robot(path) == read(ARM)
+
+
+SPEC = """
+from construct import Byte, Struct
+from aces_bus.protocol import IdField, Protocol
+made = Protocol({name!r}, link={link!r})
+made.message("State", id=0x10 + IdField("node", range(4)), payload=Struct("level" / Byte))
+"""
+LANTERN = """
+name = "lantern"
+[buses]
+upper = { link = "can", protocol = "specs/lantern.py" }
+[devices]
+L1 = { driver = "lanterns_driver", bus = "upper", credentials = { node = 2 } }
+"""
+
+
+def test_a_protocol_may_be_a_file_beside_the_robot_s(tmp_path: Path) -> None:
+    """A Python file, by its path from the robot's folder: it is checked and found as an installed protocol is."""
+    (tmp_path / "specs").mkdir()
+    (tmp_path / "specs" / "lantern.py").write_text(SPEC.format(name="robots_lantern", link="can"))
+    (tmp_path / "robot.toml").write_text(LANTERN)
+    robot, problems = check_robot_file(tmp_path / "robot.toml")
+    assert robot is not None, problems
+    assert [p.key for p in problems] == ["devices.L1.driver"]
+    assert robot.buses["upper"].protocol == "robots_lantern"
+    (variant,) = bus_variants(robot, "upper")
+    assert variant.protocol is load_protocol(str(tmp_path / "specs" / "lantern.py"))
+    (tmp_path / "robot.toml").write_text(LANTERN.replace("node = 2", "node = 7"))
+    _, problems = check_robot_file(tmp_path / "robot.toml")
+    assert [p.key for p in problems if not p.is_warning] == ["devices.L1.credentials.node"]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "no such file"),
+        ("made = 1\n", "declares no Protocol"),
+        ("1 / 0\n", "ZeroDivisionError"),
+        (SPEC.format(name="hubo", link="can"), "another protocol is named 'hubo' already"),
+        (SPEC.format(name="robots_serial", link="datagram"), "spec|link"),
+    ],
+)
+def test_a_protocol_s_file_that_is_none_is_said_with_its_line(
+    tmp_path: Path, content: str | None, said: str
+) -> None:
+    """Absent, without a protocol, broken, under a name that another one has."""
+    (tmp_path / "specs").mkdir()
+    if content is not None:
+        (tmp_path / "specs" / "lantern.py").write_text(content)
+    (tmp_path / "robot.toml").write_text(LANTERN)
+    robot, problems = check_robot_file(tmp_path / "robot.toml")
+    assert robot is None
+    assert any(p.key == "buses.upper.protocol" and p.line == 4 and re.search(said, p.text) for p in problems)
 
 
 def test_what_is_not_installed_is_a_warning() -> None:

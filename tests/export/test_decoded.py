@@ -176,6 +176,36 @@ def test_a_path_is_opened_at_the_top() -> None:
         aces_bus.decode(EXAMPLES / "hubo2plus.log", "hubo", dialect="D99")
 
 
+def test_values_may_stay_raw() -> None:
+    """With `raw`, live and as columns, a message has the numbers on the wire."""
+    frame = Frame(0x10, bytes.fromhex("01 0A 00"))
+    (record,) = lamp.scanner(raw=True).feed([frame])
+    assert (record.mode, record.level) == (1, 10)
+    (record,) = lamp.scanner().feed([frame])
+    assert (record.mode, record.level) == ("on", 1.0)
+    table = lamp.decode([frame], raw=True)["State"]
+    assert (table["mode"].to_list(), table["level"].to_list()) == ([1], [10])
+
+
+def test_a_python_file_is_a_protocol(tmp_path: Path) -> None:
+    """`aces_bus.decode` and `load_protocol` take a spec by its path, of several by path and name; raw where asked."""
+    spec, log = tmp_path / "beacon.py", tmp_path / "beacon.log"
+    spec.write_text(
+        "from construct import Byte, Struct\n"
+        "from aces_bus.protocol import Protocol, Quantity\n"
+        "beacon = Protocol('beacon', link='can')\n"
+        "beacon.message('State', id=0x10, payload=Struct('level' / Quantity(Byte, scale=0.5, unit='V')))\n"
+    )
+    log.write_text("(1.0) can0 010#05\n")
+    assert aces_bus.decode(log, str(spec))["State"]["level"].to_list() == [2.5]
+    assert aces_bus.decode(log, f"{spec}:beacon", raw=True)["State"]["level"].to_list() == [5]
+    assert load_protocol(str(spec)) is load_protocol(f"{spec}:beacon")
+    with pytest.raises(UnknownNameError, match="lantern"):
+        aces_bus.decode(log, f"{spec}:lantern")
+    with pytest.raises(CallerError, match="no such file"):
+        aces_bus.decode(log, str(tmp_path / "absent.py"))
+
+
 def test_a_database_is_a_protocol_and_losses_are_told(tmp_path: Path) -> None:
     """`aces_bus.decode` takes a DBC by its path; what cannot be read of it is a warning, of the recording a count."""
     pytest.importorskip("cantools")

@@ -158,6 +158,10 @@ def _meant(pattern: int, width: int, node: Node, raw: bool, seen: Seen, path: st
     if meaning[0] == "flags":
         return chosen, number
     _, scale, offset, unknown, names = meaning
+    if isinstance(unknown, range):
+        if number in unknown:
+            return chosen, None
+        unknown = ()
     for one in unknown:
         if one == number or (one != one and number != number):
             return chosen, None
@@ -237,16 +241,17 @@ def _unslip(data: bytes) -> bytes | None:
 
 
 def check_number(check: dict[str, Any], covered: bytes) -> int:
-    """A check over these bytes: sum, inverted sum, xor, or the CRC of a polynomial, bit by bit."""
+    """A check over these bytes: sum, inverted or negated sum, xor, or the CRC of a polynomial, bit by bit."""
     kind = check["kind"]
     if kind == "xor":
         number = 0
         for byte in covered:
             number ^= byte
         return number
-    if kind in ("sum", "inverted sum"):
-        mask: int = (1 << 8 * check["size"]) - 1
-        return (~sum(covered) if kind == "inverted sum" else sum(covered)) & mask
+    if kind.endswith("sum"):
+        size = 1 << 8 * check["size"]
+        total = sum(covered) % size
+        return {"sum": total, "inverted sum": size - 1 - total, "negated sum": (size - total) % size}[kind]
     number, top = int(check["start"]), 1 << 8 * check["size"] - 1
     for byte in covered:
         number ^= byte << 8 * check["size"] - 8

@@ -21,10 +21,12 @@ from construct import (
     If,
     IfThenElse,
     Int8sb,
+    Int8sl,
     Int16sb,
     Int16ub,
     Int16ul,
     Int24ub,
+    Int24ul,
     Int32ul,
     Int64ub,
     Pass,
@@ -44,6 +46,7 @@ from aces_bus.protocol import (
     Counter,
     Crc,
     Enumeration,
+    Escaped,
     Extra,
     Flags,
     Fletcher,
@@ -332,7 +335,28 @@ _bare = unchecked_corner.framing(
 )
 _bare("Bare", payload=Struct("data" / GreedyBytes))
 
+escaped_corner = Protocol("escaped_corner", link="serial")
+_escaped = escaped_corner.framing(
+    sync=b"\xa5",
+    header=Struct("kind" / Byte, "words" / Byte),
+    size=Escaped(this.words * 2 + 5, 3, Int24ul),
+    max_size=40,
+    check=Crc("CRC16-MODBUS"),
+)
+_escaped("Long", match={"kind": 1}, payload=Struct("first" / Int16ul, "rest" / GreedyBytes))
+_escaped("Pairs", match={"kind": 2}, payload=Struct("pairs" / GreedyRange(Struct("a" / Byte, "b" / Int8sl))))
+_escaped("Fixed", match={"kind": 3}, payload=Struct("six" / Array(6, Int16ul), "last" / Bytes(2)))
+
+
 CORNERS: dict[str, Protocol] = {
     p.name: p
-    for p in (can_corners, opaque_corners, check_corners, extra_corners, sum_corner, unchecked_corner)
+    for p in (
+        can_corners,
+        opaque_corners,
+        check_corners,
+        extra_corners,
+        sum_corner,
+        unchecked_corner,
+        escaped_corner,
+    )
 }

@@ -111,9 +111,17 @@ class _Draw:
                 else some[:1]
             )
             more += f", unknown=[{', '.join(_shown(one) for one in unknown)}]"
+        elif kind != "float" and self.chance(0.15):
+            count, step = self.number(1, 12), 1
+            if width >= 8 and self.chance(0.5):
+                more += f", unknown=top({count}, bits=8)"
+                step = 1 << width - 8
+            else:
+                more += f", unknown=top({count})"  # refused where no others are left
+            unknown = range(high, high - count * step, -1)
         names = {}
         if kind != "float" and self.chance(0.2):
-            names = {f"n{one}": one for one in some[1:]}
+            names = {f"n{one}": one for one in some[1:] if one not in unknown}
             more += f", names={names!r}"
         if self.chance(0.2):
             bounds = self.random.choice(
@@ -370,6 +378,7 @@ class _Draw:
                 ({"kind": "xor", "size": 1}, "Xor()"),
                 ({"kind": "sum", "size": size}, f'Sum({size}, order="{order}")'),
                 ({"kind": "inverted sum", "size": size}, f'InvertedSum({size}, order="{order}")'),
+                ({"kind": "negated sum", "size": size}, f'Sum({size}, negated=True, order="{order}")'),
                 (
                     {"kind": "crc", "size": 2, "polynomial": 0x1021, "start": 0xFFFF},
                     f'Crc("CRC16-IBM-3740", order="{order}")',

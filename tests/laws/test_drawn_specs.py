@@ -46,6 +46,8 @@ def test_drawn_specs_are_of_many_kinds() -> None:
             "Const(",
             "GreedyBytes",
             "Float16",
+            "unknown=top(",
+            "Sum(4, negated",
         ),
         *("math.inf", "math.nan", 'order="msb"', "fd=True", "dialect=", "when=", "Enumeration(Quantity"),
         *("this.length * 2", "Crc(", "Xor(", "Slip()", "end=b", "match="),

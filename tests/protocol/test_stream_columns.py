@@ -124,6 +124,9 @@ CHECKS: tuple[Check | None, ...] = (
     Sum(8),
     InvertedSum(over=slice(0, -1)),
     InvertedSum(2, order="big"),
+    Sum(negated=True),
+    Sum(negated=True, over=slice(0, -1)),
+    Sum(3, negated=True, order="big"),
     Sum(over=(slice(None, 3), b"\x07", slice(-3, -1))),
     Xor(),
     Xor(over=slice(1, -1)),
@@ -333,7 +336,15 @@ def test_every_kind_of_framing_and_check(name: str) -> None:
 
 @pytest.mark.parametrize(
     "check",
-    [Sum(8), Sum(5, order="big"), Sum(7), InvertedSum(8, order="big"), InvertedSum(6), Xor()],
+    [
+        Sum(8),
+        Sum(5, order="big"),
+        Sum(7),
+        InvertedSum(8, order="big"),
+        InvertedSum(6),
+        Sum(8, negated=True),
+        Xor(),
+    ],
     ids=lambda check: check.describe,
 )
 def test_wide_checks_are_those_of_the_reference(check: Check) -> None:

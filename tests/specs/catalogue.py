@@ -20,6 +20,7 @@ from tests.specs.nmea0183 import nmea0183
 from tests.specs.odrive_like import odrive_like
 from tests.specs.slip import slip
 from tests.specs.ubx import ubx
+from tests.specs.xbus_like import xbus_like
 
 SPECS: dict[str, Protocol] = {
     protocol.name: protocol
@@ -37,5 +38,6 @@ SPECS: dict[str, Protocol] = {
         odrive_like,
         slip,
         ubx,
+        xbus_like,
     )
 }

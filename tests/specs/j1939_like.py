@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from construct import Byte, BytesInteger, GreedyBytes, Int16ul, Int32ul, Struct
 
-from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, Reserved, bits
+from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, Reserved, bits, top
 
 j1939_like = Protocol(
     "j1939_like", link="can", bitrate=250_000, doc="Trucks and tractors.", source="SAE J1939-71"
@@ -45,9 +45,9 @@ j1939_like.message(
     overrides="ParameterGroup",
     payload=Struct(
         "mode" / BitLayout(1, "torque_mode" / bits(4)),
-        "torque_demand" / Quantity(Byte, offset=-125, unit="%", unknown=(0xFF, 0xFE)),
-        "torque" / Quantity(Byte, offset=-125, unit="%", unknown=(0xFF, 0xFE)),
-        "speed" / Quantity(Int16ul, scale=0.125, unit="rpm", unknown=(0xFFFF, 0xFE00)),
+        "torque_demand" / Quantity(Byte, offset=-125, unit="%", unknown=top(2)),
+        "torque" / Quantity(Byte, offset=-125, unit="%", unknown=top(2)),
+        "speed" / Quantity(Int16ul, scale=0.125, unit="rpm", unknown=top(2, bits=8)),
         "reserved0" / Reserved(3),
     ),
     doc="Engine speed and torque.",
@@ -59,8 +59,8 @@ j1939_like.message(
     extended=True,
     overrides="ParameterGroup",
     payload=Struct(
-        "trip" / Quantity(Int32ul, scale=0.125, unit="km", unknown=(0xFFFF_FFFF,)),
-        "total" / Quantity(Int32ul, scale=0.125, unit="km", unknown=(0xFFFF_FFFF,)),
+        "trip" / Quantity(Int32ul, scale=0.125, unit="km", unknown=top(2, bits=8)),
+        "total" / Quantity(Int32ul, scale=0.125, unit="km", unknown=top(2, bits=8)),
     ),
     doc="Distance travelled.",
     source="J1939-71, VD",

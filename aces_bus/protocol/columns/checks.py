@@ -188,9 +188,9 @@ class CheckColumns:
         number = total.astype(np.uint8)
         assert isinstance(self.check, Sum)
         assert self._folded is not None
-        if self.check.inverted:
-            # What is covered and what is stored give 255.
-            passed = number == np.uint8((0xFF + self._folded) & 0xFF)
+        if self.check.sign:
+            # What is covered and what is stored give 255 (the complement) or 0 (the two's complement).
+            passed = number == np.uint8((self.check.signed(0) + self._folded) & 0xFF)
             return passed
         stored = np.frombuffer(buffer, np.uint8).take(starts + sizes - 1)
         passed = number - stored - np.uint8(self._folded) == stored
@@ -269,8 +269,7 @@ class CheckColumns:
         if second is not None:
             return one.astype(np.uint16) | other.astype(np.uint16) << np.uint16(8)
         if isinstance(check, Sum):
-            if check.inverted:
-                one = ~one
+            one = check.signed(one)
             if kind.itemsize != size:
                 one = one & kind.type(check.mask)
         return one
@@ -467,7 +466,7 @@ def check_numbers(check: Check, covered: Array) -> Array:
     if check.kind == "sum":
         assert isinstance(check, Sum)
         total: Array = covered.sum(axis=1, dtype=np.int64)
-        return np.bitwise_and(~total if check.inverted else total, check.mask)
+        return np.bitwise_and(check.signed(total), check.mask)
     if check.kind == "fletcher":
         first = covered.sum(axis=1, dtype=np.int64)
         weights: Any = np.arange(covered.shape[1], 0, -1, dtype=np.int64)

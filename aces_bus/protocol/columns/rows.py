@@ -463,9 +463,10 @@ def extent_of(plan: p.MessagePlan) -> int:
 def among(numbers: Array, values: Sequence[float] | range) -> Array:
     """Where a number is one of `values`; NaN is NaN."""
     if isinstance(values, range) and len(values) > 16:
-        inside: Array = (numbers >= values[0]) & (numbers <= values[-1])
-        if values.step != 1:
-            inside &= (numbers - values[0]) % values.step == 0
+        (least, most), step = sorted((values[0], values[-1])), abs(values.step)
+        inside: Array = (numbers >= least) & (numbers <= most)
+        if step != 1:
+            inside &= (numbers - least) % step == 0
         return inside
     if len(values) > 16 and all(value == value for value in values):
         found: Array = np.isin(numbers, np.array(list(values)))

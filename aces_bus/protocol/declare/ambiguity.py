@@ -24,7 +24,6 @@ from .framing import Framing
 from .message import Message, Request
 from .packet import WrongCheckError, can_image
 from .pattern import IdPattern, meet
-from .stuffing import Insert, Stuffing
 
 
 @dataclass(frozen=True)
@@ -310,7 +309,7 @@ def _framings_conflict(one: Message, other: Message) -> Conflict | None:
     assert isinstance(a, Framing)
     assert isinstance(b, Framing)
     # Stuffing of whole packets moves their bytes: then only the bytes on the wire can be compared.
-    moved = any(isinstance(f.stuffing, Stuffing) and not isinstance(f.stuffing, Insert) for f in (a, b))
+    moved = any(f.stuffing is not None and not f.stuffing.is_inside for f in (a, b))
     if not moved and _merge(one, other, None) is None:
         return None
     shared = min(len(a.sync), len(b.sync))

@@ -87,6 +87,16 @@ class Bits(Construct):
         """The raw value whose bits, read as an unsigned number, are `number`."""
         return number - (1 << self.width) if self.signed and number >> self.width - 1 else number
 
+    @property
+    def raw_limits(self) -> tuple[int, int] | None:
+        """The least and the greatest raw number; None of a float."""
+        return None if self.is_float else self._limits
+
+    @property
+    def _limits(self) -> tuple[int, int]:
+        low = -(1 << self.width - 1) if self.signed else 0
+        return low, low + (1 << self.width) - 1
+
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         if self.is_float:
             try:
@@ -97,8 +107,7 @@ class Bits(Construct):
         obj = plain_number(obj)
         if not isinstance(obj, int):
             raise IntegerError(f"{obj!r} is not an integer", path=path)
-        low = -(1 << self.width - 1) if self.signed else 0
-        high = low + (1 << self.width) - 1
+        low, high = self._limits
         if not low <= obj <= high:
             raise IntegerError(f"{obj} is outside {low}…{high}", path=path)
         stream.write((obj & ((1 << self.width) - 1)).to_bytes(self.bytes, "big"))

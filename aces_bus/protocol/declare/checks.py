@@ -167,22 +167,33 @@ class Check:
 
 
 class Sum(Check):
-    """The sum of the covered bytes, modulo 256**size; `inverted` for its complement."""
+    """The sum of the covered bytes, modulo 256**size; `inverted` for its complement, `negated` for its two's complement,
+    with which covered bytes and check add up to 0 (Xsens Xbus, Intel HEX).
+    """
 
     kind = "sum"
 
-    def __init__(self, size: int = 1, *, inverted: bool = False, **more: Any) -> None:
+    def __init__(self, size: int = 1, *, inverted: bool = False, negated: bool = False, **more: Any) -> None:
         super().__init__(size, **more)
-        self.inverted = inverted
+        if inverted and negated:
+            raise SpecError(
+                f"{self.place}: a sum is inverted (one's complement) or negated (two's), not both"
+            )
+        self.inverted, self.negated = inverted, negated
+        #: What Python writes before the sum.
+        self.sign: Literal["", "~", "-"] = "~" if inverted else "-" if negated else ""
         self.mask = (1 << 8 * size) - 1
 
     def compute(self, data: bytes) -> int:
-        total = sum(data)
-        return (~total if self.inverted else total) & self.mask
+        return int(self.signed(sum(data))) & self.mask
+
+    def signed(self, total: Any) -> Any:
+        """The check's number of a sum, or of an array of sums, not yet cut to its size."""
+        return ~total if self.inverted else -total if self.negated else total
 
     @property
     def describe(self) -> str:
-        return f"{'inverted ' if self.inverted else ''}sum, {8 * self.bytes} bits"
+        return f"{'inverted ' if self.inverted else 'negated ' if self.negated else ''}sum, {8 * self.bytes} bits"
 
 
 def InvertedSum(size: int = 1, **more: Any) -> Sum:
@@ -400,7 +411,7 @@ class Sums:
 
     def _number(self, first: int, second: int) -> int:
         if isinstance(self.check, Sum):
-            return (~first if self.check.inverted else first) & self.check.mask
+            return int(self.check.signed(first)) & self.check.mask
         if self.check.kind == "xor":
             return first
         return first & 0xFF | (second & 0xFF) << 8

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from construct import (
@@ -25,11 +26,15 @@ from construct import (
     IntegerError,
     Renamed,
     Struct,
+    Subconstruct,
     Switch,
 )
 
 from ...errors import FieldError, SpecError
 from .place import SourceLine, caller
+
+#: As many values that mean unknown are listed in generated code and tables; more are a range.
+MOST_LISTED = 8
 
 
 def is_raw(context: Any) -> bool:
@@ -100,13 +105,47 @@ def plain_number(value: Any) -> Any:
     return float(value) if isinstance(value, numbers.Real) else None
 
 
+@dataclass(frozen=True)
+class TopValues:
+    """The highest raw values of a number, whatever its width; made by `top`."""
+
+    count: int
+    bits: int | None
+    place: SourceLine
+
+    def of(self, con: Construct) -> range:
+        """The values of this construct, the highest first; raises `SpecError` where it has none, or no others."""
+        limits = raw_limits(con)
+        if limits is None:
+            raise SpecError(f"{self.place}: top({self.count}) is of an integer of fixed width")
+        low, high = limits
+        count = self.count
+        if self.bits is not None:
+            width = (high - low).bit_length()
+            if self.bits > width:
+                raise SpecError(f"{self.place}: the highest {self.bits} bits of a number of {width} bits")
+            count <<= width - self.bits
+        if not 0 < count <= high - low:
+            raise SpecError(f"{self.place}: {count} of the {high - low + 1} raw values mean unknown")
+        return range(high, high - count, -1)
+
+
+def top(count: int, *, bits: int | None = None) -> TopValues:
+    """The `count` highest raw values of a number, whatever its width, for a quantity's `unknown=`.
+
+    With `bits`, those whose highest `bits` bits are the `count` highest. SAE J1939-71 has FE (error) and FF (not available)
+    in the highest byte of numbers of 1, 2 and 4 bytes: `top(2, bits=8)`. NMEA 2000 has the highest values themselves.
+    """
+    return TopValues(count, bits, caller())
+
+
 class Quantity(Field):
     """A number with a unit: physical = raw × `scale` + `offset`.
 
     `range` bounds the physical value and `raw_range` the raw one, both inclusive, when building. `unknown` lists raw
-    values that mean "not known": they decode to None. `names` names raw values that are no quantity: they decode to their
-    name. A number that would be sent as one of these is refused. `rounding` says how a physical value becomes an integer:
-    "nearest" (ties to even) or "truncate" (toward zero), as the device's sheet has it.
+    values that mean "not known" (`top` says the highest ones): they decode to None. `names` names raw values that are no
+    quantity: they decode to their name. A number that would be sent as one of these is refused. `rounding` says how a
+    physical value becomes an integer: "nearest" (ties to even) or "truncate" (toward zero), as the device's sheet has it.
     """
 
     def __init__(
@@ -118,7 +157,7 @@ class Quantity(Field):
         offset: float = 0,
         range: tuple[float, float] | None = None,
         raw_range: tuple[int, int] | None = None,
-        unknown: Collection[float] = (),
+        unknown: Collection[float] | TopValues = (),
         names: Mapping[str, int] | None = None,
         rounding: str = "nearest",
         doc: str = "",
@@ -134,18 +173,20 @@ class Quantity(Field):
         self.range, self.raw_range = self._bounds(range), self._bounds(raw_range)
         if isinstance(unknown, (str, numbers.Real)):
             raise SpecError(f"{self.place}: unknown lists raw values, as in ({unknown!r},)")
-        self.unknown = tuple(self._number(value, "value that is unknown") for value in unknown)
-        self._nan_is_unknown = any(value != value for value in self.unknown)
+        # The subcon shows whether the wire carries a float; found once, when the spec is read.
+        self.is_float = _is_float(subcon)
+        self.unknown = self._unknown_values(unknown.of(subcon) if isinstance(unknown, TopValues) else unknown)
+        self._nan_is_unknown = self.is_float and any(value != value for value in self.unknown)
         self.rounding = rounding
         self.docs = doc
         self.source = source
-        # The subcon shows whether the wire carries a float; found once, when the spec is read.
-        self.is_float = _is_float(subcon)
-        odd = next((value for value in self.unknown if value % 1 != 0), 0)
-        if odd != 0 and not self.is_float:
-            raise SpecError(f"{self.place}: unknown values are raw: an integer is never {odd}")
         self.names = dict(names or {})
         self.values = names_by_value(self.names, self.place)
+        hidden = next((name for name, value in self.names.items() if value in self.unknown), None)
+        if hidden is not None:
+            raise SpecError(
+                f"{self.place}: {hidden!r} ({self.names[hidden]}) is one of the values that mean unknown"
+            )
         if self.names and self.is_float:
             raise SpecError(f"{self.place}: names are for integers, not for floats")
         for name, value in self.names.items():
@@ -165,6 +206,16 @@ class Quantity(Field):
         found = plain_number(value)
         if found is None:
             raise SpecError(f"{self.place}: a {what} is a number, not {value!r}")
+        return found
+
+    def _unknown_values(self, values: Collection[float]) -> tuple[float, ...] | range:
+        """The raw values that mean unknown: a range where they are many, such as the highest of 32 bits."""
+        if isinstance(values, range) and len(values) > MOST_LISTED and not self.is_float:
+            return values
+        found = tuple(self._number(value, "value that is unknown") for value in values)
+        odd = next((value for value in found if value % 1 != 0), 0)
+        if odd != 0 and not self.is_float:
+            raise SpecError(f"{self.place}: unknown values are raw: an integer is never {odd}")
         return found
 
     def _bounds(self, bounds: Any) -> Any:
@@ -311,6 +362,19 @@ def wire_number(inner: Any) -> WireNumber | None:
             "int" if inner.signed else "uint", inner.length, "little" if inner.swapped else "big"
         )
     return None
+
+
+def raw_limits(con: Any) -> tuple[int, int] | None:
+    """The least and the greatest number that a construct gives; None where it is no integer of fixed size."""
+    while isinstance(con, Subconstruct) and (not isinstance(con, Adapter) or isinstance(con, Counter)):
+        con = con.subcon
+    if isinstance(con, SignMagnitude):
+        return -con.limit, con.limit
+    wire = wire_number(con)
+    if wire is not None:
+        return wire.limits if wire.kind != "float" else None
+    found: tuple[int, int] | None = getattr(con, "raw_limits", None)
+    return found
 
 
 def inner_constructs(con: Any) -> list[Any]:

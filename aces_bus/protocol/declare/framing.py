@@ -2,7 +2,7 @@
 
 A packet on the wire is  sync | header | payload | check | end,  and one of three things says where it ends:
 
-* `size`: its size in bytes, a number or an expression of header fields (`this.length + 4`);
+* `size`: its size in bytes, a number or an expression of header fields (`this.length + 4`), perhaps `Escaped`;
 * `end`: bytes that close it (`b"\\r\\n"`), with `stuffing` to keep them out of the data;
 * `end="silence"`: a pause on the line longer than `gap`.
 
@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from construct import Container, Struct
+from construct import Construct, Container, Struct
 
 from ...errors import SpecError
 from .checks import Check
+from .fields import innermost, wire_number
 from .head import Head, heads_of
 from .place import SourceLine, caller
 from .stuffing import Cobs, Insert, Slip, Stuffing
@@ -62,17 +63,112 @@ def BAD(reason: str) -> Judgement:
 
 
 @dataclass(frozen=True)
+class Escaped:
+    """A size by a header field of which the value `escape` says that a wider length follows: `Escaped(this.length + 5, 255,
+    Int16ub)`.
+
+    `size` is the expression, without the wider length's own bytes, which are between header and payload. A length below
+    `escape` is never written wide, so that a packet has one form.
+    """
+
+    size: Callable[[Any], Any]
+    escape: int
+    wide: Construct
+
+
+@dataclass(frozen=True)
 class Affine:
-    """size = factor × length + constant, read off a size expression so that building can invert it."""
+    """size = factor × length + constant, read off a size expression so that building can invert it.
+
+    Where the length is `escape`, a `wide` one behind the header counts instead, and its bytes are of the packet too.
+    """
 
     length: Head
     factor: int
     constant: int
+    escape: int | None = None
+    wide: Head | None = None
 
     def invert(self, size: int) -> int | None:
         """The length field of a packet of `size` bytes; None when it has no number for that."""
         number, rest = divmod(size - self.constant, self.factor)
+        if self.wide is not None and self.escape is not None and number >= self.escape:
+            return self.escape if self.invert_wide(size) is not None else None
         return number if not rest and 0 <= number < 1 << 8 * self.length.size else None
+
+    def invert_wide(self, size: int) -> int | None:
+        """The wider length of a packet of `size` bytes; None when it has no number for that."""
+        assert self.wide is not None
+        assert self.escape is not None
+        number, rest = divmod(size - self.wide.size - self.constant, self.factor)
+        return number if not rest and self.escape <= number < 1 << 8 * self.wide.size else None
+
+    def size_of(self, packet: bytes) -> int | None:
+        """The size of a packet that begins so: None while its length is not there, 0 where that is no length."""
+        head = self.length
+        if len(packet) < head.offset + head.size:
+            return None
+        number = head.number(packet)
+        if self.wide is None or self.escape is None or number < self.escape:
+            return self.factor * number + self.constant
+        if number > self.escape:
+            return 0
+        if len(packet) < self.wide.offset + self.wide.size:
+            return None
+        number = self.wide.number(packet)
+        return self.factor * number + self.constant + self.wide.size if number >= self.escape else 0
+
+    @property
+    def reach(self) -> int:
+        """How many bytes of a packet say its size, at most."""
+        last = self.wide or self.length
+        return last.offset + last.size
+
+    @property
+    def largest(self) -> int:
+        """The size of the longest packet that can be said."""
+        last = self.wide or self.length
+        more = self.wide.size if self.wide is not None else 0
+        return self.factor * ((1 << 8 * last.size) - 1) + self.constant + more
+
+
+@dataclass(frozen=True)
+class WideLength(Stuffing):
+    """The wider length of `Escaped` as stuffing: bytes in front of the data, where there is much of it.
+
+    `around` is the size of header and check.
+    """
+
+    affine: Affine
+    around: int
+    is_inside = True
+
+    @property
+    def describe(self) -> str:
+        assert self.affine.wide is not None
+        return (
+            f"from {self.affine.length.name} {self.affine.escape} on {self.affine.wide.size} bytes of length"
+        )
+
+    def _is_wide(self, size: int) -> bool:
+        assert self.affine.escape is not None
+        return size + self.around - self.affine.constant >= self.affine.escape * self.affine.factor
+
+    def stuff(self, data: bytes) -> bytes:
+        wide = self.affine.wide
+        assert wide is not None
+        if not self._is_wide(len(data)):
+            return data
+        number = self.affine.invert_wide(len(data) + wide.size + self.around)
+        return (wide.bytes(number) if number is not None else bytes(wide.size)) + data
+
+    def unstuff(self, wire: bytes) -> bytes:
+        wide = self.affine.wide
+        assert wide is not None
+        return wire[wide.size :] if self._is_wide(len(wire)) else wire
+
+    def largest(self, size: int) -> int:
+        return size + (self.affine.wide.size if self.affine.wide is not None else 0)
 
 
 class Framing:
@@ -86,7 +182,7 @@ class Framing:
         not_next: bytes = b"",
         not_inside: bytes = b"",
         header: Struct | None = None,
-        size: int | Callable[[Any], Any] | None = None,
+        size: int | Callable[[Any], Any] | Escaped | None = None,
         end: bytes | str | None = None,
         stuffing: Stuffing | None = None,
         check: Check | None = None,
@@ -125,7 +221,17 @@ class Framing:
         if set(not_inside) & set(self.end[:-1]):
             raise SpecError(f"{self.place}: not_inside has a byte with which the end {self.end!r} may begin")
         self.fixed_size = size if isinstance(size, int) else None
-        self.affine = self._affine(size) if callable(size) else None
+        self.affine = (
+            self._escaped(size)
+            if isinstance(size, Escaped)
+            else self._affine(size)
+            if callable(size)
+            else None
+        )
+        if self.affine is not None and self.affine.wide is not None:
+            if stuffing is not None:
+                raise SpecError(f"{self.place}: a length that is escaped does not go with stuffing")
+            self.stuffing = WideLength(self.affine, self.head_end + self.check_size)
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
         self.min_size = self.head_end + self.check_size + len(self.end)
         if self.max_size < max(1, self.min_size):
@@ -165,6 +271,22 @@ class Framing:
                 f"{self.place}: size must be a whole multiple of {length.name!r} plus a constant, so that it can be inverted"
             )
         return Affine(length, factor, base)
+
+    def _escaped(self, size: Escaped) -> Affine:
+        affine = self._affine(size.size)
+        length, wire = affine.length, wire_number(innermost(size.wide))
+        if length.offset + length.size != self.head_end:
+            raise SpecError(
+                f"{self.place}: the wider length follows the header; {length.name!r} must be its last field"
+            )
+        if wire is None or wire.kind != "uint" or wire.size <= length.size:
+            raise SpecError(
+                f"{self.place}: the wider length is an unsigned integer of more than {length.size} bytes"
+            )
+        if not 0 < size.escape < 1 << 8 * length.size:
+            raise SpecError(f"{self.place}: {length.name!r} is never {size.escape}")
+        wide = Head("wide_length", size.wide, self.head_end, wire.size, wire.order, False, False)
+        return replace(affine, escape=size.escape, wide=wide)
 
     # ------------------------------------------------------------------ declaring messages
 
@@ -215,13 +337,10 @@ class Framing:
                 return DEAD
             return self._checked(packet, extras)
         if self.affine is not None:
-            head = self.affine.length
-            if left < head.offset + head.size:
+            said = self.affine.size_of(data[start : start + self.affine.reach])
+            if said is None:
                 return MORE
-            size = (
-                self.affine.factor * head.number(data[start : start + head.offset + head.size])
-                + self.affine.constant
-            )
+            size = said
         else:
             assert self.fixed_size is not None
             size = self.fixed_size
@@ -233,7 +352,7 @@ class Framing:
 
     def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
         # The check covers the bytes on the wire, except where the whole packet is stuffed.
-        inserted = isinstance(self.stuffing, Insert)
+        inserted = self.stuffing is not None and self.stuffing.is_inside
         try:
             covered = packet if inserted else self.logical(packet)
         except ValueError as error:
@@ -272,9 +391,11 @@ class Framing:
         """The packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""
         if self.stuffing is None:
             return packet
-        if isinstance(self.stuffing, Insert):
+        if self.stuffing.is_inside:
             end = len(packet) - self.check_size
-            return packet[: self.head_end] + self.stuffing.unstuff(packet[self.head_end : end]) + packet[end:]
+            inner = packet[self.head_end : end]
+            plain = self.stuffing.unstuff(inner)
+            return packet if plain is inner else packet[: self.head_end] + plain + packet[end:]
         inner = packet[len(self.sync) : len(packet) - len(self.end)]
         return self.sync + self.stuffing.unstuff(inner) + self.end
 
@@ -302,7 +423,7 @@ class Framing:
     def checks_of(self, packet: bytes, extra: bytes) -> tuple[bytes, bytes]:
         """The check that a packet should have, and the one that it has; raises `ValueError` where it cannot be unstuffed."""
         assert self.check is not None
-        whole = packet if isinstance(self.stuffing, Insert) else self.logical(packet)
+        whole = packet if self.stuffing is not None and self.stuffing.is_inside else self.logical(packet)
         end = len(whole) - len(self.end) - self.check_size
         covered = self.check.covered(whole, len(self.sync), end, extra=extra)
         return self.check.encode(covered), whole[end : end + self.check_size]
@@ -324,7 +445,7 @@ class Framing:
         else:
             parts.append(f"end by silence, at most {self.max_size} bytes")
         if self.stuffing is not None:
-            parts.append(f"stuffed ({type(self.stuffing).__name__})")
+            parts.append(self.stuffing.describe)
         return parts
 
     def __repr__(self) -> str:

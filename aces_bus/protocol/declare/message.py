@@ -144,6 +144,13 @@ class Message:
             raise SpecError(
                 f"{place}: {derived} of {name} is the length of the packet; match it with numbers, not with captures"
             )
+        escape = framing.affine.escape if framing is not None and framing.affine is not None else None
+        if (
+            self.length_pattern is not None
+            and escape is not None
+            and self.length_pattern.match(escape) is not None
+        ):
+            raise SpecError(f"{place}: {derived} {escape} of {name} is no length: a wider one follows")
         self.request_fields = self._request_fields()
         self.payload = normalised(payload, place, self._enumerations())
         check_selectors(self.payload, place)

@@ -319,15 +319,20 @@ class Protocol:
         configuration: str | Configuration | None = None,
         direction: Direction | Literal["both"] | None = None,
         include_unknown: bool = False,
+        raw: bool = False,
         check_thread: bool = False,
     ) -> Scanner:
-        """A scanner of this protocol alone, for one thread; see `make_scanner` for several on one wire."""
+        """A scanner of this protocol alone, for one thread; see `make_scanner`, which takes several on one wire.
+
+        With `raw`, records have the numbers on the wire, without units, scales and names.
+        """
         from ..live.scanner import make_scanner
 
         return make_scanner(
             [self.variant(dialect, configuration)],
             direction=direction,
             include_unknown=include_unknown,
+            raw=raw,
             check_thread=check_thread,
         )
 
@@ -340,8 +345,9 @@ class Protocol:
         configuration: str | Configuration | None = None,
         direction: Direction | Literal["both"] | None = None,
         include_unknown: bool = False,
+        raw: bool = False,
     ) -> DecodedRecording:
-        """A whole capture as columns: a mapping from messages to tables; see `aces_bus.protocol.columns.decode.decode`.
+        """A whole capture as columns: a mapping from messages to tables; see `columns.decode.decode_tables`.
 
         `capture` is opened already (`aces_bus.decode` takes a path), or an iterable of frames, frame tables or bytes.
         """
@@ -353,6 +359,7 @@ class Protocol:
             message=message,
             direction=direction,
             include_unknown=include_unknown,
+            raw=raw,
         )
 
     def encode(

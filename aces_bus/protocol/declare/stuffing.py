@@ -12,6 +12,14 @@ from dataclasses import dataclass
 class Stuffing:
     """Turns data into the bytes on the wire, and back."""
 
+    #: Whether header and check are on the wire as they are, and only what is between is stuffed.
+    is_inside = False
+
+    @property
+    def describe(self) -> str:
+        """What is done to packets, in words for people."""
+        return f"stuffed ({type(self).__name__})"
+
     def stuff(self, data: bytes) -> bytes:
         raise NotImplementedError
 
@@ -30,6 +38,7 @@ class Insert(Stuffing):
 
     pattern: bytes
     byte: bytes
+    is_inside = True
 
     def stuff(self, data: bytes) -> bytes:
         return data.replace(self.pattern, self.pattern + self.byte)

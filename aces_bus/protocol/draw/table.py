@@ -176,7 +176,8 @@ def _names(node: p.Node) -> str:
     parts = [f"{raw}={name}" for raw, name in node.value_names.items()]
     parts += [f"bit {number}={name}" for name, number in node.flags.items()]
     if node.scale is not None and node.scale.unknown:
-        parts.append("not known: " + ", ".join(map(_short, node.scale.unknown)))
+        runs = ("…".join(map(_short, dict.fromkeys(run))) for run in node.scale.unknown_runs)
+        parts.append("not known: " + ", ".join(runs))
     return ", ".join(parts)
 
 

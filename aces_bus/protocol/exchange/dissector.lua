@@ -128,8 +128,10 @@ local compute = {}
 function compute.sum(data, check)
   local total = 0
   for _, byte in ipairs(data) do total = total + byte end
-  total = total % 256 ^ check.size
-  return check.inverted and 256 ^ check.size - 1 - total or total
+  local modulo = 256 ^ check.size
+  if check.sign == "~" then return modulo - 1 - total % modulo end
+  if check.sign == "-" then return -total % modulo end
+  return total % modulo
 end
 
 function compute.xor(data)
@@ -459,7 +461,9 @@ local function show_number(tree, range, field, value, exact)
       if name then item:append_text(" (" .. name .. ")") end
     end
   end
-  if field.unknown and field.unknown[value] then item:append_text(" [not known]") end
+  for _, run in ipairs(field.unknown or {}) do
+    if run[1] <= value and value <= run[2] then item:append_text(" [not known]") end
+  end
   for _, flag in ipairs(field.flags or {}) do
     item:add(F[flag[2]], range, floor(value / 2 ^ flag[1]) % 2 == 1)
   end

@@ -76,6 +76,15 @@ local function logical(framing, bytes, start, size)
   local stuffing = framing.stuffing
   if not stuffing then
     head = size
+  elseif stuffing.kind == "wide" then
+    -- The wider length goes, where there is one.
+    local length = framing.length
+    local gone = size - length.constant >= length.escape * length.factor and length.wide_size or 0
+    local out = {}
+    for at = 0, size - 1 - gone do
+      out[at] = bytes[start + at + (at >= framing.head_end and gone or 0)]
+    end
+    return out, size - gone
   elseif stuffing.kind == "insert" then
     head, tail = framing.head_end, framing.check and framing.check.size or 0
   else
@@ -164,7 +173,18 @@ local function judged(framing, bytes, start, stop, is_over)
     if left < framing.length.last + 1 then return "more" end
     local head = {}
     for at = 0, framing.length.last do head[at] = bytes[start + at] end
-    size = framing.length.factor * number(head, framing.length.pieces) + framing.length.constant
+    local length = framing.length
+    local value = number(head, length.pieces)
+    if length.wide and value >= length.escape then
+      if value > length.escape then return "dead" end
+      local last = length.last + length.wide_size
+      if left < last + 1 then return "more" end
+      for at = length.last + 1, last do head[at] = bytes[start + at] end
+      value = number(head, length.wide)
+      if value < length.escape then return "dead" end
+      size = length.wide_size
+    end
+    size = (size or 0) + length.factor * value + length.constant
   else
     size = framing.size
   end
@@ -173,7 +193,8 @@ local function judged(framing, bytes, start, stop, is_over)
   end
   if left < size then return "more" end
   local packet, count = logical(framing, bytes, start, size)
-  local is_inserted = framing.stuffing and framing.stuffing.kind == "insert"
+  local kind = framing.stuffing and framing.stuffing.kind
+  local is_inserted = kind == "insert" or kind == "wide"
   if not packet or count < framing.min_size then return "dead" end
   local covered_packet, covered_size = packet, count
   if is_inserted then

@@ -445,6 +445,10 @@ class _Group:
             base.low, base.high = scale.limits
         if scale.unknown and base.is_float:
             self._lose(name, leaf.path, "values that mean `not known`: numbers like any other")
+        elif isinstance(scale.unknown, range):
+            self._lose(
+                name, leaf.path, "values that mean `not known`: too many to be named, numbers like any other"
+            )
         elif scale.unknown:
             self._lose(name, leaf.path, "values that mean `not known`: named so")
             base.names |= {int(value): "not known" for value in scale.unknown}

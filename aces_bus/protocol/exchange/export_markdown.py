@@ -268,7 +268,10 @@ def _values(found: Iterable[p.NodePath]) -> list[tuple[list[str], list[tuple[str
             if len(names) > MOST_VALUES:
                 rows.append(("…", f"{len(names) - MOST_VALUES} more"))
             scale = leaf.node.scale
-            rows += [(f"{value:g}", "*not known*") for value in (scale.unknown if scale is not None else ())]
+            runs = scale.unknown_runs if scale is not None else ()
+            rows += [
+                ("…".join(f"{value:.10g}" for value in dict.fromkeys(run)), "*not known*") for run in runs
+            ]
         if isinstance(leaf.node, p.Scalar):
             rows += [(f"bit {bit}", _escaped(name)) for bit, name in leaf.node.flag_names.items()]
         if isinstance(leaf.node, p.DelimitedField):

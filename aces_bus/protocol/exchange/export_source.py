@@ -265,7 +265,10 @@ def _quantity(field: Quantity) -> list[tuple[str, Expression]]:
         found.append(("range", Sequenced(tuple(map(_number, field.range)), "()")))
     if field.raw_range is not None:
         found.append(("raw_range", python_literal(field.raw_range)))
-    if field.unknown:
+    if isinstance(field.unknown, range):
+        ends = field.unknown.start, field.unknown.stop, field.unknown.step
+        found.append(("unknown", Call("range", tuple(map(python_literal, ends)))))
+    elif field.unknown:
         found.append(("unknown", Sequenced(tuple(map(_number, field.unknown)))))
     if field.names:
         found.append(("names", python_literal(field.names)))

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from ..declare.ambiguity import needing_context, ordered, request_names
 from ..declare.bits import runs_of, whole_bits
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
-from ..declare.framing import Framing
+from ..declare.framing import Framing, WideLength
 from ..declare.message import Direction, Message
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
@@ -210,7 +210,7 @@ class _Printer:
             table |= {"refin": refin, "refout": refout, "xorout": xorout}
         elif check.kind in ("sum", "xor", "fletcher"):
             table["kind"] = check.kind
-            table["inverted"] = isinstance(check, Sum) and check.inverted
+            table["sign"] = check.sign if isinstance(check, Sum) else ""
         else:
             self._lose(where, "", f"the check ({check.describe}) is not verified: a kind of its own")
         return table
@@ -229,7 +229,12 @@ class _Printer:
                 "last": head.offset + head.size - 1,
                 "factor": framing.affine.factor,
                 "constant": framing.affine.constant,
+                "escape": framing.affine.escape,
             }
+            wide = framing.affine.wide
+            if wide is not None:
+                table["length"]["wide"] = _pieces(whole_bits(wide.offset, wide.size, wide.order))
+                table["length"]["wide_size"] = wide.size
         table["size"] = framing.fixed_size
         table["stop"] = list(framing.end)
         table["is_silent"] = framing.is_silent
@@ -246,6 +251,8 @@ class _Printer:
                 "pattern": list(stuffing.pattern),
                 "bytes": list(stuffing.byte),
             }
+        elif isinstance(stuffing, WideLength):
+            table["stuffing"] = {"kind": "wide"}
         elif isinstance(stuffing, (Slip, Cobs)):
             table["stuffing"] = {"kind": "slip" if isinstance(stuffing, Slip) else "cobs"}
         return table
@@ -397,7 +404,8 @@ class _Printer:
             if table is not None and not is_table:
                 more |= {"names": table, "is_told": True}
         if scale is not None and scale.unknown:
-            more["unknown"] = {value: True for value in scale.unknown if value == value}
+            # (least, greatest) of each run of values
+            more["unknown"] = [list(run) for run in scale.unknown_runs if run[0] == run[0]]
         return more
 
 

@@ -20,7 +20,6 @@ from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
 from ..declare.pattern import describe_values
-from ..declare.stuffing import Insert
 from ..draw import Mark, marks_of
 from ..plan import nodes as p
 
@@ -36,7 +35,8 @@ class Template:
         self.plan = message.plan
         self.framing: Framing | None = message.framing
         self.is_moved = self.framing is not None and self.framing.stuffing is not None
-        self._is_inserted = self.framing is not None and isinstance(self.framing.stuffing, Insert)
+        stuffing = self.framing.stuffing if self.framing is not None else None
+        self._is_inserted = stuffing is not None and stuffing.is_inside
         self.marks: list[Mark] = marks_of(message)
         self._ends = self._field_ends()
         #: What bytes are that only construct takes apart.

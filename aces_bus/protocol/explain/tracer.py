@@ -279,9 +279,7 @@ def _size_of(framing: Framing, prefix: bytes) -> int | None:
     if framing.fixed_size is not None:
         return framing.fixed_size
     if framing.affine is not None:
-        head = framing.affine.length
-        if len(prefix) >= head.offset + head.size:
-            return framing.affine.factor * head.number(prefix) + framing.affine.constant
+        return framing.affine.size_of(prefix)
     return None
 
 

@@ -446,9 +446,10 @@ class Decoder(FunctionSetup):
             return text
         tests = []
         if step.unknown:
-            is_short = all(map(is_plain, step.unknown))
+            is_range = isinstance(step.unknown, range)
+            is_short = not is_range and all(map(is_plain, step.unknown))
             among = literal(step.unknown) if is_short else self._bound(f"_unknown_{where}", step.unknown)
-            is_nan = " or q != q" if any(value != value for value in step.unknown) else ""
+            is_nan = " or q != q" if not is_range and any(value != value for value in step.unknown) else ""
             tests.append(f"None if q in {among}{is_nan} else ")
         if step.names:
             table = self._bound(f"_names_{where}", dict(step.names))

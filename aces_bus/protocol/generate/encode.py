@@ -9,7 +9,7 @@ The function is `encode_Name(fields)`; it gives the identifier (None on streams)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -324,16 +324,21 @@ class _Encoder(FunctionSetup):
         if not is_float:
             number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
         # Raw numbers that mean unknown; others are never those of an integer.
-        means = sorted({int(value) for value in step.unknown if math.isfinite(value) and value == int(value)})
+        unknown = step.unknown
+        means: Sequence[int] = (
+            unknown
+            if isinstance(unknown, range)
+            else sorted({int(value) for value in unknown if math.isfinite(value) and value == int(value)})
+        )
         if not means and step.raw_bounds is None:
             return number
         raw = self._temporary()
         out.line(f"{raw} = {number}")
-        tests = (
-            [f"{raw} in {literal(tuple(means))}" if len(means) > 1 else f"{raw} == {means[0]}"]
-            if means
-            else []
-        )
+        tests = []
+        if isinstance(means, range):
+            tests.append(f"{raw} in {self._bound(f'_unknown_{where}', means)}")
+        elif means:
+            tests.append(f"{raw} in {literal(tuple(means))}" if len(means) > 1 else f"{raw} == {means[0]}")
         tests += (
             [test]
             if step.raw_bounds is not None and (test := self._outside(step.raw_bounds, raw, f"raw_{where}"))

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 from ..declare.checks import Check, Extra, Fletcher, Sum, Xor
 from ..declare.framing import Framing
+from ..declare.head import Head
 from ..plan.choose import Choice
 from .source import SourceText, comment_line, literal
 
@@ -153,14 +154,25 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
     if framing.affine is not None:
         head = framing.affine.length
         _more(out, f"end - i < {head.offset + head.size}")
+        length = _number_of(head)
+        factor = f"{framing.affine.factor} * " if framing.affine.factor != 1 else ""
+        constant, wide, escape = framing.affine.constant, framing.affine.wide, framing.affine.escape
+        if wide is not None:
+            _more(out, f"{length} == {escape} and end - i < {framing.affine.reach}", word="elif")
         out.line("else:")
         out.depth += 1
-        length = f"buffer[i + {head.offset}]"
-        if head.size > 1:
-            length = f'from_bytes(buffer[i + {head.offset} : i + {head.offset + head.size}], "{head.order}")'
-        factor = f"{framing.affine.factor} * " if framing.affine.factor != 1 else ""
+        if wide is None:
+            out.line(f"size = {factor}{length} + {constant}")
+        else:
+            out.lines(
+                f"size = {length}",
+                f"if size < {escape}:",
+                f"    size = {factor}size + {constant}",
+                "else:",
+                f"    wide = {_number_of(wide)}",
+                f"    size = {factor}wide + {constant + wide.size} if size == {escape} <= wide else 0",
+            )
         out.lines(
-            f"size = {factor}{length} + {framing.affine.constant}",
             f"if not {framing.min_size} <= size <= {framing.max_size}:",
             "    bad = bad or 'malformed: length'" if not alone else "    bad = 'malformed: length'",
         )
@@ -179,6 +191,13 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
     if len(sync) > 1:
         out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
         _wait(out)
+
+
+def _number_of(head: Head) -> str:
+    """The number in these bytes of the candidate at `i`, as an expression."""
+    if head.size == 1:
+        return f"buffer[i + {head.offset}]"
+    return f'from_bytes(buffer[i + {head.offset} : i + {head.offset + head.size}], "{head.order}")'
 
 
 def _has_sized_sync(framing: Framing) -> bool:
@@ -436,7 +455,7 @@ def describe(framing: Framing) -> str:
     if framing.is_silent:
         parts.append("silence")
     if framing.stuffing is not None:
-        parts.append(f"stuffed ({type(framing.stuffing).__name__})")
+        parts.append(framing.stuffing.describe)
     return " | ".join(parts)
 
 
@@ -486,7 +505,7 @@ def print_check(out: SourceText, number: int, framing: Framing) -> None:
 def computed(check: Check, number: int, run: str) -> str:
     """The check's number over `run`, as an expression."""
     if isinstance(check, Sum):
-        return f"{'~' if check.inverted else ''}sum({run}) & {check.mask:#x}"
+        return f"{check.sign}sum({run}) & {check.mask:#x}"
     if isinstance(check, Fletcher):
         return f"fletcher({run})"
     if isinstance(check, Xor):

@@ -18,7 +18,7 @@ from typing import Any
 
 import construct as c
 
-from ..declare.bits import BitLayout, Bits
+from ..declare.bits import BitLayout
 from ..declare.delimited import Delimited
 from ..declare.fields import (
     Enumeration,
@@ -27,6 +27,7 @@ from ..declare.fields import (
     Quantity,
     SignMagnitude,
     inner_constructs,
+    raw_limits,
     wire_number,
 )
 from ..declare.head import enumeration_of
@@ -87,7 +88,8 @@ def _quantity(field: Written, quantity: Quantity) -> Iterator[Finding]:
     if limits is None:
         return
     low, high = limits
-    for value in quantity.unknown:
+    unknown = quantity.unknown
+    for value in (unknown[0], unknown[-1]) if isinstance(unknown, range) else unknown:
         if not low <= value <= high:
             yield _finding(
                 "error", "range", field, f"unknown={value:g} cannot occur: raw numbers are {low}…{high}"
@@ -345,21 +347,13 @@ class Written:
         for adapter in self.adapters:
             if isinstance(adapter, SignMagnitude):
                 return -adapter.limit, adapter.limit
-        inner = self.inner
-        if isinstance(inner, Bits):
-            return None if inner.is_float else _span(inner.width, inner.signed)
-        wire = wire_number(inner)
-        return wire.limits if wire is not None and wire.kind != "float" else None
+        return raw_limits(self.inner)
 
     @property
     def byte_order(self) -> str | None:
         """ "little" or "big" of a number of several bytes."""
         wire = wire_number(self.inner)
         return wire.order if wire is not None and wire.size > 1 else None
-
-
-def _span(width: int, signed: bool) -> tuple[int, int]:
-    return (-(1 << width - 1), (1 << width - 1) - 1) if signed else (0, (1 << width) - 1)
 
 
 def declared_fields(protocol: Protocol) -> Iterator[Written]:

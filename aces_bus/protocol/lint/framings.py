@@ -51,7 +51,7 @@ def _sizes(framing: Framing) -> Iterator[Finding]:
     affine = framing.affine
     if affine is None:
         return
-    most = affine.factor * ((1 << 8 * affine.length.size) - 1) + affine.constant
+    most = affine.largest
     if framing.max_size > most:
         yield _of(
             framing,

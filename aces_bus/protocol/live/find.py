@@ -117,7 +117,7 @@ class PacketFinder(PacketHeaders):
         self.sums = sums, ()
         total = sums[ends] - sums[starts]
         if isinstance(check, Sum):
-            number = ~total if check.inverted else total
+            number = check.signed(total)
             if check.bytes < 8:
                 number = number & check.mask
         else:
@@ -128,14 +128,10 @@ class PacketFinder(PacketHeaders):
         if check.bytes == 1:
             return number == data[ends]
         stored = np.zeros(len(ends), dtype=np.int64)
-        good = np.ones(len(ends), bool)
         for index in range(check.bytes):
             place = index if check.order == "little" else check.bytes - 1 - index
-            if place < 8:
-                stored |= data[ends + index].astype(np.int64) << 8 * place
-            else:  # a sum of a chunk's bytes does not reach these
-                good &= data[ends + index] == (0xFF if isinstance(check, Sum) and check.inverted else 0)
-        return good & (number == stored)
+            stored |= data[ends + index].astype(np.int64) << 8 * place
+        return number == stored
 
 
 def _before(fold: Any, data: Any, kind: Any) -> Any:

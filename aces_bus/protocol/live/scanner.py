@@ -8,11 +8,12 @@ from importlib.metadata import EntryPoint
 from threading import Lock, current_thread
 from typing import Any, Literal
 
-from ...errors import CallerError
+from ...errors import CallerError, UnknownNameError
 from ...plugins import Plugins
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Protocol, Variant
+from ..files import protocol_of_file, python_file
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
@@ -142,6 +143,36 @@ def list_protocols() -> dict[str, EntryPoint]:
     return PROTOCOLS.points()
 
 
+#: Protocols of files that are known by name too, since a robot's file names them by path.
+_adopted: dict[str, Protocol] = {}
+
+
 def load_protocol(name: str) -> Protocol:
-    """The installed protocol `name`; raises `UnknownNameError` with the names that exist."""
-    return PROTOCOLS.load(name)
+    """The installed protocol `name`, or that of a Python file by its path: `lamp.py`, or `lamp.py:NAME` of several.
+
+    Raises `UnknownNameError` with the names that exist, `CallerError` for what a file raises.
+    """
+    path, attribute = python_file(name)
+    if path:
+        names = [attribute] if attribute else []
+        protocol = protocol_of_file(path, names)
+        if names:  # the only protocol of the file has another name
+            raise UnknownNameError(f"protocol in {path}", attribute, [protocol.name])
+        return protocol
+    return _adopted[name] if name in _adopted else PROTOCOLS.load(name)
+
+
+def adopt_protocol(path: str) -> str:
+    """Load the protocol of a Python file, and have `load_protocol` find it by its name, which is given.
+
+    Raises `CallerError` where another protocol has this name.
+    """
+    protocol = load_protocol(path)
+    name = protocol.name
+    known = _adopted.get(name) or (load_protocol(name) if name in list_protocols() else protocol)
+    if known is not protocol:
+        raise CallerError(
+            f"{path}: another protocol is named {name!r} already ({known.place}); rename one of them"
+        )
+    _adopted[name] = protocol
+    return name

@@ -27,7 +27,7 @@ class Scale:
 
     scale: float
     offset: float
-    unknown: tuple[float, ...] = ()
+    unknown: tuple[float, ...] | range = ()
     bounds: tuple[float, float] | None = None
     raw_bounds: tuple[int, int] | None = None
     rounding: str = "nearest"
@@ -38,6 +38,14 @@ class Scale:
         """A raw number in its unit, computed as everywhere."""
         scaled = raw * self.scale if self.scale != 1 else raw
         return scaled + self.offset if self.offset else scaled
+
+    @property
+    def unknown_runs(self) -> tuple[tuple[float, float], ...]:
+        """The raw values that mean unknown, as (least, greatest) of each; a range is one."""
+        if isinstance(self.unknown, range):
+            low, high = sorted((self.unknown[0], self.unknown[-1]))  # its ends: min() would walk it
+            return ((low, high),)
+        return tuple((value, value) for value in self.unknown)
 
     @property
     def limits(self) -> tuple[float, float] | None:

@@ -52,7 +52,7 @@ from construct import Construct
 
 from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
 from aces_bus.plain_text import printable, printable_lines
-from aces_bus.protocol import Message, Protocol, Variant, list_protocols
+from aces_bus.protocol import Message, Protocol, Variant, list_protocols, load_protocol
 from aces_bus.protocol.against import Observation, RecordingCheck, suggest_examples
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.files import load_file
@@ -254,9 +254,10 @@ def _check_robot(name: str, result: Checked) -> None:
                 spoken.setdefault(own, getattr(device, "dialect", None))
         wire: list[Variant] = []
         for protocol_name, dialect in spoken.items():
-            if protocol_name not in list_protocols():
+            try:
+                protocol = load_protocol(protocol_name)
+            except UnknownNameError:
                 continue  # the robot's own check has said so
-            protocol = named_protocol(protocol_name).protocol
             chosen = dialect if dialect is not None else robot.dialect(protocol_name)
             variant = protocol.variant(chosen, robot.tables(protocol) or None)
             wire.append(variant)

@@ -161,7 +161,8 @@ def _steps(node: p.Node) -> str:
         if isinstance(step, p.Scale):
             scale = f"× {step.scale:.12g}" if step.scale != 1 else ""
             offset = f"{'+' if step.offset > 0 else '−'} {abs(step.offset):.12g}" if step.offset else ""
-            unknown = f"unknown at {', '.join(f'{v:g}' for v in step.unknown)}" if step.unknown else ""
+            runs = ["…".join(f"{v:g}" for v in dict.fromkeys(run)) for run in step.unknown_runs]
+            unknown = f"unknown at {', '.join(runs)}" if runs else ""
             names = f"named at {', '.join(str(v) for v, _ in step.names)}" if step.names else ""
             sent = step.bounds or step.raw_bounds
             bounds = ""
