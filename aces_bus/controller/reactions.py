@@ -70,6 +70,8 @@ DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
 
 #: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
 CONTROL_KINDS = ("raised", "failed", "dead-man", "log-failed", "log-dropped")
+#: The ways to stop motion, by their words.
+ACTION_OF: Mapping[str, Action] = {one: one for one in ACTIONS}
 #: Words for reactions.
 WORDS = ("ignore", "degrade", *ACTIONS)
 
@@ -107,7 +109,7 @@ def parse_reactions(
 def _reaction(
     word: str, kind: str, sources: Iterable[str] | None, own: Mapping[str, Callable[[EventLike], object]]
 ) -> Reaction:
-    action = next((one for one in ACTIONS if one == word), None)
+    action = ACTION_OF.get(word)
     if action is not None:
         return stop(action, sources=sources)
     name, _, more = word.partition(":")

@@ -143,6 +143,8 @@ def do(twins: Any, word: str, rest: list[Any]) -> Any:
         case "on" | "off", ():
             on = [name for name, twin in boards.items() if any(c.control_on for c in twin.channels)]
             return on if word == "on" else [name for name in boards if name not in on]
+        case _:
+            raise ValueError(word)
     return True
 
 

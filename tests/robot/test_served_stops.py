@@ -55,7 +55,7 @@ class Leg(Controller):
 
     def step(self, now_ns: int) -> Mapping[str, float]:
         self.steps += 1
-        given = dict.fromkeys(HUBO, 0.1)
+        given: dict[str, float] = dict.fromkeys(HUBO, 0.1)
         return self.then(given) if self.then is not None and self.steps > 10 else given
 
 

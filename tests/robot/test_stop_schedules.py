@@ -6,6 +6,7 @@ Whatever happens before and meanwhile. And no set-point that a board is sent is 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache, partial
 from math import inf
 from typing import Any
@@ -17,6 +18,7 @@ from aces_bus import load_robot
 from aces_bus.controller import ControlEvent, Controller, parse_reactions
 from aces_bus.controller.guard import Action
 from aces_bus.device import Robot
+from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import Runner, VirtualRobot, run_virtual
@@ -54,7 +56,8 @@ class Drawn(Controller):
                 return dict.fromkeys(JOINTS, 3.0 if now_ns // (50 * MS) % 2 else -3.0)
             case "nan" | "inf":
                 return dict.fromkeys(JOINTS, float(self.what))
-        return dict.fromkeys(JOINTS, self.what)
+            case _:
+                return dict.fromkeys(JOINTS, self.what)
 
 
 #: An instant (ms) and what happens then: its kind, and what of it.
@@ -79,12 +82,15 @@ def carry_out(run: Runner, drawn: Drawn, kind: str, what: Any) -> None:
         case "do", "flood":
             for _ in range(3_000):
                 run.supervisors[0].handle(ControlEvent("alarm", run.clock.now(), "JMC2"))
-        case "do", action:
-            run.rig.each(action)
+        case "do", action if run.seconds:  # not behind the back of a run that is ending
+            with suppress(CallerError):  # refused now: a search for home is under way
+                run.rig.each(action)
         case "trip", action:
             run.supervisors[0].guard.trip("by hand", action)
         case "twin", (name, fault, is_on):
             misbehave(run.world.twins[name], fault, is_on)
+        case _:
+            pass
 
 
 def misbehave(twin: Any, fault: str, is_on: bool) -> None:
@@ -149,14 +155,16 @@ class Watcher:
                     self.limits[device.credentials["board"], axis.channel] = (ends[0] - 1, ends[1] + 1)
 
     def beyond(self) -> list[str]:
-        """Every reference that is beyond its joint's limits, and how many there were at all."""
+        """Every reference that is beyond its joint's limits, and further out than the joint has been."""
         found: list[str] = []
         for record in self.scanner.feed(list(self.recorder.frames())):
-            if type(record).__name__ == "Reference":
-                for channel, count in enumerate(record.position):
-                    low, high = self.limits.get((record.board, channel), (-inf, inf))
-                    if not low <= count <= high:
-                        found.append(f"{record.board}.{channel}: {count} is not in {low} … {high}")
+            name = type(record).__name__
+            for channel, count in enumerate(record.position if name in ("Reference", "Encoder") else ()):
+                low, high = self.limits.get((record.board, channel), (-inf, inf))
+                if name == "Encoder":
+                    self.limits[record.board, channel] = (min(low, count), max(high, count))
+                elif not low <= count <= high:
+                    found.append(f"{record.board}.{channel}: {count} is not in {low} … {high}")
         return found
 
 

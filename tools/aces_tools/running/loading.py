@@ -22,9 +22,10 @@ from aces_bus.controller import (
     parse_reactions,
     read_trajectory,
 )
-from aces_bus.controller.guard import ACTIONS, Action
+from aces_bus.controller.guard import Action
 from aces_bus.controller.log import Logger
 from aces_bus.controller.motion_file import MOST_RAD
+from aces_bus.controller.reactions import ACTION_OF
 from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol.files import load_file
@@ -112,9 +113,8 @@ def reactions_of(
     words: dict[str, str] = {}
     for text in texts:
         kind, equals, word = text.partition("=")
-        found = next((one for one in ACTIONS if one == kind), None)
-        if found is not None and not equals:
-            action = found
+        if kind in ACTION_OF and not equals:
+            action = ACTION_OF[kind]
         elif equals:
             words[kind] = word
         else:
