@@ -97,7 +97,7 @@ class Leg:
         self.pass_time(0.01)
 
     def pass_time(self, seconds: float) -> None:
-        self.run.clock.advance(round(seconds * 1e9))
+        self.run.clock.wait(lambda: False, round(seconds * 1e9))
 
     @property
     def refused(self) -> list[str]:

@@ -65,7 +65,7 @@ def finite(writer: str) -> None:
 def one_owner(writer: str) -> None:
     """What a controller owns under one name no other writer moves under any; both are named."""
     with Leg(owner="arm") as leg:
-        leg.run.clock.advance(20 * MS)
+        leg.pass_time(0.02)
         leg.write(writer, "HIP", 0.5)
         leg.pass_time(0.2)
         assert leg.sent("HIP")[-1][1] == leg.sent("HIP")[0][1]

@@ -47,7 +47,7 @@ def test_nothing_on_the_bus_passes_a_limit_or_a_rate(drawn: list[Any], trouble: 
                     twin.fault(trouble)
                     leg.pass_time(0.1)
                     twin.fault(trouble, on=False)
-                board.enable()
+                leg.run.rig.each("enable", [board])
                 leg.pass_time(0.1)
         leg.pass_time(1.0)
         assert check_sent(leg) > 0
