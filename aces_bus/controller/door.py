@@ -11,8 +11,8 @@
 5. All of it runs on the clock's thread, in the ticks of the buses.
 
 Theory of rule 4: where a joint lags (a filter, a slow loop), it is where it was sent a moment ago. So the error is the
-distance to the nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none, and a joint that
-is held up has left them all behind after `time_s` at the latest.
+distance to the nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none. A joint that
+takes its own time on a long way (a servo with a speed of its own) comes nearer meanwhile; one that is held up does not.
 """
 
 from __future__ import annotations
@@ -42,8 +42,11 @@ PERIOD_NS = 10_000_000
 LOOK_NS = 50_000_000
 #: A goal that is so far away (s at the largest rate) is reported as limited.
 FAR_S = 0.1
-#: Following error of a revolute joint whose file says nothing: rad, s.
-USUAL_ERROR_RAD, USUAL_TIME_S = 0.2, 0.5
+#: Following error of a revolute joint whose file says nothing: rad, s. Boards that report jams and reboots do so within
+#: 1.3 s (jam_time and period of the status, Hubo D12): they know better what it is, and are first.
+USUAL_ERROR_RAD, USUAL_TIME_S = 0.2, 1.5
+#: So much of the bound nearer, within the time, is on its way.
+PROGRESS = 0.1
 #: The largest number that is one: a signal without limits has these.
 LARGEST = sys.float_info.max
 _INFINITY = math.inf
@@ -51,7 +54,9 @@ _INFINITY = math.inf
 
 @dataclass(frozen=True)
 class Following:
-    """When a joint does not follow: it is further than `error` (rad, m) from all that it was set to in the last `time_s`."""
+    """When a joint does not follow: it is further than `error` (rad, m) from all that it was set to in the last `time_s`,
+    and has come no nearer meanwhile.
+    """
 
     error: float
     time_s: float = USUAL_TIME_S
@@ -60,9 +65,8 @@ class Following:
 def following_of(robot: Robot) -> dict[str, Following]:
     """By joint, as its file says: `following_error` (0: never) and `following_time_s`. Joints that are set by position only.
 
-    A revolute joint whose file says nothing has 0.2 rad and 0.5 s: boards of some firmwares never report a jam, and what is
-    11° from where it was sent for half a second is held up, whatever its gains. Others have none: no bound fits all wheels
-    and slides.
+    A revolute joint whose file says nothing has 0.2 rad and 1.5 s: boards of some firmwares never report a jam, and what
+    stays 11° from where it was sent is held up, whatever its gains. Others have none: no bound fits all wheels and slides.
     """
     return {joint.name: found for joint in robot.joints.values() if (found := _following(joint)) is not None}
 
@@ -117,8 +121,8 @@ class _Line:
         #: Where it is to go, and what left last; None: nothing is wanted, nothing has left since it began anew.
         self.goal: float | None = None
         self.given: float | None = None
-        #: What left, with the instants (ns), as far back as rule 4 looks.
-        self.recent: deque[tuple[int, float]] = deque()
+        #: What left and where it was then, with the instants (ns), as far back as rule 4 looks.
+        self.recent: deque[tuple[int, float, Any]] = deque()
         self.begin_anew()
 
     def limit_rate(self, rate: float) -> None:
@@ -265,7 +269,7 @@ class _Line:
             self.begin_anew()
             return
         recent, actual = self.recent, self.signal.last
-        recent.append((now, given))
+        recent.append((now, given, actual))
         since = now - round(watched.time_s * 1e9)
         if len(recent) > 1 and recent[1][0] <= since:
             recent.popleft()
@@ -274,13 +278,15 @@ class _Line:
         if not self.device.is_followed(self.signal) or self.signal.is_stale:
             recent.clear()
             return
-        error = min(abs(value - actual) for _, value in recent)
-        if error > watched.error and recent[0][0] <= since:
+        error = min(abs(value - actual) for _, value, _ in recent)
+        then = recent[0][2]
+        nearer = 0.0 if then is UNKNOWN else abs(given - then) - abs(given - actual)
+        if error > watched.error and recent[0][0] <= since and nearer < PROGRESS * watched.error:
             recent.clear()
             self._trip(
                 "following error",
-                f"{self.signal.name} is {actual:.3g} {self.signal.unit}, {error:.2g} from all that it was set to in the"
-                f" last {watched.time_s:g} s (now {given:.3g})",
+                f"{self.signal.name} stays at {actual:.3g} {self.signal.unit}, {error:.2g} from all that it was set to in"
+                f" the last {watched.time_s:g} s (now {given:.3g})",
             )
 
     def _trip(self, kind: Any, reason: str) -> None:

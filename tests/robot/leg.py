@@ -42,7 +42,7 @@ JMC1 = { driver = "hubo_motor", bus = "can", credentials = { board = 1 }, channe
 """ + "".join(
     f"{name} = {{ device = 'JMC{board}', channel = {place}, gear = [10, 25], harmonic = 100, encoder = 4000,"
     f" direction = {direction}, zero = {zero}, lower = {lower}, upper = {upper}, max_speed = {RATE},"
-    f" aliases = ['{name}2'] }}\n"
+    f" following_time_s = 0.5, aliases = ['{name}2'] }}\n"
     for name, (board, place, direction, zero, lower, upper) in JOINTS.items()
 )
 

@@ -95,7 +95,7 @@ def follows(writer: str) -> None:
         leg.pass_time(0.02)
         (event,) = (one for one in leg.run.events if one.kind == "following error")
         assert event.source == "JMC0"
-        assert event.detail.startswith("HIP.position is ")
+        assert event.detail.startswith("HIP.position stays at ")
         assert leg.run.supervisors[0].reason.startswith("JMC0: following error")
         leg.write(writer, "HIP", 0.2)
         assert leg.refused
