@@ -11,13 +11,14 @@
 5. All of it runs on the clock's thread, in the ticks of the buses.
 
 Theory of rule 4: where a joint lags (a filter, a slow loop), it is where it was sent a moment ago. So the error is the
-distance to the nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none, and a joint that
-is held up has left them all behind after `time_s` at the latest.
+distance to the nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none. A joint that
+takes its own time on a long way (a servo with a speed of its own) comes nearer meanwhile; one that is held up does not.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -38,17 +39,24 @@ if TYPE_CHECKING:
 #: A bus without ticks moves goals on so often (ns).
 PERIOD_NS = 10_000_000
 #: Time (ns) between two looks at whether joints follow.
-LOOK_NS = 20_000_000
+LOOK_NS = 50_000_000
 #: A goal that is so far away (s at the largest rate) is reported as limited.
 FAR_S = 0.1
-#: Following error of a revolute joint whose file says nothing: rad, s.
-USUAL_ERROR_RAD, USUAL_TIME_S = 0.2, 0.5
+#: Following error of a revolute joint whose file says nothing: rad, s. Boards that report jams and reboots do so within
+#: 1.3 s (jam_time and period of the status, Hubo D12): they know better what it is, and are first.
+USUAL_ERROR_RAD, USUAL_TIME_S = 0.2, 1.5
+#: So much of the bound nearer, within the time, is on its way.
+PROGRESS = 0.1
+#: The largest number that is one: a signal without limits has these.
+LARGEST = sys.float_info.max
 _INFINITY = math.inf
 
 
 @dataclass(frozen=True)
 class Following:
-    """When a joint does not follow: it is further than `error` (rad, m) from all that it was set to in the last `time_s`."""
+    """When a joint does not follow: it is further than `error` (rad, m) from all that it was set to in the last `time_s`,
+    and has come no nearer meanwhile.
+    """
 
     error: float
     time_s: float = USUAL_TIME_S
@@ -57,9 +65,8 @@ class Following:
 def following_of(robot: Robot) -> dict[str, Following]:
     """By joint, as its file says: `following_error` (0: never) and `following_time_s`. Joints that are set by position only.
 
-    A revolute joint whose file says nothing has 0.2 rad and 0.5 s: boards of some firmwares never report a jam, and what is
-    11° from where it was sent for half a second is held up, whatever its gains. Others have none: no bound fits all wheels
-    and slides.
+    A revolute joint whose file says nothing has 0.2 rad and 1.5 s: boards of some firmwares never report a jam, and what
+    stays 11° from where it was sent is held up, whatever its gains. Others have none: no bound fits all wheels and slides.
     """
     return {joint.name: found for joint in robot.joints.values() if (found := _following(joint)) is not None}
 
@@ -87,18 +94,24 @@ class _Line:
         "given",
         "goal",
         "in_a_row",
+        "is_led",
         "is_supervised",
+        "is_ticked",
+        "lower",
         "owner",
         "rate",
         "recent",
         "signal",
         "tripped",
+        "upper",
+        "utmost",
     )
 
     def __init__(self, door: Door, device: Device, signal: Signal, active: dict[_Line, None]) -> None:
         self.door, self.device, self.signal, self.active = door, device, signal, active
         self.bounds = door.bounds.get(signal.name, Bounds())
-        self.rate = self.bounds.rate
+        self.is_ticked = device.host.rate_hz is not None
+        self.limit_rate(self.bounds.rate)
         self.following = door.following.get(signal.name)
         self.owner, self.is_supervised = "", False
         #: Why no set-points are taken; "" while they are.
@@ -108,9 +121,23 @@ class _Line:
         #: Where it is to go, and what left last; None: nothing is wanted, nothing has left since it began anew.
         self.goal: float | None = None
         self.given: float | None = None
-        self.epoch = device.epoch
-        #: What left, with the instants (ns), as far back as rule 4 looks.
-        self.recent: deque[tuple[int, float]] = deque()
+        #: What left and where it was then, with the instants (ns), as far back as rule 4 looks.
+        self.recent: deque[tuple[int, float, Any]] = deque()
+        self.begin_anew()
+
+    def limit_rate(self, rate: float) -> None:
+        """Lead it no faster (unit/s)."""
+        self.rate, self.utmost = rate, rate * (1 + 1e-9)  # a hair more is rounding
+        self.is_led = rate < _INFINITY
+
+    def begin_anew(self) -> None:
+        """Nothing is wanted; the next set-point begins where the joint is, within the limits of then."""
+        self.goal = self.given = None
+        self.epoch = self.device.epoch
+        self.recent.clear()
+        low, high = self.signal.lower, self.signal.upper
+        self.lower = max(self.bounds.lower, -LARGEST if low is None else low)
+        self.upper = min(self.bounds.upper, LARGEST if high is None else high)
 
     # ------------------------------------------------------------------ what is wanted
 
@@ -124,41 +151,46 @@ class _Line:
 
     def give(self, value: Any) -> None:
         """A set-point of the owner. Raises `CallerError` for what is no finite number, and after a trip."""
-        signal = self.signal
-        if signal.setter is None:
-            raise CallerError(f"{signal.name!r} is read-only")
-        if self.tripped:
-            raise CallerError(f"{signal.name}: {self.tripped}; it takes no set-points until it is released")
+        device = self.device
         try:
-            is_finite = -_INFINITY < value < _INFINITY
+            is_within = self.lower <= value <= self.upper
         except (TypeError, ValueError):
-            if self.rate < _INFINITY or signal.unit or signal.upper is not None:
-                self._refuse(value)
-            self._hand_over(value)  # a name, a switch: the driver's affair
+            self._give_other(value)
             return
-        if not is_finite:
-            self._refuse(value)
+        if not is_within or self.tripped or self.epoch != device.epoch:
+            value = self._limited(value)
         self.in_a_row = 0
-        low, high = signal.lower, signal.upper
-        if (low is not None and value < low) or (high is not None and value > high):
-            self.counts.position += 1
-            assert signal.limit is not None
-            value = signal.limit(signal, value)
-        lower, upper = self.bounds.lower, self.bounds.upper
-        if not lower <= value <= upper:
-            self.counts.position += 1
-            value = lower if value < lower else upper
+        if self.is_led:
+            self.goal = value
+            self.active[self] = None
+            if not self.is_ticked:
+                device.host.wake()
+        else:
+            self.given = value
+            self.hand_over(value)
+
+    def _limited(self, value: Any) -> Any:
+        """What is wanted instead; raises where nothing can be."""
+        if self.tripped:
+            raise CallerError(
+                f"{self.signal.name}: {self.tripped}; it takes no set-points until it is released"
+            )
+        if not -_INFINITY < value < _INFINITY:
+            self._refuse(value)
         if self.epoch != self.device.epoch:
             self.begin_anew()
-        if self.rate == _INFINITY:
-            self.given = value
-            self._hand_over(value)
-            return
-        self.goal = value
-        self.active[self] = None
-        host = self.device.host
-        if host.rate_hz is None:
-            host.wake()
+        if self.lower <= value <= self.upper:
+            return value
+        self.counts.position += 1
+        if self.signal.limit is not None:
+            value = self.signal.limit(self.signal, value)  # which reports it
+        return min(max(value, self.lower), self.upper)
+
+    def _give_other(self, value: Any) -> None:
+        """A name or a switch is the driver's affair, for a signal that is no quantity."""
+        if self.is_led or self.signal.unit or self.signal.upper is not None:
+            self._refuse(value)
+        self.hand_over(value)
 
     def _refuse(self, value: Any) -> None:
         self.counts.not_finite += 1
@@ -183,12 +215,12 @@ class _Line:
         before = self.given
         if takes is False:
             self.given = self.goal = None
-            self._hand_over(goal)  # who refuses it says why
+            self.hand_over(goal)  # who refuses it says why
             return True
         if before is None:
             if self.signal.name not in device.readable:
                 self.given = goal  # nothing tells where it is: the first one is believed
-                self._hand_over(goal)
+                self.hand_over(goal)
                 return True
             present = self.signal.value
             if present is UNKNOWN:
@@ -196,11 +228,11 @@ class _Line:
                 return False
             before = present
             self.recent.clear()
-        most = self.rate * dt * (1 + 1e-9)  # a hair more is rounding
+        most = self.utmost * dt
         distance = goal - before
         if -most <= distance <= most:
             self.given = goal
-            self._hand_over(goal)
+            self.hand_over(goal)
             return True
         if self.given is None or abs(distance) > self.rate * FAR_S:
             self.counts.rate += 1
@@ -211,52 +243,50 @@ class _Line:
                     f" at {self.rate:g} {self.signal.unit}/s",
                 )
         self.given = given = before + math.copysign(self.rate * dt, distance)
-        self._hand_over(given)
+        self.hand_over(given)
         return False
 
-    def _hand_over(self, value: Any) -> None:
+    def hand_over(self, value: Any) -> None:
+        """Give it to the driver, and say so to who listens."""
         signal = self.signal
-        if signal.setter is not None:
-            signal.setter(value)
+        if signal.setter is None:
+            self.device.tell_event("not sent", f"{signal.name} cannot be set now")
+            return
+        signal.setter(value)
         if signal.given:
             now = signal.clock.now()
             for listener in signal.given:
                 listener(value, now)
 
-    def begin_anew(self) -> None:
-        """Nothing is wanted; the next set-point begins where the joint is."""
-        self.goal = self.given = None
-        self.epoch = self.device.epoch
-        self.recent.clear()
-
     # ------------------------------------------------------------------ whether it follows
 
     def look(self, now: int) -> None:
         """Whether the joint is where it was sent."""
-        given, watched, signal, device = self.given, self.following, self.signal, self.device
+        given, watched = self.given, self.following
         if given is None or watched is None:
             return
-        recent = self.recent
-        if self.epoch != device.epoch:
+        if self.epoch != self.device.epoch:
             self.begin_anew()
             return
-        if not device.is_followed(signal) or signal.is_stale:
+        recent, actual = self.recent, self.signal.last
+        recent.append((now, given, actual))
+        since = now - round(watched.time_s * 1e9)
+        if len(recent) > 1 and recent[1][0] <= since:
+            recent.popleft()
+        if actual is not UNKNOWN and -watched.error <= given - actual <= watched.error:
+            return
+        if not self.device.is_followed(self.signal) or self.signal.is_stale:
             recent.clear()
             return
-        recent.append((now, given))
-        since = now - round(watched.time_s * 1e9)
-        while len(recent) > 1 and recent[1][0] <= since:
-            recent.popleft()
-        actual = signal.last
-        if abs(given - actual) <= watched.error or recent[0][0] > since:
-            return
-        error = min(abs(value - actual) for _, value in recent)
-        if error > watched.error:
+        error = min(abs(value - actual) for _, value, _ in recent)
+        then = recent[0][2]
+        nearer = 0.0 if then is UNKNOWN else abs(given - then) - abs(given - actual)
+        if error > watched.error and recent[0][0] <= since and nearer < PROGRESS * watched.error:
             recent.clear()
             self._trip(
                 "following error",
-                f"{signal.name} is {actual:.3g} {signal.unit}, {error:.2g} from all that it was set to in the last"
-                f" {watched.time_s:g} s (now {given:.3g})",
+                f"{self.signal.name} stays at {actual:.3g} {self.signal.unit}, {error:.2g} from all that it was set to in"
+                f" the last {watched.time_s:g} s (now {given:.3g})",
             )
 
     def _trip(self, kind: Any, reason: str) -> None:
@@ -289,9 +319,7 @@ class _BusLines:
         self._last = now
         if self.active:
             if dt > 0.0:
-                for line in [*self.active]:
-                    if line.step(dt):
-                        del self.active[line]
+                self._lead(dt)
             if self.active and not self._is_ticked and not self._is_woken:
                 self._is_woken = True
                 self.host.clock.call_in(self._period, self._again)
@@ -299,6 +327,24 @@ class _BusLines:
             self._look_at = now + LOOK_NS
             for line in self.watched:
                 line.look(now)
+
+    def _lead(self, dt: float) -> None:
+        lines = [*self.active]
+        self.active.clear()
+        for line in lines:
+            # Nearly every one: on its way already, and what is wanted is within reach.
+            goal, before, device = line.goal, line.given, line.device
+            if goal is not None and before is not None and line.epoch == device.epoch:
+                signal, most = line.signal, line.utmost * dt
+                if -most <= goal - before <= most and device.takes(signal):
+                    line.given = goal
+                    if signal.setter is None or signal.given:
+                        line.hand_over(goal)
+                    else:
+                        signal.setter(goal)
+                    continue
+            if not line.step(dt):
+                self.active[line] = None
 
     def _again(self) -> None:
         """A bus without ticks has goals that it is on the way to."""
@@ -375,7 +421,7 @@ class Door:
     def pace(self, name: str, rate: float) -> None:
         """Lead this signal no faster than `rate` (unit/s) from now on."""
         line = self._line(name)
-        line.rate = min(line.rate, rate)
+        line.limit_rate(min(line.rate, rate))
 
     def counts(self, name: str) -> Clipped:
         """What was changed of a signal's set-points, and how many were refused."""

@@ -42,7 +42,7 @@ JMC1 = { driver = "hubo_motor", bus = "can", credentials = { board = 1 }, channe
 """ + "".join(
     f"{name} = {{ device = 'JMC{board}', channel = {place}, gear = [10, 25], harmonic = 100, encoder = 4000,"
     f" direction = {direction}, zero = {zero}, lower = {lower}, upper = {upper}, max_speed = {RATE},"
-    f" aliases = ['{name}2'] }}\n"
+    f" following_time_s = 0.5, aliases = ['{name}2'] }}\n"
     for name, (board, place, direction, zero, lower, upper) in JOINTS.items()
 )
 
@@ -97,7 +97,7 @@ class Leg:
         self.pass_time(0.01)
 
     def pass_time(self, seconds: float) -> None:
-        self.run.clock.advance(round(seconds * 1e9))
+        self.run.clock.wait(lambda: False, round(seconds * 1e9))
 
     @property
     def refused(self) -> list[str]:

@@ -65,7 +65,7 @@ def finite(writer: str) -> None:
 def one_owner(writer: str) -> None:
     """What a controller owns under one name no other writer moves under any; both are named."""
     with Leg(owner="arm") as leg:
-        leg.run.clock.advance(20 * MS)
+        leg.pass_time(0.02)
         leg.write(writer, "HIP", 0.5)
         leg.pass_time(0.2)
         assert leg.sent("HIP")[-1][1] == leg.sent("HIP")[0][1]
@@ -95,7 +95,7 @@ def follows(writer: str) -> None:
         leg.pass_time(0.02)
         (event,) = (one for one in leg.run.events if one.kind == "following error")
         assert event.source == "JMC0"
-        assert event.detail.startswith("HIP.position is ")
+        assert event.detail.startswith("HIP.position stays at ")
         assert leg.run.supervisors[0].reason.startswith("JMC0: following error")
         leg.write(writer, "HIP", 0.2)
         assert leg.refused

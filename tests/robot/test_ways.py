@@ -25,7 +25,7 @@ writes = st.tuples(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.lists(writes, min_size=1, max_size=12), st.sampled_from(["", "", "disable", "reboot", "can_error"]))
 def test_nothing_on_the_bus_passes_a_limit_or_a_rate(drawn: list[Any], trouble: str) -> None:
     """Whoever writes what and when, and whatever happens to a board meanwhile: each frame is within limits and rate."""
@@ -47,7 +47,7 @@ def test_nothing_on_the_bus_passes_a_limit_or_a_rate(drawn: list[Any], trouble: 
                     twin.fault(trouble)
                     leg.pass_time(0.1)
                     twin.fault(trouble, on=False)
-                board.enable()
+                leg.run.rig.each("enable", [board])
                 leg.pass_time(0.1)
         leg.pass_time(1.0)
         assert check_sent(leg) > 0
@@ -149,18 +149,18 @@ def test_a_bus_without_ticks_leads_there_too() -> None:
 
 
 def test_what_counts_as_not_following() -> None:
-    """Revolute joints that are set by position have 0.2 rad and 0.5 s; a file says otherwise, or 0 for never."""
-    text = ROBOT.replace("aliases = ['HIP2']", "following_error = 0.5, following_time_s = 1.0")
+    """Revolute joints that are set by position have 0.2 rad and 1.5 s; a file says otherwise, or 0 for never."""
+    text = ROBOT.replace("aliases = ['HIP2']", "following_error = 0.5")
     text = text.replace("aliases = ['ROLL2']", "following_error = 0")
     text = text.replace("'JMC1', channel = 0,", "'JMC1', channel = 0, type = 'prismatic',")
     robot, problems = parse_robot(text)
     assert robot is not None, problems
-    assert following_of(robot) == {"HIP": Following(0.5, 1.0)}
-    assert set(following_of(load_robot("hubo2plus")).values()) == {Following(0.2, 0.5)}
+    assert following_of(robot) == {"HIP": Following(0.5, 0.5)}
+    assert set(following_of(load_robot("hubo2plus")).values()) == {Following(0.2, 1.5)}
 
 
 def test_a_jam_that_a_d08_board_never_reports_is_found() -> None:
-    """The older firmware has no error bits: the encoder alone tells, within 1.5 s, whoever drives."""
+    """The older firmware has no error bits: the encoder alone tells, within 2 s, whoever drives."""
     robot = load_robot("hubo2").part("RKP")
     with VirtualRobot(robot, rate_hz=100) as world:
         name = robot.joints["RKP"].device
@@ -170,9 +170,9 @@ def test_a_jam_that_a_d08_board_never_reports_is_found() -> None:
         world.twins[name].fault("jam", robot.joints["RKP"].channel + 1)
         here = world["RKP"].value
         world["RKP"].set(here + 0.6)
-        world.advance(1.5)
+        world.advance(2.0)
         (event,) = world.events.of("following error")
-        assert event.detail.startswith("RKP.position is ")
+        assert event.detail.startswith("RKP.position stays at ")
         assert not world.devices[name].is_driven
         with pytest.raises(CallerError, match="takes no set-points until it is released"):
             world["RKP"].set(here)

@@ -481,7 +481,9 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     def takes(self, signal: Signal) -> bool | None:
         """Set-points go out while the board is enabled."""
-        return super().takes(signal) if self.is_streaming else False
+        if not self.is_streaming:
+            return False
+        return None if self._held and self.is_held else True
 
     def is_followed(self, signal: Signal) -> bool:
         """Not while it is compliant, searches its home, or takes references for currents."""

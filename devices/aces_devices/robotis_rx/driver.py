@@ -356,6 +356,7 @@ class RobotisRX(RegisterDevice):
             )
         elif not self.turns and low < high:
             ends = sorted(self.direction * (count * self.step - self.zero) for count in (low, high))
+            self.epoch += 1
             self.position.lower = max(self.span[0], ends[0])
             self.position.upper = min(self.span[1], ends[1])
 
