@@ -40,7 +40,7 @@ HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
 PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
 SILENT_SHARE = 5
-#: A poll whose answer has not come by the next tick, or the one after while others still come, is sent again, so often at most.
+#: A poll without an answer by the next tick, or the one after while others still come, is sent again, so often at most.
 ASKED_AGAIN = 2
 #: A bus on which nothing came for this part of a tick has nothing under way.
 QUIET_SHARE = 5
