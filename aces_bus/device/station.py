@@ -98,8 +98,8 @@ class BusEndpoint(Generic[M]):
         self.scanner = make_scanner(list(variants), direction=direction, include_unknown=True)
         self.members: dict[str, M] = {}
         self._routes: dict[type, _Route[M]] = {}
-        #: By member and message: the message, the credentials that it has fields for, the encoder.
-        self._tagged: dict[tuple[str, str], tuple[Message, dict[str, int], Callable[..., Any]]] = {}
+        #: By member and message: what packs its fields with the credentials that it has fields for.
+        self._tagged: dict[tuple[str, str], Callable[[Mapping[str, Any]], Any]] = {}
         #: A datagram is whole: what it leaves incomplete, the next one does not continue.
         self._feed: Callable[[Any], list[Any]] = (
             self.scanner.datagram
@@ -227,13 +227,12 @@ class BusEndpoint(Generic[M]):
 
         Raises `UnknownNameError` and `FieldError` as encoders do.
         """
-        known = self._tagged.get((member.name, message))
-        if known is None:
+        pack = self._tagged.get((member.name, message))
+        if pack is None:
             found = member.variant[message]
-            tags = tags_of(member, found)
-            known = self._tagged[member.name, message] = (found, tags, member.variant.encoder.word)
-        found, tags, encode = known
-        return encode(found, {**tags, **fields})
+            pack = member.variant.encoder.packer(found, tags_of(member, found))
+            self._tagged[member.name, message] = pack
+        return pack(fields)
 
 
 def tags_of(member: EndpointMember, message: Message) -> dict[str, int]:

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from construct import Construct, ConstructError, Default, Renamed
@@ -73,6 +73,25 @@ class Encoder:
             return built
         identifier, data, extended, remote, fd = built
         return Frame(identifier, data, is_extended_id=extended, is_remote_frame=remote, is_fd=fd)
+
+    def packer(
+        self, message: Message, always: dict[str, Any]
+    ) -> Callable[[Mapping[str, Any]], Frame | bytes]:
+        """A function that packs the fields of `message` besides those that are `always` the same; as `word`."""
+        quick = self._quick.get(message.name)
+        if quick is None or message.framing is not None:
+            return lambda fields: self.word(message, {**always, **fields})
+        usual = {**self._unsaid.get(message.name, {}), **always}
+        extended, remote, fd = message.extended, message.remote, message.fd
+
+        def pack(fields: Mapping[str, Any]) -> Frame | bytes:
+            try:
+                identifier, head, body = quick({**usual, **fields})
+            except USUAL_FAILURES:
+                return self.word(message, {**always, **fields})
+            return Frame(identifier, head + body, None, None, extended, remote, False, fd)
+
+        return pack
 
     def _built(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> CanParts | bytes:
         """The packet's bytes; on CAN the parts of the frame."""
