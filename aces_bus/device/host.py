@@ -284,8 +284,8 @@ class Host(BusEndpoint[Device]):
         ticket = slot.waiting
         if ticket is None:
             return slot.due <= now
-        if ticket.tries > ASKED_AGAIN or not self._period or ticket.device.is_silent:
-            return False
+        if ticket.tries > ASKED_AGAIN or not self._period or ticket.device.is_silent or slot.common:
+            return False  # what asks everybody would be answered by all, and those who had answered would seem to be two
         # While answers still come in, this one may be among them: it has a tick more.
         is_quiet = now - self._heard_at > self._period // QUIET_SHARE
         return now - ticket.sent_at > self._period * (3 if is_quiet else 6) // 4 * ticket.tries
