@@ -41,8 +41,10 @@ HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
 PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 #: On a half-duplex line a silent device's time-outs take one part in so many of the time.
 SILENT_SHARE = 5
-#: A poll whose answer has not come by the next tick is sent again, so often at most.
+#: A poll without an answer by the next tick, or the one after while others still come, is sent again, so often at most.
 ASKED_AGAIN = 2
+#: A bus on which nothing came for this part of a tick has nothing under way.
+QUIET_SHARE = 5
 #: An instant that does not come (ns).
 NEVER_NS = 1 << 62
 #: So many unknown devices are told apart; a bus may claim millions.
@@ -99,6 +101,8 @@ class Host(BusEndpoint[Device]):
         self._serial_number = 0
         self._period = 0 if rate_hz is None or passive else round(1e9 / rate_hz)
         self._tick_at = 0
+        #: When something was last received.
+        self._heard_at = 0
         #: Half duplex: when the next tick is due, and after what instant no poll may end.
         self._tick_end, self._polls_end = 0, NEVER_NS
         #: Whether this tick has had a poll: the first one goes out whatever it costs, or it never would.
@@ -319,16 +323,15 @@ class Host(BusEndpoint[Device]):
             slots.rotate(-1)
 
     def _is_due(self, slot: PollSlot, now: int) -> bool:
-        """Whether a slot is to be asked in this tick, or again as its answer has not come by now."""
+        """Whether a slot is to be asked in this tick, or again as its answer is overdue."""
         ticket = slot.waiting
         if ticket is None:
             return slot.due <= now
-        return (
-            ticket.tries <= ASKED_AGAIN
-            and bool(self._period)
-            and now - ticket.sent_at > self._period * 3 // 4 * ticket.tries
-            and not ticket.device.is_silent
-        )
+        if ticket.tries > ASKED_AGAIN or not self._period or ticket.device.is_silent or slot.common:
+            return False  # what asks everybody would be answered by all, and those who had answered would seem to be two
+        # While answers still come in, this one may be among them: it has a tick more.
+        is_quiet = now - self._heard_at > self._period // QUIET_SHARE
+        return now - ticket.sent_at > self._period * (3 if is_quiet else 6) // 4 * ticket.tries
 
     def _ask_again(self, ticket: Ticket, now: int) -> None:
         """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
@@ -573,6 +576,7 @@ class Host(BusEndpoint[Device]):
     def answered(self, device: Device, name: str, record: Any, instant: int) -> None:
         """A record of a device: the oldest request that it answers is done. Called by `Device.receive`."""
         self.counts.received += 1
+        self._heard_at = instant
         if device.is_silent:
             device.is_silent = False
             self.tell("answers", device.name)

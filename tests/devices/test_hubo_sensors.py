@@ -199,6 +199,16 @@ def test_one_frame_asks_all_of_d08(old: VirtualRobot) -> None:
     assert not old.events.last
 
 
+def test_what_asks_all_is_not_sent_again_for_one(old: VirtualRobot) -> None:
+    """One board's lost reply does not make the others answer twice, as if there were two of each."""
+    old.advance(0.1)
+    heard = listen(old)
+    old.twins["FT_RF"].fault("loses", 3)
+    old.advance(0.5)
+    assert frames(heard["lower"]).count("002#00") <= 26  # once a tick of 50 Hz
+    assert old.events.count("duplicate reply") == 0
+
+
 def test_who_is_silent_in_d08(old: VirtualRobot) -> None:
     """Each board is missed by itself, though all are asked together; the others stay fresh."""
     old.advance(0.2)

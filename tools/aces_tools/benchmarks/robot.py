@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -83,7 +83,7 @@ def _rows(
 
 
 @contextmanager
-def _twins(folder: str) -> Iterator[None]:
+def _twins(folder: str) -> Generator[None]:
     """The robot's twins on served buses in `folder`, in a process of their own."""
     child = subprocess.Popen(
         [sys.executable, "-c", _CALL.format("serve_twins"), folder],
