@@ -72,7 +72,7 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = chosen_robot(arguments.robot)
+    robot = chosen_robot(arguments.robot, arguments.driver)
     if arguments.name is None:
         return show_devices(robot, arguments.json)
     if arguments.name in VERBS:

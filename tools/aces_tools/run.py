@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CallerError("--replay moves nothing; leave --tx, --ask and --home away")
     if arguments.pose and not arguments.virtual:
         raise CallerError("--pose is for twins: add --virtual, or give it to aces sim")
-    robot = chosen_robot(arguments.robot)
+    robot = chosen_robot(arguments.robot, arguments.driver)
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)
     if not controllers and not arguments.log:
