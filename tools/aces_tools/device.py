@@ -2,7 +2,7 @@
 
   aces device -r hubo2plus              its devices, their joints and sensors
   aces device RHY                       what one has: signals, actions
-  aces device RHY get                   all its values, once, as others ask for them
+  aces device RHY get                   all its values, once, as others ask
   aces device RHY get --ask             the same, asked for by itself
   aces device RHY get position velocity
   aces device RHY watch position        kept up to date; in a pipe a line each
@@ -14,9 +14,9 @@
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
 simulated devices answer, in virtual time, and nothing else is needed. On real
 buses `get` and `watch` listen to what another program asks, unless --ask has
-them ask; whatever changes a device needs --tx. One program of a machine asks and
-drives on a bus: a second is refused. Values are in SI units. A joint's name is
-enough: its device is found. Nothing is sent to other devices.
+them ask; whatever changes a device needs --tx. One program of a machine asks
+and drives on a bus: a second is refused. Values are in SI units. A joint's name
+is enough: its device is found. Nothing is sent to other devices.
 """
 
 from __future__ import annotations
